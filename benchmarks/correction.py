@@ -43,8 +43,8 @@ ACCEPTED = {
 }
 """Trials, and the largest path error after them, m."""
 ACCEPTED_MOVED, ACCEPTED_NEXT = 1.05, 0.006e-3
-"""The largest path error of other arms with a correction of the nominal model, times the least that one correction can
-leave on all of them; and after one trial on each, m."""
+"""The largest path error of other arms with a correction of the nominal model, times half of what their tips are apart
+with it; and after one trial on each, m."""
 ACCEPTED_ELASTIC = 0.03e-3
 ACCEPTED_TIME = 0.2
 """s for a trial, learning included, of 6 s of motion."""
@@ -110,8 +110,8 @@ def errors(
 def other_arms(setup: Setup, task: LineTask) -> dict[str, float]:
     """Return path errors of arms with other friction, m: as they are, with the nominal arm's correction, a trial later.
 
-    Two arms that follow apart at the same place cannot both be on the path by one correction: half of how far their
-    errors are apart there is what the larger error is at least.
+    Two arms that follow apart at the same place cannot both be on the path by that correction: half of how far their
+    errors are apart there is what the larger error is at least. Other corrections have other halves.
     """
     plan, found, apart = plan_line(setup, task), {}, []
     nominal = learn_correction(setup, plan, TRIALS).correction

@@ -12,9 +12,10 @@
 Setups          load_setup, parameters, with_parameters, Setup, Rates
 Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints; of lines, arcs and splines:
                 load_path, plan_path, Path, Segment
-Runs            run_line, run_path, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; for hours: repeat_line,
-                RepeatedLine; with a controller of one's own: run_controller, ControllerRun; small deviations from a
-                motion: prepare_perturbation, PerturbationModel, PerturbationResult
+Runs            run_line, run_path, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; of set-points in a bag:
+                followed_accuracy; for hours: repeat_line, RepeatedLine; with a controller of one's own:
+                run_controller, ControllerRun; small deviations from a motion: prepare_perturbation,
+                PerturbationModel, PerturbationResult
 Corrections     learn_correction, load_correction, write_correction, precompensate, NormOptimal, Filtered,
                 TrajectoryPath, Correction, CorrectionFile, LearnedCorrection; from a record: Learner, measured,
                 learn_from_record
@@ -77,7 +78,7 @@ if TYPE_CHECKING:
     from rx90_controller.lines.plan import LinePlan as LinePlan
     from rx90_controller.lines.task import LineTask as LineTask, load_task as load_task
     from rx90_controller.paths.path import Path as Path
-    from rx90_controller.paths.segment import Segment as Segment
+    from rx90_controller.paths.path import Segment as Segment
     from rx90_controller.trajectory import TrajectoryPoints as TrajectoryPoints
     from rx90_emulator.export.export import (
         Export as Export,
@@ -159,6 +160,7 @@ if TYPE_CHECKING:
     from rx90_emulator.loop.line import (
         LineRun as LineRun,
         PathAccuracy as PathAccuracy,
+        followed_accuracy as followed_accuracy,
         path_accuracy as path_accuracy,
         plan_line as plan_line,
         plan_path as plan_path,

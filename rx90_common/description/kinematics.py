@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Index
 from rx90_common.description.chain import RigidChain
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import (
@@ -84,17 +84,15 @@ def bias_acceleration(chain: RigidChain, q: Array, velocity: Array) -> Array:
 
 
 class PathError(NamedTuple):
-    """Deviation of points from the straight line between two points.
+    """Deviation of points from a path, such as the straight line between two points.
 
     Attributes:
-        along: (n,) distance from the start, measured along the line, m.
-        perpendicular: (n,) distance from the infinite line, m; this is the path error.
-        beyond: (n,) how far a point lies before the start or past the end, m; 0 between them.
+        along: (n,) distance from the start, measured along the path, m; beyond 0 and its length past an end.
+        perpendicular: (n,) distance from the path, which goes on straight beyond its ends, m; this is the path error.
     """
 
     along: Array
     perpendicular: Array
-    beyond: Array
 
 
 def decompose(vectors: Array, direction: Array) -> tuple[Array, Array]:
@@ -111,12 +109,54 @@ def path_error(positions: Array, start: Array, end: Array) -> PathError:
         ValueError: if start and end are the same point.
     """
     direction = np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64)
-    whole = float(length(direction))
-    if whole == 0.0:
+    if not direction.any():
         raise ValueError("a line needs two different points")
     along, across = decompose(np.asarray(positions) - np.asarray(start), direction)
-    beyond = np.maximum(np.maximum(-along, along - whole), 0.0)
-    return PathError(along, length(across), beyond)
+    return PathError(along, length(across))
+
+
+def nearest_corner(points: Array, corners: Array, near: Index | None = None) -> Index:
+    """Return which of `corners`, (m, 3) m, is nearest to each of `points`, (n, 3) m; shape (n,).
+
+    Args:
+        points: m.
+        corners: m.
+        near: where to look for it, (n,): the next local minimum from there; None for everywhere. A path that crosses
+            itself has more than one.
+    """
+    if near is None:
+        from scipy.spatial import cKDTree  # here, because it takes its time to import
+
+        return np.asarray(cKDTree(corners).query(points)[1])
+    found, rows, around = np.array(near), np.arange(len(points)), np.array([0, -1, 1])
+    while len(rows):
+        beside = np.clip(found[rows, None] + around, 0, len(corners) - 1)
+        off = np.sum((corners[beside] - points[rows, None]) ** 2, axis=2)
+        closest = beside[np.arange(len(rows)), np.argmin(off, axis=1)]
+        moved = closest != found[rows]
+        found[rows] = closest
+        rows = rows[moved]
+    return found
+
+
+def polyline_error(points: Array, corners: Array, near: Index | None = None) -> PathError:
+    """Compare points (n, 3) in m with the straight lines through `corners`, (m, 3) m, m >= 2, all different neighbours.
+
+    Beyond both ends the first and the last line go on. `near` is that of `nearest_corner`.
+    """
+    lines, last = np.diff(corners, axis=0), len(corners) - 2
+    ways = length(lines)
+    distance = np.concatenate([[0.0], np.cumsum(ways)])
+    nearest = nearest_corner(points, corners, near)
+    along, across = np.empty(len(points)), np.full(len(points), np.inf)
+    for line in (np.clip(nearest - 1, 0, last), np.clip(nearest, 0, last)):
+        off = points - corners[line]
+        at = np.sum(off * lines[line], axis=1) / ways[line]
+        at = np.clip(at, np.where(line == 0, -np.inf, 0.0), np.where(line == last, np.inf, ways[line]))
+        away = length(off - (at / ways[line])[:, None] * lines[line])
+        closer = away < across
+        along[closer], across[closer] = (distance[line] + at)[closer], away[closer]
+    return PathError(along, across)
 
 
 def tip_position(chain: RigidChain, q: Array) -> Array:

@@ -15,6 +15,7 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import LEFT_OUT, ListOf, Number, Numbers, Text
 from rx90_common.base.errors import LineError
 from rx90_common.base.groups import Group
+from rx90_common.base.section import Section
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_common.description.kinematics import PathError, Pose, path_error
 from rx90_common.description.robot_files import RobotFiles
@@ -336,7 +337,11 @@ def load_task(name: Path | str | None = None, *, robot: Path | str | None = None
     """
     folder, own = (None if given is None else str(given) for given in (robot, name))
     file = RobotFiles.named(folder, task=own).required("task")
-    root = load_yaml(file)
+    return task_of(file, load_yaml(file))
+
+
+def task_of(file: Path, root: Section) -> LineTask:
+    """Return the line that the content of a task file means, as `load_task` does."""
     content = TASK.read(root)
     line = content["line"]
     start_rpy = line.pop("tool_rpy_degrees")
@@ -345,13 +350,14 @@ def load_task(name: Path | str | None = None, *, robot: Path | str | None = None
     try:
         return LineTask(
             **line,
-            start_rpy=_radians(start_rpy),
-            end_rpy=_radians(end_rpy),
+            start_rpy=radians(start_rpy),
+            end_rpy=radians(end_rpy),
             branch=Branch(**posture),
         )
     except LineError as error:
         raise LineError(f"{file}: {error}") from error
 
 
-def _radians(degrees: tuple[float, ...]) -> tuple[float, ...]:
+def radians(degrees: tuple[float, ...]) -> tuple[float, ...]:
+    """Return angles that a file has in degrees."""
     return tuple(math.radians(angle) for angle in degrees)

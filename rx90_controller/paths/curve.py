@@ -12,14 +12,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
 
-from rx90_common.base.arrays import Array, Index, Mask
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import LineError
-from rx90_common.description.kinematics import PathError
+from rx90_common.description.kinematics import PathError, decompose, nearest_corner
 from rx90_common.description.rotations import length
 
 _CELLS = 16  # of a polynomial's length, in each of its intervals
@@ -28,7 +28,6 @@ _NEWTON = 5
 _COLLINEAR = 1e-9  # sine between the chords of three points
 _ROUNDED = 2e-5  # m: by how much ends of an arc may be unequally far from its centre, as drawings print them
 _SHARPEST = -0.98  # cosine of the turn at a corner that a blend rounds
-_AROUND = 0.05  # m along a path from where the tip should be to where it is looked for
 KINK = 1e-3
 """A corner up to this angle, rad, is travelled without a stop: set-points one period apart round it."""
 
@@ -237,13 +236,6 @@ def _blend(before: Piece, after: Piece, zone: float) -> Polynomial:
     return Polynomial(PPoly(np.array([c5, c4, c3, 0.5 * a0, v0, p0])[:, None, :], [0.0, 1.0]))
 
 
-class Place(NamedTuple):
-    """What is nearest on a curve: distances from its start (n,) m, and from it (n,) m."""
-
-    along: Array
-    across: Array
-
-
 class Curve:
     """Pieces one after the other, by the distance from the start.
 
@@ -306,6 +298,11 @@ class Curve:
             found[rows] = self._pieces[k].at(distance[rows] - self.starts[k], order)
         return found
 
+    @cached_property
+    def corners(self) -> Mask:
+        """Return whether the direction jumps where one piece follows another, (m - 1,)."""
+        return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * self.jumps(1), 1.0)) > KINK)
+
     def jumps(self, order: int) -> Array:
         """Return by how much a derivative jumps where one piece follows another, (m - 1,)."""
         ends = [np.array([piece.length]) for piece in self._pieces[:-1]]
@@ -329,37 +326,31 @@ class Curve:
         distance = np.append(np.concatenate(inner), self.length)
         return distance, self.at(distance)
 
-    def nearest(self, points: Array, near: Array | None = None) -> Place:
-        """Return what is nearest on the curve to points (n, 3) m; beyond its ends it goes on along its tangents.
+    def error(self, points: Array, near: Array | None = None) -> PathError:
+        """Return how far points (n, 3) m are from the curve; beyond its ends it goes on along its tangents.
 
         Args:
             points: m.
-            near: distances (n,) m around which alone it is looked for: a path may cross itself.
+            near: distances (n,) m from which on the nearest place is looked for: a path may cross itself.
         """
         points = np.asarray(points, dtype=np.float64)
         distance, places = self._samples
-        if near is None:
-            from scipy.spatial import cKDTree  # here, because it takes its time to import
-
-            nearest = np.asarray(cKDTree(places).query(points)[1])
-        else:
-            within = min(_AROUND, 0.25 * self.length)
-            first = np.searchsorted(distance, near - within)
-            last = np.searchsorted(distance, near + within, side="right")
-            nearest = np.array(
-                [a + int(np.argmin(np.sum((places[a:b] - x) ** 2, axis=1)))
-                 for a, b, x in zip(first.tolist(), np.maximum(last, first + 1).tolist(), points, strict=True)]
-                if len(points) else [], dtype=np.intp,
-            )  # fmt: skip
-        best = Place(np.full(len(points), np.nan), np.full(len(points), np.inf))
+        hint = None if near is None else np.searchsorted(distance, np.clip(near, 0.0, self.length))
+        nearest = nearest_corner(points, places, hint)
+        along, across = np.full(len(points), np.nan), np.full(len(points), np.inf)
         for cell in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(distance) - 2)):
-            found = self._in_cell(points, distance[cell], distance[cell + 1])
-            closer = found.across < best.across
-            best = Place(np.where(closer, found.along, best.along), np.where(closer, found.across, best.across))
-        return self._beyond(points, nearest, best)
+            at = self._in_cell(points, distance[cell], distance[cell + 1])
+            away = length(self.at(at) - points)
+            along, across = np.where(away < across, at, along), np.minimum(away, across)
+        for end, sign, last in ((0.0, -1.0, 0), (self.length, 1.0, len(distance) - 1)):
+            tangent = self.at(np.array([min(end, self.length - 1e-12)]), 1)[0]
+            past, beside = decompose(points - places[last], tangent)
+            rows: Mask = (nearest == last) & (sign * past > 0.0)
+            along[rows], across[rows] = (end + past)[rows], length(beside)[rows]
+        return PathError(along, across)
 
-    def _in_cell(self, points: Array, low: Array, high: Array) -> Place:
-        """Return what is nearest between two distances of one piece, by Newton's steps."""
+    def _in_cell(self, points: Array, low: Array, high: Array) -> Array:
+        """Return the nearest distances between two distances of one piece, by Newton's steps."""
         at = 0.5 * (low + high)
         inside = high - 1e-12  # at its end the next piece begins
         for _ in range(_NEWTON):
@@ -367,25 +358,7 @@ class Curve:
             tangent, bend = self.at(at, 1), self.at(at, 2)
             slope = 1.0 + np.sum(off * bend, axis=1)
             at = np.clip(at - np.sum(off * tangent, axis=1) / np.where(slope > 0.1, slope, 1.0), low, inside)
-        return Place(at, length(self.at(at) - points))
-
-    def _beyond(self, points: Array, nearest: Index, best: Place) -> Place:
-        """Return the same with the tangents at both ends, for points whose nearest sample is an end."""
-        along, across = best.along.copy(), best.across.copy()
-        for end, sign, last in ((0.0, -1.0, 0), (self.length, 1.0, len(self._samples[0]) - 1)):
-            tangent = self.at(np.array([min(end, self.length - 1e-12)]), 1)[0]
-            off = points - self.at(np.array([end]))[0]
-            past = off @ tangent
-            rows: Mask = (nearest == last) & (sign * past > 0.0)
-            off = off - past[:, None] * tangent
-            along[rows], across[rows] = (end + past)[rows], length(off)[rows]
-        return Place(along, across)
-
-    def error(self, points: Array, near: Array | None = None) -> PathError:
-        """Return how far points (n, 3) m are from the curve, as `kinematics.path_error` says for a line."""
-        found = self.nearest(points, near)
-        beyond = np.maximum(np.maximum(-found.along, found.along - self.length), 0.0)
-        return PathError(found.along, found.across, beyond)
+        return np.asarray(at)
 
 
 def _point(place: Array) -> str:

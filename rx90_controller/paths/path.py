@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rx90_common.base.arrays import Array, Index, Mask
+from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import LineError
 from rx90_common.description.branch import Branch
 from rx90_common.description.kinematics import PathError, Pose
@@ -26,11 +26,11 @@ from rx90_controller.lines.task import (
     check_rests,
     counted_motion,
 )
-from rx90_controller.paths.curve import KINK, Curve, Piece
+from rx90_controller.paths.curve import Curve, Piece, arc_about, arc_through, line, spline
 from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
-from rx90_controller.paths.segment import Segment
 
 FIXED, TANGENT, INTERPOLATED = ORIENTATIONS = ("fixed", "tangent", "interpolated")
+_FARTHEST = 1e3  # m
 _TURN = 0.02  # rad of the path between two places at which it is examined
 _MOST_PARTS = 50
 _JUMP = 1e-3  # rad/m: a smaller change of the tool's turn by the distance is rounding
@@ -39,6 +39,52 @@ _BLOCKS = 40  # in a stretch of one speed, at most
 _SPEED_RESERVE = 0.99  # of a joint's limit: the places between those that are looked at need a little more
 _RESERVE = 0.9  # of a joint's acceleration: quintics round its steps, and overshoot
 _ACCELERATION_SHARE = 0.5  # of a joint's limit for the path's own acceleration, where it is short of it
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A part of a path, from the end of the one before it.
+
+    Attributes:
+        points: a line: its end; an arc through a point: that point and its end; an arc about a centre: its end; a
+            spline: its points behind the start; m.
+        kind: "line", "arc" or "spline".
+        center: of an arc, m; None for one through a point.
+        normal: of the arc's plane; the arc runs counter-clockwise seen from where it points to.
+        speed: m/s; None for that of the path.
+        zone: m before and behind the end that a blend to the next segment replaces; 0: the tool stops at a corner.
+        end_rpy: roll, pitch and yaw of the tool at the end, rad; None: as at its start.
+    """
+
+    points: tuple[tuple[float, ...], ...]
+    kind: str = "line"
+    center: tuple[float, ...] | None = None
+    normal: tuple[float, ...] = (0.0, 0.0, 1.0)
+    speed: float | None = None
+    zone: float = 0.0
+    end_rpy: tuple[float, ...] | None = None
+
+    def piece(self, start: tuple[float, ...]) -> Piece:
+        """Return the curve from a place, m.
+
+        Raises:
+            LineError: if there is none.
+        """
+        points = np.array([start, *self.points], dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.abs(points).max() <= _FARTHEST:
+            raise LineError(f"has the points {self.points}; accepted: three numbers for each, up to {_FARTHEST:g} m")
+        if self.kind == "line" and len(points) == 2:
+            return line(*points)
+        if self.kind == "spline":
+            return spline(points)
+        if self.kind == "arc" and self.center is not None and len(points) == 2:
+            return arc_about(points[0], np.array(self.center), points[1], np.array(self.normal))
+        if self.kind == "arc" and self.center is None and len(points) == 3:
+            return arc_through(*points)
+        raise LineError(
+            f"is of kind {self.kind!r} with {len(self.points)} points; accepted: a line with its end, an arc with two "
+            "points or with its centre and its end, a spline with its points"
+        )
 
 
 @dataclass(frozen=True)
@@ -141,21 +187,15 @@ class Path:
     @cached_property
     def stops(self) -> tuple[float, ...]:
         """Return where the tool stops, m: at the ends, and at corners that no zone rounds."""
-        inner = self.curve.starts[1:-1][self._stopped()]
-        return (0.0, *inner.tolist(), self.length)
-
-    def _stopped(self) -> Mask:
-        corners = 2.0 * np.arcsin(np.minimum(0.5 * self.curve.jumps(1), 1.0)) > KINK
         inner = self.curve.starts[1:-1]
         before, after = (self.twists(inner + side)[0][:, 3:] for side in (-1e-9, 0.0))
         jumps, rates = (np.abs(each).max(axis=1, initial=0.0) for each in (after - before, after))
         turns = jumps > np.maximum(_JUMP, 1e-3 * rates)
-        return np.asarray(corners | turns)
+        return (0.0, *inner[self.curve.corners | turns].tolist(), self.length)
 
     def _check_tangent(self) -> None:
-        corners = 2.0 * np.arcsin(np.minimum(0.5 * self.curve.jumps(1), 1.0)) > KINK
-        if corners.any():
-            at = float(self.curve.starts[1:-1][corners][0])
+        if self.curve.corners.any():
+            at = float(self.curve.starts[1:-1][self.curve.corners][0])
             raise LineError(
                 f"the tool turns with the path, which has a corner at {at:.6g} m; accepted: a zone there, or another "
                 "orientation"

@@ -18,11 +18,13 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 
 FADE = 0.1
-"""How long a correction takes to come, and to go, s."""
+"""How long a correction takes to come, and to go, s: seven times the lag of the position loop (1/kp, 14 ms), and so
+long that even the largest one changes more slowly than FASTEST."""
 LARGEST = 0.01
 """The largest offset, rad: beyond the sag of elastic gears, far below the supervised following error."""
 FASTEST = 0.5
-"""The fastest change of an offset, rad/s."""
+"""The fastest change of an offset, rad/s: more than ten times what corrections of the shipped tasks need, a tenth of
+what the joints can turn."""
 
 
 @dataclass(frozen=True, eq=False)

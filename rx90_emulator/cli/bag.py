@@ -17,7 +17,16 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.ros_start import prepare
 from rx90_common.process.interrupts import stop_request
 from rx90_common.process.threads import be_nice, run_on
-from rx90_emulator.cli.options import STORAGE, add_verbs, new_folder, place, whole_number
+from rx90_emulator.cli.options import (
+    STORAGE,
+    add_robot_arguments,
+    add_verbs,
+    check_apart,
+    check_needs,
+    new_folder,
+    place,
+    whole_number,
+)
 
 if TYPE_CHECKING:
     from rx90_common.bags.recorder.recording import TopicCount
@@ -29,6 +38,7 @@ _BAG: dict[str, Any] = {"metavar": "BAG", "help": "bag: folder, .mcap, .db3 or R
 _STORAGE: dict[str, Any] = {"choices": ("mcap", "sqlite3"), "default": STORAGE, "help": "storage (default: mcap)"}
 _TOPIC: dict[str, Any] = {"nargs": "+", "dest": "topics", "metavar": "TOPIC"}
 _NOTHING = "nothing was written"
+_ROBOT = ("urdf", "tool", "drives")  # files of a robot that say where a bag's tip was
 
 _MAPPING = """\
 a mapping file (docs/howto/bags.md says more):
@@ -139,6 +149,9 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
         "in s (%(default)s)",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+    parser.add_argument("--path", action="store_true", help="print, too, how far each bag's tip is from the path of "
+                        "its set-points, across and along it, and the tool from its orientation")  # fmt: skip
+    add_robot_arguments(parser, *_ROBOT)
 
 
 def _compare(args: argparse.Namespace) -> int:
@@ -151,6 +164,8 @@ def _compare(args: argparse.Namespace) -> int:
     from rx90_common.bags.comparison import Scope, compare_bags
     from rx90_common.bags.tables import comparison_json, comparison_text
 
+    check_needs(args, ("robot", *_ROBOT), ("path",))
+    check_apart(args, ("json",), "path", "one of them")
     rules = load_rules(Path(args.tolerances)) if args.tolerances else []
     rules += [parse_rule(text) for text in args.tolerance]
     scope = Scope(
@@ -162,8 +177,26 @@ def _compare(args: argparse.Namespace) -> int:
         align=alignment(args.align),
     )
     comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(rules), scope)
+    paths = _path_errors(args) if args.path else []
     print(comparison_json(comparison) if args.json else comparison_text(comparison))
+    print("".join(f"{line}\n" for line in paths), end="")
     return int(comparison.verdict)
+
+
+def _path_errors(args: argparse.Namespace) -> list[str]:
+    """Return a line for each bag: its path errors, by the set-points in it."""
+    from rx90_common.description.robot import load_robot
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_emulator.identification.options import MeasuredLayout
+    from rx90_emulator.view.recording import open_recording, path_errors
+
+    files, lines = RobotFiles.of_options(args), []
+    robot = load_robot(files.urdf, files.tool)
+    for bag in (args.bag_a, args.bag_b):
+        found = open_recording(Path(bag), robot, files, MeasuredLayout())
+        errors = path_errors(found.arm, found.reference, robot)
+        lines.append(f"{plain(bag)}: {errors.accuracy.words if errors else 'no path error: it holds no set-points'}")
+    return lines
 
 
 def alignment(text: str) -> int | str:

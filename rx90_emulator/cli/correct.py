@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rx90_common.base.errors import VERDICT_NO, ConfigError, check_replaced
+from rx90_common.base.errors import DONE, VERDICT_NO, check_replaced
 from rx90_common.base.quoting import one_line, plain
 from rx90_emulator.cli.options import (
     POSITIVE,
@@ -24,8 +24,7 @@ from rx90_emulator.cli.options import (
 
 if TYPE_CHECKING:
     from rx90_emulator.correction.file import CorrectionFile
-    from rx90_emulator.correction.learning import Learner, TrialRecord
-    from rx90_emulator.correction.methods import Filtered, NormOptimal
+    from rx90_emulator.correction.learning import LearnedCorrection, Learner, TrialRecord
     from rx90_emulator.correction.path import CorrectablePath
     from rx90_emulator.loop.setup import Setup
 
@@ -51,8 +50,8 @@ def main(options: argparse.Namespace) -> int | None:
 
 def _add_learn(learn: argparse.ArgumentParser) -> None:
     learn.set_defaults(interrupted="nothing was written")
-    learn.add_argument("path", metavar="PATH", help="task file of a line, or a trajectory (YAML, as rx90_line --output "
-                       "writes it)")  # fmt: skip
+    learn.add_argument("path", metavar="PATH", help="path file, task file of a line, or a trajectory (YAML, as "
+                       "rx90_line --output writes it)")  # fmt: skip
     learn.add_argument("--output", type=place, metavar="FILE", required=True, help="correction file to write, .yaml")
     learn.add_argument("--force", action="store_true", help="replace a correction file that exists")
     learn.add_argument("--trials", type=whole_number, metavar="N", help="after the first (4)")
@@ -96,74 +95,65 @@ def _learn(options: argparse.Namespace) -> int:
     check_needs(options, ("topic",), ("from_bag",))
     check_needs(options, ("tip_topic",), ("tip", "on_nodes"))
     check_needs(options, ("node", "timeout"), ("on_nodes",))
-    if options.output.suffix != ".yaml":
-        raise ConfigError(f"--output {plain(options.output)}; accepted: a name with .yaml")
-    check_replaced(options.output, force=options.force)
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.correction.file import load_correction, write_correction
-    from rx90_emulator.correction.learning import ENGINE, NODES, NOISE, Learner, learn, run_corrected, summary
+    from rx90_emulator.correction.file import correction_files, load_correction, write_correction
+    from rx90_emulator.correction.learning import NOISE, CorrectionError, Learner, summary
+    from rx90_emulator.correction.methods import method_named
+    from rx90_emulator.correction.recorded import learn_from_record, measured
     from rx90_emulator.loop.setup import Setup
 
+    for file in correction_files(options.output):
+        check_replaced(file, force=options.force)
     setup = Setup.load(RobotFiles.of_options(options))
-    path, method = _path(options.path, setup), _method(options)
+    path = _path(options.path, setup)
+    method = method_named(options.method, **{name: value for name in _OPTIONS if (value := getattr(options, name))})
     earlier = None if options.previous is None else load_correction(options.previous)
-    previous = None if earlier is None else earlier.fitting(setup, path).offsets
+    previous = None if earlier is None else earlier.fitting(setup, path, go_on=True).offsets
     tip = options.tip is not None or options.tip_on_engine or options.tip_topic is not None
-    learner = Learner(setup, path, method, tip=tip, noise=options.noise or NOISE, previous=previous)
-    counted = int(learner.nominal.counts.sum())
-    if earlier is not None and earlier.distance.shape[1] != counted:
-        raise ConfigError(
-            f"{plain(options.previous)}: the path error counted on {earlier.distance.shape[1]} set-points, here on "
-            f"{counted}; accepted: the task or trajectory that it was learned for"
-        )
-    if options.from_bag is not None or options.tip is not None:
-        return _learn_from_records(learner, earlier, options)
+    learner, why = Learner(setup, path, method, tip=tip, noise=options.noise or NOISE, previous=previous), ""
+    if options.from_bag is None and options.tip is None:
+        learned = _trials(learner, options)
+        said = f"worst {learned.best.worst * 1e3:.4f} mm"
+        why = learned.remark and f"learning has failed: {learned.remark}"
+    else:  # one trial, which was recorded
+        topic = options.topic or "joint_states"
+        found, lines = measured(setup, learner.nominal, options.from_bag, options.tip, topic, options.tip_topic)
+        print("\n".join(one_line(line) for line in lines))
+        try:
+            learned, why = learn_from_record(learner, found, earlier)
+        except CorrectionError as error:
+            print(one_line(f"learning has failed, nothing written: {error}"))
+            return VERDICT_NO
+        said = "for the next trial" + (why and ": half the step from the best trial")
+    print(summary(learned.trials))
+    write_correction(learned, options.output, earlier)
+    print(one_line(f"written to {options.output}: {said}"))
+    if why:
+        print(one_line(why))
+    return VERDICT_NO if why else DONE
+
+
+def _trials(learner: Learner, options: argparse.Namespace) -> LearnedCorrection:
+    """Run trials on the engine, or on nodes, with a progress bar."""
+    from rx90_emulator.correction.learning import ENGINE, NODES, learn, run_corrected
+
     count = 4 if options.trials is None else options.trials
     with progress_bar("trials") as progress:
 
         def told(_: TrialRecord) -> None:
             progress(len(learner.trials), count + 1)
 
-        if options.on_nodes:
-            from rx90_common.exchange.ros_start import prepare
+        if not options.on_nodes:
+            setup, path, nominal = learner.setup, learner.path, learner.nominal
+            return learn(learner, lambda played: run_corrected(setup, path, played, nominal)[1], count, ENGINE, told)
+        from rx90_common.exchange.ros_start import prepare
 
-            prepare()
-            from rx90_emulator.correction.nodes import node_trials
+        prepare()
+        from rx90_emulator.correction.nodes import node_trials
 
-            timeout = options.timeout or _TIMEOUT
-            with node_trials(setup, path, node_of(options), timeout, options.tip_topic) as trials:
-                learned = learn(learner, trials.play, count, NODES, told)
-        else:
-            learned = learn(learner, lambda played: run_corrected(setup, path, played)[1], count, ENGINE, told)
-    print(summary(learned.trials))
-    write_correction(learned, options.output, earlier)
-    print(one_line(f"written to {options.output}: worst {learned.best.worst * 1e3:.4f} mm"))
-    if learned.remark:
-        print(one_line(f"learning has failed: {learned.remark}"))
-        return VERDICT_NO
-    return 0
-
-
-def _learn_from_records(learner: Learner, earlier: CorrectionFile | None, options: argparse.Namespace) -> int:
-    """Learn from one trial that was recorded, and write the correction of the next one."""
-    from rx90_emulator.correction.file import write_correction
-    from rx90_emulator.correction.learning import CorrectionError, summary
-    from rx90_emulator.correction.recorded import learn_from_record, measured
-
-    topic = options.topic or "joint_states"
-    found, said = measured(learner.setup, learner.nominal, options.from_bag, options.tip, topic, options.tip_topic)
-    print("\n".join(one_line(line) for line in said))
-    try:
-        learned, why = learn_from_record(learner, found, earlier)
-    except CorrectionError as error:
-        print(one_line(f"learning has failed, nothing written: {error}"))
-        return VERDICT_NO
-    print(summary(learned.trials))
-    write_correction(learned, options.output, earlier)
-    step = f"{why}: half the step from the best trial" if why else "for the next trial"
-    print(one_line(f"written to {options.output}: {step}"))
-    return VERDICT_NO if why else 0
+        with node_trials(learner, node_of(options), options.timeout or _TIMEOUT, options.tip_topic) as play:
+            return learn(learner, play, count, NODES, told)
 
 
 def _path(name: str, setup: Setup) -> CorrectablePath:
@@ -180,13 +170,6 @@ def _path(name: str, setup: Setup) -> CorrectablePath:
     return plan_path(setup, load_motion(name))
 
 
-def _method(options: argparse.Namespace) -> Filtered | NormOptimal:
-    from rx90_emulator.correction.methods import method_named
-
-    given: dict[str, Any] = {name: value for name in _OPTIONS if (value := getattr(options, name)) is not None}
-    return method_named(options.method, **given)
-
-
 def _add_show(show: argparse.ArgumentParser) -> None:
     show.add_argument("file", type=Path, metavar="FILE", help="correction file")
     show.add_argument("--plot", type=place, metavar="FILE", help="picture to write: trials, what is left, offsets "
@@ -198,10 +181,19 @@ def _show(options: argparse.Namespace) -> None:
     """Show what a correction file holds: for what it was learned, its trials, and its offsets."""
     if options.plot is not None:
         check_picture(options.plot)
-    from rx90_emulator.correction.file import described, load_correction
+    import numpy as np
+
+    from rx90_emulator.correction.file import load_correction
 
     found = load_correction(options.file)
-    print(described(found))
+    head, offsets, period = found.head, found.correction.offsets, found.correction.period
+    print(f"robot {plain(head['robot'])}, {head['payload']['mass']:.4g} kg on the last joint")
+    print(f"path of {head['path']['duration']:.3f} s, up to {head['path']['speed'] * 1e3:.4g} mm/s")
+    print(f"learned by {plain(head['method'])}")
+    for number, (seen, worst) in enumerate(zip(found.seen, found.worst, strict=True)):
+        print(f"trial {number}, {seen}: worst {worst * 1e3:.4f} mm")
+    rate = float(np.abs(np.diff(offsets, axis=0)).max(initial=0.0)) / period
+    print(f"largest offset {float(np.abs(offsets).max()):.3g} rad, fastest change {rate:.3g} rad/s")
     if options.plot is not None:
         from rx90_common.report.picture import write_picture
 
@@ -212,33 +204,32 @@ def _show(options: argparse.Namespace) -> None:
 def _plot(found: CorrectionFile) -> Any:
     """Return trials, what is left along the path, offsets and spectra."""
     import numpy as np
+    from scipy.signal import periodogram
 
     from rx90_common.report.plot import COLOURS, GREY, Curve, Panel, Plot
-    from rx90_emulator.correction.file import spectrum
 
-    period, offsets = found.correction.period, found.correction.offsets
-    worst, last = np.array(found.worst), len(found.last_seen(found.seen[-1]))
-    rows = {seen: np.flatnonzero([each == seen for each in found.seen]) for seen in found.seen}
+    period, offsets, left = found.correction.period, found.correction.offsets, found.distance * 1e3
+    worst, first = np.array(found.worst), len(found.worst) - len(found.last_seen(found.seen[-1]))
     trials = [
-        Curve(np.asarray(at, dtype=np.float64), worst[at] * 1e3, seen, COLOURS[k], dots=True)
-        for k, (seen, at) in enumerate(rows.items())
-    ]
-    times = np.arange(found.distance.shape[1], dtype=np.float64) * period
-    first = len(worst) - last
+        Curve((at := np.flatnonzero([each == seen for each in found.seen])).astype(np.float64), worst[at] * 1e3, seen,
+              COLOURS[k], dots=True)
+        for k, seen in enumerate(dict.fromkeys(found.seen))
+    ]  # fmt: skip
     shown = [(first, GREY, f"trial {first}")]
     if (best := first + int(np.argmin(worst[first:]))) > first:
         shown.append((best, COLOURS[0], f"best, trial {best}"))
-    left = [Curve(times, found.distance[k] * 1e3, name, colour) for k, colour, name in shown]
-    spectra = [Curve(*(spectrum(found.distance[k] * 1e3, period)), name, colour) for k, colour, name in shown]
-    ticks = np.arange(len(offsets), dtype=np.float64) * period
+    times, ticks = (np.arange(count, dtype=np.float64) * period for count in (left.shape[1], len(offsets)))
+    spectra = []
+    for k, colour, name in shown:
+        frequency, power = periodogram(left[k], 1.0 / period, "hann", scaling="spectrum")
+        spectra.append(Curve(frequency[1:], np.sqrt(2.0 * power[1:]), name, colour))
     return Plot(
         (
             Panel(trials, "trials", "trial", "worst path error, mm", y_scale="log"),
-            Panel(left, "what is left", "time on the path, s", "path error, mm", from_zero=True),
-            Panel(
-                [Curve(ticks, row * 1e3, f"joint {k + 1}", COLOURS[k]) for k, row in enumerate(offsets.T)],
-                "offsets", "time from the trajectory's start, s", "mrad",
-            ),
+            Panel([Curve(times, left[k], name, colour) for k, colour, name in shown], "what is left",
+                  "time on the path, s", "path error, mm", from_zero=True),
+            Panel([Curve(ticks, row * 1e3, f"joint {k + 1}", COLOURS[k % len(COLOURS)])
+                   for k, row in enumerate(offsets.T)], "offsets", "time from the trajectory's start, s", "mrad"),
             Panel(spectra, "spectra of the path error", "frequency, Hz", "mm", x_scale="log", y_scale="log"),
         )
     )  # fmt: skip

@@ -162,7 +162,8 @@ def _correction(plan: LinePlan, files: RobotFiles, options: argparse.Namespace) 
 
     found = load_correction(options.correction)
     correction = found.fitting(Setup.load(files), plan)
-    _say(f"correction of {options.correction}: path error {min(found.worst) * 1e3:.4f} mm when it was learned")
+    worst = min(found.last_seen(found.seen[-1]))
+    _say(f"correction of {options.correction}: path error {worst * 1e3:.4f} mm when it was learned ({found.seen[-1]})")
     return correction
 
 

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
@@ -26,6 +27,9 @@ from rx90_emulator.cli.options import (
     stay_on_this_machine,
     whole_number,
 )
+
+if TYPE_CHECKING:
+    from rx90_controller.lines.task import TipTask
 
 _PORT, _NICENESS, _MOST_BAGS = 8080, 10, 2
 _PATIENCE = 1.5, 20.0  # s, from Ctrl-C to the end: of a start, of a page that is shown
@@ -139,7 +143,9 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
     from rx90_common.description.drives import load_drives
     from rx90_common.description.robot import load_robot
     from rx90_common.exchange.client_node import client_node
-    from rx90_controller.lines.task import load_task
+    from rx90_controller.law.parameters import load_controller
+    from rx90_controller.lines.plan import plan_line
+    from rx90_emulator.loop.path_file import load_motion
     from rx90_emulator.view.live import LiveView
     from rx90_emulator.view.page import Page
     from rx90_emulator.view.panel import DoPanel
@@ -150,7 +156,9 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
     controller = node_of(options)
     robot = load_robot(files.urdf, files.tool)
     elements = load_drives(files.drives).turning.element_names(robot.joint_names)
-    line = None if files.task is None else load_task(files.task)
+    line: TipTask | None = None if files.task is None else load_motion(files.task)
+    if line is not None and line.what == "path":  # as slowly as the joints ask for
+        line = plan_line(robot, line, acceleration=load_controller(files.controller).limits(robot).acceleration).task
     shipped = DEFAULT_ROBOT if options.robot is None else options.robot
     tour = Tour(shipped, files, controller) if options.demo else None
     page = Page("rx90_view", options.host, options.port, options.output)

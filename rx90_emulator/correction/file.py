@@ -7,6 +7,7 @@ import io
 import math
 import xml.etree.ElementTree as ET
 import zipfile
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,10 @@ from rx90_emulator.correction.path import CorrectablePath, Nominal
 from rx90_emulator.loop.setup import Setup
 
 _MOST_BYTES = 256 * 2**20  # of the offsets: more than an hour
-_SPEED_SHARE, _START, _DURATION = 1e-3, 1e-4, 1e-3  # of the speed; rad; s: the same but for rounding
-_MASS, _LEVER = 1e-6, 1e-6  # kg, m
+_SPEED_SHARE = 1e-3  # of the speed: set-points sample its peak, files round it
+_DURATION = 1e-3  # s: a set-point period, to which a trajectory is rounded
+_START = 1e-4  # rad: what a controller takes for the same start
+_MASS, _LEVER = 1e-6, 1e-6  # kg, m: files round to it
 
 CORRECTION = Group(
     "A correction of one path on one arm, as rx90_correct learns it.",
@@ -75,92 +78,54 @@ CORRECTION = Group(
 """What the head of a correction file holds."""
 
 
-@dataclass(frozen=True)
-class Identity:
-    """What a correction is for; see CORRECTION."""
+def identity_of(setup: Setup, path: CorrectablePath) -> dict[str, Any]:
+    """Return what a correction of a path on an arm is for: robot, arm, payload and path, as CORRECTION has them."""
+    model, drives, controller = setup.robot.model, setup.drives, setup.controller
+    digest = hashlib.sha256()
+    for k in range(1, model.njoints - 1):
+        digest.update(np.round(model.inertias[k].toDynamicParameters(), 9).tobytes())
+    for place in model.jointPlacements:
+        digest.update(np.round(place.homogeneous, 9).tobytes())
+    gains = (getattr(controller, name) for name in ("inertia", "kp", "kv", "ki"))
+    for values in (drives.gear, drives.rotor_inertia, *gains):
+        digest.update(np.asarray(values, dtype=np.float64).tobytes())
+    nominal, carried = Nominal.of(setup, path.points, path.counted), model.inertias[model.njoints - 1]
+    return {
+        "robot": ET.fromstring(setup.robot.urdf).get("name", ""),
+        "arm": digest.hexdigest()[:16],
+        "payload": {"mass": float(carried.mass), "center_of_mass": [float(x) for x in carried.lever]},
+        "path": {
+            "identity": trajectory_identity(path.points),
+            "speed": float(np.linalg.norm(np.diff(nominal.tip, axis=0), axis=1).max()) / nominal.period,
+            "duration": float(path.points.times[-1]),
+            "start": path.points.position[0].tolist(),
+        },
+    }
 
-    robot: str
-    arm: str
-    mass: float
-    center_of_mass: tuple[float, ...]
-    path: str
-    speed: float
-    duration: float
-    start: tuple[float, ...]
 
-    @classmethod
-    def of(cls, setup: Setup, path: CorrectablePath) -> Identity:
-        """Return that of an arm and a path."""
-        model, drives, controller = setup.robot.model, setup.drives, setup.controller
-        digest = hashlib.sha256()
-        for k in range(1, model.njoints - 1):
-            digest.update(np.round(model.inertias[k].toDynamicParameters(), 9).tobytes())
-        for place in model.jointPlacements:
-            digest.update(np.round(place.homogeneous, 9).tobytes())
-        for values in (
-            drives.gear,
-            drives.rotor_inertia,
-            *(getattr(controller, k) for k in ("inertia", "kp", "kv", "ki")),
-        ):
-            digest.update(np.asarray(values, dtype=np.float64).tobytes())
-        nominal = Nominal.of(setup, path.points, path.counted)
-        speed = float(np.linalg.norm(np.diff(nominal.tip, axis=0), axis=1).max()) / nominal.period
-        carried = model.inertias[model.njoints - 1]
-        return cls(
-            ET.fromstring(setup.robot.urdf).get("name", ""),
-            digest.hexdigest()[:16],
-            float(carried.mass),
-            tuple(float(x) for x in carried.lever),
-            trajectory_identity(path.points),
-            speed,
-            float(path.points.times[-1]),
-            tuple(path.points.position[0].tolist()),
+def _refusals(learned: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
+    """Yield why a correction must not be played on this arm and path."""
+    its, this = learned["path"], here["path"]
+    if learned["robot"] != here["robot"]:
+        yield f"was learned on the robot {learned['robot']!r}, this one is {here['robot']!r}; accepted: the same robot"
+    if learned["arm"] != here["arm"]:
+        yield (
+            f"was learned on an arm with other links, gears or gains (digest {learned['arm']}, here {here['arm']}); "
+            "accepted: the same arm and controller"
         )
-
-    def refusal(self, other: Identity) -> str:
-        """Return why a correction of this one must not be played on another arm or path; empty where it may."""
-        apart = np.abs(np.subtract(self.start, other.start))
-        joint, mm = int(apart.argmax()), 1e3
-        faults = (
-            (
-                self.robot != other.robot,
-                f"it was learned on the robot {self.robot!r}, this one is {other.robot!r}; accepted: the same robot",
-            ),
-            (
-                self.arm != other.arm,
-                f"it was learned on an arm with other links, gears or gains (digest {self.arm}, here {other.arm}); "
-                "accepted: the same arm and controller",
-            ),
-            (
-                abs(self.speed - other.speed) > _SPEED_SHARE * self.speed,
-                f"it was learned at {self.speed * mm:.4g} mm/s, the path is travelled at {other.speed * mm:.4g} mm/s; "
-                "accepted: the same speed",
-            ),
-            (
-                abs(self.duration - other.duration) > _DURATION,
-                f"its path takes {self.duration:.6g} s, this one {other.duration:.6g} s; accepted: the same path",
-            ),
-            (
-                apart[joint] > _START,
-                f"its path begins with joint {joint + 1} at {self.start[joint]:.6g} rad, this one at "
-                f"{other.start[joint]:.6g} rad; accepted: the same path",
-            ),
-            (
-                self.path != other.path,
-                f"its path is another one (digest {self.path}, here {other.path}); accepted: the same trajectory",
-            ),
-        )
-        return next((why for wrong, why in faults if wrong), "")
-
-    def warning(self, other: Identity) -> str:
-        """Return how the other payload differs; empty where it does not."""
-        lever = float(np.linalg.norm(np.subtract(self.center_of_mass, other.center_of_mass)))
-        if abs(self.mass - other.mass) <= _MASS and lever <= _LEVER:
-            return ""
-        return (
-            f"it was learned with {self.mass:.6g} kg on the last joint, there are {other.mass:.6g} kg, their centre "
-            f"{lever * 1e3:.3g} mm elsewhere: let it learn one more trial"
-        )
+    if abs(its["speed"] - this["speed"]) > _SPEED_SHARE * its["speed"]:
+        speeds = [f"{1e3 * one['speed']:.4g} mm/s" for one in (its, this)]
+        yield f"was learned at {speeds[0]}, the path is travelled at {speeds[1]}; accepted: the same speed"
+    if abs(its["duration"] - this["duration"]) > _DURATION:
+        yield f"is of a path of {its['duration']:.6g} s, this one has {this['duration']:.6g} s; accepted: the same path"
+    for number, (then, now) in enumerate(zip(its["start"], this["start"], strict=False), 1):
+        if abs(then - now) > _START:
+            yield (
+                f"is of a path that begins with joint {number} at {then:.6g} rad, this one at {now:.6g} rad; accepted: "
+                "the same path"
+            )
+    if its["identity"] != this["identity"]:
+        yield f"is of another path (digest {its['identity']}, here {this['identity']}); accepted: the same trajectory"
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,40 +134,65 @@ class CorrectionFile:
 
     Attributes:
         file: the head.
-        identity: what it is for.
+        head: its content, as CORRECTION says.
         correction: what is played.
         best: offsets of the best trial, rad, shape (n, j): the same, but after a trial that was recorded.
-        method: how, in words.
-        seen: by what each trial was measured, and where, of SEEN.
-        worst: largest distance from the path by trial, m.
         distance: from the path on the set-points that count by trial, m, shape (trials, k).
     """
 
     file: Path
-    identity: Identity
+    head: dict[str, Any]
     correction: Correction
     best: Array
-    method: str
-    seen: tuple[str, ...]
-    worst: tuple[float, ...]
     distance: Array
+
+    @property
+    def seen(self) -> tuple[str, ...]:
+        """Return by what each trial was measured, and where, of SEEN."""
+        return tuple(self.head["seen"])
+
+    @property
+    def worst(self) -> tuple[float, ...]:
+        """Return the largest distance from the path by trial, m."""
+        return tuple(self.head["worst"])
 
     def last_seen(self, how: str) -> tuple[float, ...]:
         """Return the worst distances of the last trials, m, as far back as all of them were seen in this way."""
         other = max((k + 1 for k, seen in enumerate(self.seen) if seen != how), default=0)
         return self.worst[other:]
 
-    def fitting(self, setup: Setup, path: CorrectablePath) -> Correction:
+    def fitting(self, setup: Setup, path: CorrectablePath, *, go_on: bool = False) -> Correction:
         """Return the correction for an arm and a path; another payload is warned of.
+
+        Args:
+            setup: the arm.
+            path: what it is played on.
+            go_on: whether it is learned from, so that the path error has to count on the same set-points, too.
 
         Raises:
             ConfigError: for another robot, arm, speed or path, with the numbers.
         """
-        here = Identity.of(setup, path)
-        refusal, warning = self.identity.refusal(here), self.identity.warning(here)
-        if refusal:
-            raise ConfigError(f"{plain(self.file)}: {refusal}")
-        warn_caller([f"{plain(self.file)}: {warning}"] if warning else [])
+        here, period = identity_of(setup, path), setup.rates.position_period
+        if not math.isclose(self.correction.period, period):
+            raise ConfigError(
+                f"{plain(self.file)} has offsets every {self.correction.period:g} s, the controller a set-point every "
+                f"{period:g} s; accepted: the same"
+            )
+        for refusal in _refusals(self.head, here):
+            raise ConfigError(f"{plain(self.file)} {refusal}")
+        counted = int(Nominal.of(setup, path.points, path.counted).counts.sum())
+        if go_on and self.distance.shape[1] != counted:
+            raise ConfigError(
+                f"{plain(self.file)}: the path error counted on {self.distance.shape[1]} set-points, here on "
+                f"{counted}; accepted: the task or trajectory that it was learned for"
+            )
+        its, this = self.head["payload"], here["payload"]
+        lever = float(np.linalg.norm(np.subtract(its["center_of_mass"], this["center_of_mass"])))
+        if abs(its["mass"] - this["mass"]) > _MASS or lever > _LEVER:
+            warn_caller([
+                f"{plain(self.file)}: it was learned with {its['mass']:.6g} kg on the last joint, there are "
+                f"{this['mass']:.6g} kg, their centre {lever * 1e3:.3g} mm elsewhere: let it learn one more trial"
+            ])  # fmt: skip
         return self.correction
 
 
@@ -218,30 +208,20 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
         ConfigError: for a name that does not end with .yaml.
         Rx90Error: if it cannot be written.
     """
-    head = Path(file)
-    if head.suffix != ".yaml":
-        raise ConfigError(f"{plain(head)}: cannot be a correction file; accepted: a name with .yaml")
-    identity, beside = Identity.of(learned.setup, learned.path), head.with_suffix(".npz")
+    head, beside = correction_files(file)
     distance = np.array([trial.distance for trial in learned.trials])
     worst, seen = [trial.worst for trial in learned.trials], [learned.seen] * len(learned.trials)
     if earlier is not None:
-        distance, worst, seen = (
-            np.concatenate([earlier.distance, distance]), [*earlier.worst, *worst], [*earlier.seen, *seen]
-        )  # fmt: skip
+        distance = np.concatenate([earlier.distance, distance])
+        worst, seen = [*earlier.worst, *worst], [*earlier.seen, *seen]
     buffer = io.BytesIO()
     np.savez_compressed(buffer, offsets=learned.correction.offsets, best=learned.best_offsets, distance=distance)
+    options = asdict(learned.method)  # type: ignore[call-overload]
+    options = (f"{key} {'none' if value is None else format(value, 'g')}" for key, value in options.items())
     content = {
-        "robot": identity.robot,
-        "arm": identity.arm,
-        "payload": {"mass": identity.mass, "center_of_mass": list(identity.center_of_mass)},
-        "path": {
-            "identity": identity.path,
-            "speed": identity.speed,
-            "duration": identity.duration,
-            "start": list(identity.start),
-        },
+        **identity_of(learned.setup, learned.path),
         "period": learned.correction.period,
-        "method": _described(learned.method),
+        "method": f"{type(learned.method).__name__}: {', '.join(options)}",
         "seen": seen,
         "worst": worst,
         "offsets": {"file": beside.name, "sha256": hashlib.sha256(buffer.getvalue()).hexdigest()},
@@ -249,11 +229,16 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
     write_all({head: yaml_text(content).encode(), beside: buffer.getvalue()})
 
 
-def _described(method: Any) -> str:
-    options = ", ".join(
-        f"{key} {'none' if value is None else format(value, 'g')}" for key, value in asdict(method).items()
-    )
-    return f"{type(method).__name__}: {options}"
+def correction_files(name: Path | str) -> tuple[Path, Path]:
+    """Return head and offsets of a correction file.
+
+    Raises:
+        ConfigError: for a name that does not end with .yaml.
+    """
+    head = Path(name)
+    if head.suffix != ".yaml":
+        raise ConfigError(f"{plain(head)}: cannot be a correction file; accepted: a name with .yaml")
+    return head, head.with_suffix(".npz")
 
 
 def load_correction(name: Path | str) -> CorrectionFile:
@@ -263,9 +248,7 @@ def load_correction(name: Path | str) -> CorrectionFile:
         ConfigError: naming file, key, value and what is accepted; for offsets that are not those it was written with.
     """
     file = Path(name)
-    root = load_yaml(file)
-    content = CORRECTION.read(root)
-    path, payload = content["path"], content["payload"]
+    content = CORRECTION.read(load_yaml(file))
     beside = file.parent / Path(content["offsets"]["file"]).name
     try:
         if beside.stat().st_size > _MOST_BYTES:
@@ -285,39 +268,9 @@ def load_correction(name: Path | str) -> CorrectionFile:
         correction = Correction(offsets, content["period"])
         if Correction(best, content["period"]).offsets.shape != offsets.shape:
             raise ValueError(f"best offsets of shape {best.shape}, offsets of shape {offsets.shape}")
+        trials = {len(distance), len(content["worst"]), len(content["seen"])}
+        if distance.ndim != 2 or len(trials) > 1 or not np.isfinite(distance).all():
+            raise ValueError(f"distances of shape {distance.shape} that are no row for each trial")
     except (KeyError, ValueError, zipfile.BadZipFile, TrajectoryError) as error:
         raise ConfigError(f"{plain(beside)}: {error}; accepted: a file that rx90_correct wrote") from error
-    trials = {len(distance), len(content["worst"]), len(content["seen"])}
-    if distance.ndim != 2 or len(trials) > 1 or not np.isfinite(distance).all():
-        raise ConfigError(f"{plain(beside)}: distances of shape {distance.shape}; accepted: a row for each trial")
-    identity = Identity(
-        content["robot"], content["arm"], payload["mass"], payload["center_of_mass"], path["identity"], path["speed"],
-        path["duration"], path["start"],
-    )  # fmt: skip
-    return CorrectionFile(
-        file, identity, correction, best, content["method"], content["seen"], content["worst"], distance
-    )
-
-
-def described(found: CorrectionFile) -> str:
-    """Return what a correction file holds, in lines."""
-    identity, offsets = found.identity, found.correction.offsets
-    rate = float(np.abs(np.diff(offsets, axis=0)).max(initial=0.0)) / found.correction.period
-    rows = [
-        f"robot {identity.robot}, {identity.mass:.4g} kg on the last joint",
-        f"path of {identity.duration:.3f} s, up to {identity.speed * 1e3:.4g} mm/s",
-        f"learned by {found.method}",
-        *(
-            f"trial {k}, {seen}: worst {worst * 1e3:.4f} mm"
-            for k, (seen, worst) in enumerate(zip(found.seen, found.worst, strict=True))
-        ),
-        f"largest offset {float(np.abs(offsets).max()):.3g} rad, fastest change {rate:.3g} rad/s",
-    ]
-    return "\n".join(rows)
-
-
-def spectrum(rows: Array, period: float) -> tuple[Array, Array]:
-    """Return frequencies, Hz, and amplitudes of a series, of its unit; the mean is left out."""
-    window = np.hanning(len(rows))
-    amplitude = np.abs(np.fft.rfft((rows - rows.mean()) * window)) * 2.0 / max(window.sum(), math.ulp(1.0))
-    return np.asarray(np.fft.rfftfreq(len(rows), period)[1:], dtype=np.float64), amplitude[1:]
+    return CorrectionFile(file, content, correction, best, distance)

@@ -2,20 +2,28 @@
 
 A trial plays a correction and measures the error. It is kept if the worst distance from the path is no larger than with
 the best correction before, but for noise; the next correction goes on from the best one. After a trial that made it
-worse it goes on with half the gain. Learning has failed where trial after trial makes it worse.
+worse half of the step from the best one is tried, and the gain halved. Learning has failed where trial after trial
+makes it worse.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, FailureError, check_type
+from rx90_common.base.errors import (
+    ConfigError,
+    DivergenceError,
+    FailureError,
+    SupervisionError,
+    TrajectoryError,
+    check_type,
+)
 from rx90_common.description.kinematics import tip_position
 from rx90_controller.lines.task import LineTask
 from rx90_controller.paths.path import Path
@@ -35,8 +43,9 @@ SEEN: Final = tuple(f"{what}, {where}" for what in (ENCODERS, TIP) for where in 
 """What a trial was measured by, and where; path errors that were seen otherwise cannot be compared."""
 _LONGEST = 600_000  # set-points: the feedback of norm-optimal takes 1.5 kB for each
 MOST_WORSE: Final = 4
-"""Trials in a row that make the path worse, after which learning has failed."""
-_HELD = 1.0  # s from the release of the brakes to where the path error counts
+"""Trials in a row that make the path worse, after which learning has failed: an eighth of a step that is still worse is
+not too long, but points the wrong way."""
+_HELD = 1.0  # s from the release of the brakes to where the path error counts: the integrators take some 0.1 s
 
 
 class CorrectionError(FailureError):
@@ -114,14 +123,28 @@ class Learner:
         if not path.points.times[-1] <= _LONGEST * period:
             raise ConfigError(f"a path of {path.points.times[-1]:g} s; accepted: up to {_LONGEST * period:g} s")
         self.nominal = Nominal.of(setup, path.points, path.counted)
-        count = len(self.nominal.counts)
-        shape = count, len(setup.robot.joint_names)
+        shape = len(self.nominal.counts), len(setup.robot.joint_names)
         self.offsets = np.zeros(shape) if previous is None else np.array(previous, dtype=np.float64)
         if self.offsets.shape != shape:
             raise ConfigError(f"offsets of shape {self.offsets.shape}; accepted: {shape}")
         self.best, self.trials = self.offsets, list[TrialRecord]()
         self._update = self.method.prepare(setup, self.nominal, tip=tip)
-        self._error, self._gain, self._worse = np.zeros(0), 1.0, 0
+        self._least, self._gain, self._worse = math.inf, 1.0, 0
+
+    def go_on(self, best: Array, worst: Sequence[float]) -> None:
+        """Judge the next trial by those before it, which a correction file has.
+
+        Args:
+            best: offsets of the best of them, rad, shape (n, j).
+            worst: their largest distances from the path, m, of trials that were measured as the next one is.
+        """
+        self._least, self.best = min(worst), np.asarray(best)
+        self._worse = len(worst) - 1 - max(k for k, one in enumerate(worst) if one <= self._least + self.noise)
+        self._gain = 0.5**self._worse
+
+    def seen(self, where: str) -> str:
+        """Return by what trials are measured, and where, as SEEN has it."""
+        return f"{TIP if self.tip else ENCODERS}, {where}"
 
     @property
     def correction(self) -> Correction:
@@ -144,6 +167,8 @@ class Learner:
     def take(self, measured: Measured) -> TrialRecord:
         """Judge what a trial with `offsets` has left, and make the next offsets.
 
+        After a trial that is worse than the best one the next offsets lie in the middle between those of both.
+
         Raises:
             ConfigError: if the tip is to be learned from and was not measured, or a number is not finite.
             CorrectionError: if trial after trial has made it worse.
@@ -158,27 +183,22 @@ class Learner:
             )
         distance = self.distance(measured)
         worst, rms = float(distance.max()), math.sqrt(float(np.mean(distance**2)))
-        least = min((trial.worst for trial in self.trials), default=math.inf)
-        kept = worst <= least + self.noise
+        kept = worst <= self._least + self.noise
         trial = TrialRecord(worst, rms, kept, self._gain, distance)
         self.trials.append(trial)
         if kept:
-            self.best, self._error, self._worse = self.offsets, error, 0
-            self._gain = min(1.0, 2.0 * self._gain) if len(self.trials) > 1 else 1.0
-        else:
-            self._worse, self._gain = self._worse + 1, 0.5 * self._gain
-            if self._worse >= MOST_WORSE:
-                raise CorrectionError(
-                    f"{self._worse} trials in a row have made the path worse, the last one {worst * 1e3:.4f} mm after "
-                    f"{least * 1e3:.4f} mm; accepted: the correction of trial {self._best_number}, or another model, "
-                    "method or gain"
-                )
-        self.offsets = self._update(self.best, self._error, self._gain)
+            self._least, self._gain, self._worse = min(self._least, worst), min(1.0, 2.0 * self._gain), 0
+            self.best = self.offsets
+            self.offsets = self._update(self.best, error, self._gain)
+            return trial
+        self._worse, self._gain = self._worse + 1, 0.5 * self._gain
+        if self._worse >= MOST_WORSE:
+            raise CorrectionError(
+                f"{self._worse} trials in a row have made the path worse, the last one {worst * 1e3:.4f} mm after "
+                f"{self._least * 1e3:.4f} mm; accepted: another model, method or gain"
+            )
+        self.offsets = 0.5 * (self.best + self.offsets)
         return trial
-
-    @property
-    def _best_number(self) -> int:
-        return max(k for k, trial in enumerate(self.trials) if trial.kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +225,13 @@ class LearnedCorrection:
     best_offsets: Array = field(repr=False)
     remark: str = ""
 
+    @classmethod
+    def of(cls, learner: Learner, where: str, offsets: Array, remark: str = "") -> LearnedCorrection:
+        """Return what a learner has learned from trials somewhere, with the offsets that are to be played, rad."""
+        played = Correction(offsets, learner.nominal.period)
+        return cls(learner.setup, learner.path, learner.method, learner.seen(where), played, tuple(learner.trials),
+                   learner.best, remark)  # fmt: skip
+
     @property
     def best(self) -> TrialRecord:
         """Return the last trial that was kept."""
@@ -224,6 +251,8 @@ def learn(
         where: they run, ENGINE or NODES.
         told: is told of each.
 
+    What ends a later trial, such as an offset beyond the limits, ends learning with what it has kept.
+
     Raises:
         ConfigError: for less than 0 trials.
     """
@@ -233,16 +262,15 @@ def learn(
     for _ in range(trials + 1):
         try:
             learner.take(play(learner.correction))
-        except CorrectionError as error:
+        except (CorrectionError, TrajectoryError, DivergenceError, SupervisionError) as error:
+            if not learner.trials:
+                raise
             remark = str(error)
         if told is not None:
             told(learner.trials[-1])
         if remark:
             break
-    best, seen = Correction(learner.best, learner.nominal.period), f"{TIP if learner.tip else ENCODERS}, {where}"
-    return LearnedCorrection(
-        learner.setup, learner.path, learner.method, seen, best, tuple(learner.trials), learner.best, remark
-    )
+    return LearnedCorrection.of(learner, where, learner.best, remark)
 
 
 def run_corrected(

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -30,12 +30,12 @@ from rx90_emulator.loop.setup import Setup
 
 LEAD_IN = 0.3
 """Errors count from so long before the path on, s, gradually: what rests wrong there is put right by its begin."""
-_LEAST_SHARE = 0.05  # of the largest singular value: less well moved directions of the tip are hardly used
+_LEAST_SHARE = 0.05  # of the largest singular value: directions that take 20 times the joints' motion are hardly used
 _ORDER = 2  # of the Butterworth filter, which is run forwards and backwards
 
 Update: TypeAlias = Callable[[Array, Array, float], Array]
-"""From offsets, rad, (n, 6), the error with them, and a share of the gain: the next offsets. The error is that of the
-joints by the encoders, rad, (n, 6), or that of the tip, m, (n, 3)."""
+"""From offsets, rad, (n, joints), the error with them, and a share of the gain: the next offsets. The error is that of
+the joints by the encoders, rad, (n, joints), or that of the tip, m, (n, 3)."""
 
 
 class Method(Protocol):
@@ -103,12 +103,10 @@ class NormOptimal:
 
     def prepare(self, setup: Setup, nominal: Nominal, *, tip: bool) -> Update:
         """Return how it learns."""
-        if not setup.drives.turning.size.wrist:
-            raise ConfigError("norm-optimal holds six joints with the RX family's wrist alone; accepted: filtered")
         a, b, apart = response(setup, nominal.setpoints)
         slopes = jacobian(setup.robot.chain, nominal.setpoints[::apart, 0])
         by_tip = np.ascontiguousarray(np.swapaxes(slopes[:, :3], 1, 2))
-        weight = by_tip @ slopes[:, :3] + (0.0 if tip else self.joints**2) * np.eye(6)
+        weight = by_tip @ slopes[:, :3] + (0.0 if tip else self.joints**2) * np.eye(slopes.shape[2])
         counted, point = lead_in(nominal), np.arange(len(nominal.counts)) // apart
         feedback, factors = gains(a, b, apart, weight, self.effort, counted)
         towards = (by_tip if tip else weight)[point] * counted[:, None, None]
@@ -122,24 +120,17 @@ class NormOptimal:
         return update
 
 
-METHODS: Final = {"norm-optimal": NormOptimal, "filtered": Filtered}
-"""The methods by name, with the defaults of their options."""
-
-
-def method_named(name: str, **options: float | None) -> Filtered | NormOptimal:
-    """Return a method by its name, with options in place of the defaults.
+def method_named(name: str, **options: float) -> Filtered | NormOptimal:
+    """Return the method "norm-optimal" or "filtered", with options in place of the defaults.
 
     Raises:
-        ConfigError: for an unknown name, an option of the other method, and a value that is not accepted.
+        ConfigError: for an option of the other method, and a value that is not accepted.
     """
-    if name not in METHODS:
-        raise ConfigError(f"the method is {name!r}; accepted: {', '.join(METHODS)}")
-    method = METHODS[name]()
+    method = NormOptimal() if name == "norm-optimal" else Filtered()
     for option in options:
         if not hasattr(method, option):
-            accepted = ", ".join(vars(method))
-            raise ConfigError(f"the method {name} has no option {option!r}; accepted: {accepted}")
-    return replace(method, **options)  # type: ignore[type-var, return-value]
+            raise ConfigError(f"the method {name} has no option {option!r}; accepted: {', '.join(vars(method))}")
+    return replace(method, **options)  # type: ignore[arg-type]
 
 
 def lead_in(nominal: Nominal) -> Array:
@@ -164,7 +155,7 @@ def zero_phase(cutoff: float, period: float) -> Callable[[Array], Array]:
 
 
 def _to_joints(setup: Setup, nominal: Nominal) -> Array:
-    """Return the damped pseudo-inverse of the tip's Jacobian along the motion, rad/m, shape (n, 6, 3)."""
+    """Return the damped pseudo-inverse of the tip's Jacobian along the motion, rad/m, shape (n, joints, 3)."""
     slopes = jacobian(setup.robot.chain, nominal.setpoints[:, 0])[:, :3]
     square = slopes @ np.swapaxes(slopes, 1, 2)
     damping = (_LEAST_SHARE**2 * np.linalg.eigvalsh(square)[:, -1])[:, None, None] * np.eye(3)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError
-from rx90_common.description.kinematics import forward
+from rx90_common.description.kinematics import forward, polyline_error
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 
@@ -38,7 +36,7 @@ class Nominal:
     """What a path asks for on set-points 0, 1, ... of its trajectory.
 
     Attributes:
-        setpoints: position rad, velocity rad/s, acceleration rad/s^2, shape (n, 3, 6).
+        setpoints: position rad, velocity rad/s, acceleration rad/s^2, shape (n, 3, joints).
         tip: m, shape (n, 3).
         counts: whether the path error counts, shape (n,).
         period: of the set-points, s.
@@ -77,7 +75,7 @@ class TrajectoryPath:
     Attributes:
         points: the trajectory.
         counted: from when to when the path error counts, s from its start.
-        tip: the tip's positions on the set-points that count, m, shape (n, 3).
+        tip: the tip's positions on the set-points that count and at which it moves, m, shape (n, 3).
     """
 
     points: TrajectoryPoints
@@ -94,33 +92,15 @@ class TrajectoryPath:
         """
         counted = counted or (0.0, float(points.times[-1]))
         nominal = Nominal.of(setup, points, counted)
-        path = cls(points, counted, nominal.tip[nominal.counts])
-        if len(path._corners) < 2:
+        tip = nominal.tip[nominal.counts]
+        moves = np.linalg.norm(np.diff(tip, axis=0), axis=1) > _STANDS
+        if not moves.any():
             raise ConfigError("the tip does not move along the trajectory; accepted: a path of the tip")
-        return path
-
-    @cached_property
-    def _corners(self) -> Array:
-        moves = np.linalg.norm(np.diff(self.tip, axis=0), axis=1) > _STANDS
-        corners: Array = self.tip[np.concatenate([[True], moves])]
-        return corners
-
-    @cached_property
-    def _tree(self) -> cKDTree:
-        return cKDTree(self._corners)
+        return cls(points, counted, tip[np.concatenate([[True], moves])])
 
     def distance(self, tip: Array) -> Array:
         """Return the distance of the tip's positions, m, shape (n, 3), from the path, m, shape (n,).
 
         Straight lines lengthen the path at its ends: what comes to rest past the end is still on it.
         """
-        corners, last = self._corners, len(self._corners) - 2
-        nearest = self._tree.query(tip)[1]
-        found = np.full(len(tip), np.inf)
-        for neighbour in (nearest - 1, nearest):
-            first = np.clip(neighbour, 0, last)
-            along = corners[first + 1] - corners[first]
-            share = np.sum((tip - corners[first]) * along, axis=1) / np.sum(along * along, axis=1)
-            share = np.clip(share, np.where(first == 0, -np.inf, 0.0), np.where(first == last, np.inf, 1.0))
-            found = np.minimum(found, np.linalg.norm(tip - corners[first] - share[:, None] * along, axis=1))
-        return found
+        return polyline_error(tip, self.tip).perpendicular

@@ -21,8 +21,11 @@ from rx90_emulator.correction.path import CorrectablePath, Nominal, TrajectoryPa
 from rx90_emulator.loop.setup import Setup
 
 CUTOFF = 5.0
-"""Of the filter that smooths the offsets, Hz, where no other is given."""
-_APART = 2  # set-points from one point of the trajectory to the next
+"""Of the filter that smooths the offsets, Hz, where no other is given: what is faster turns the sign of the Coulomb
+feed-forward on the shipped tasks, and makes the path worse."""
+_APART = (
+    2  # set-points between points of the trajectory; quintics through them miss the smooth offsets by next to nothing
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,17 +7,15 @@ counts as none, and only the path remains, which is what a correction is for.
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Sequence
-from dataclasses import replace
+from contextlib import suppress
 from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
+from rx90_common.bags.comparison import align
 from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array, Mask
@@ -25,25 +23,18 @@ from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
-from rx90_controller.trajectory.correction import Correction
 from rx90_emulator.correction.file import CorrectionFile
-from rx90_emulator.correction.learning import (
-    ENCODERS,
-    MOST_WORSE,
-    RECORD,
-    TIP,
-    CorrectionError,
-    LearnedCorrection,
-    Learner,
-    Measured,
-)
+from rx90_emulator.correction.learning import RECORD, LearnedCorrection, Learner, Measured
 from rx90_emulator.correction.path import Nominal
+from rx90_emulator.loop.drawing import UNITS, read_columns
 from rx90_emulator.loop.setup import Setup
 
 REFERENCE, TRACKING, CORRECTION = (f"rx90_controller/{name}" for name in ("reference", "tracking_error", "correction"))
+_GAP = (
+    3.5  # times the median interval, or the set-points' own: fewer than three samples that are missing are interpolated
+)
 _MOST_APART = 0.02  # of the range of a motion, root mean square: what is further off is another motion
-_TIP_UNITS = {"m": 1.0, "mm": 1e-3}
-_MOST_ROWS = 10_000_000
+_MOST_ROWS = 10_000_000  # set-points that a record may last: what the search for the motion in it holds takes some GB
 _POSITIONS = {
     "geometry_msgs/msg/PointStamped": "point",
     "geometry_msgs/msg/PoseStamped": "pose.position",
@@ -106,6 +97,13 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
             f"{what}: from {times[0]:.6g} to {times[-1]:.6g} s, the path takes from {begin:.6g} to {end:.6g} s of it; "
             "accepted: a record of all of the path"
         )
+    within = times[max(0, np.searchsorted(times, begin, side="right") - 1) : np.searchsorted(times, end) + 1]
+    steps = np.diff(within)
+    if steps.max(initial=0.0) > max(_GAP * float(np.median(np.diff(times))), _GAP * period):
+        raise ConfigError(
+            f"{what}: nothing for {steps.max():.3g} s from {within[np.argmax(steps)]:.6g} s on, within the path; "
+            "accepted: a record without gaps"
+        )
     found = np.column_stack([np.interp(rows, times, column) for column in values.T])
     apart = float(np.sqrt(np.mean((found - nominal)[counts] ** 2)) / max(np.ptp(nominal, axis=0).max(), 1e-12))
     if apart > _MOST_APART:
@@ -117,7 +115,7 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
 
 
 def joints_of_bag(bag: Path | str, setup: Setup, nominal: Nominal, topic: str = "joint_states") -> tuple[Array, str]:
-    """Return set-points less joints by the encoders on a path's set-points, rad, shape (n, 6), and how they were found.
+    """Return set-points less joints by the encoders, rad, shape (n, joints), and how they were found.
 
     From a bag of the nodes they are the controller's own, with what the correction had added taken off.
 
@@ -137,34 +135,23 @@ def joints_of_bag(bag: Path | str, setup: Setup, nominal: Nominal, topic: str = 
     assert reference.position is not None
     assert tracking.position is not None
     laid = laid_under(reference.time, reference.position, wanted, nominal.period, nominal.counts, plain(bag))
+    error = tracking.position.copy()
+    with suppress(BagError):  # no such topic, or no message on it: no correction was played
+        played = read_joint_states(bag, CORRECTION, names)
+        assert played.position is not None
+        both = align(tracking, played)
+        error[both.rows_a] -= played.position[both.rows_b]
     first = round(laid.shift / nominal.period)
     ticks = np.round(tracking.time / nominal.period).astype(np.int64)
-    offsets = _offsets_of_bag(bag, names, ticks, nominal.period)
     rows = np.clip(np.searchsorted(ticks, first + np.arange(len(wanted))), 0, len(ticks) - 1)
-    return (tracking.position - offsets)[rows], f"the controller's set-points, begun at {first * nominal.period:.6f} s"
-
-
-def _offsets_of_bag(bag: Path | str, names: Sequence[str], ticks: NDArray[np.int64], period: float) -> Array:
-    """Return what a correction had added on the ticks of a bag, rad; 0 where none was played."""
-    offsets = np.zeros((len(ticks), len(names)))
-    try:
-        played = read_joint_states(bag, CORRECTION, names)
-    except BagError:  # no such topic, or no message on it
-        return offsets
-    assert played.position is not None
-    at = np.round(played.time / period).astype(np.int64)
-    rows = np.searchsorted(ticks, at)
-    there = rows < len(ticks)
-    there[there] = ticks[rows[there]] == at[there]
-    offsets[rows[there]] = played.position[there]
-    return offsets
+    return error[rows], f"the controller's set-points, begun at {first * nominal.period:.6f} s"
 
 
 def tip_of_file(file: Path | str, nominal: Nominal, topic: str | None = None) -> tuple[Array, str]:
     """Return the tip where it should be less where it was measured on a path's set-points, m, shape (n, 3).
 
     The file is a CSV table with a header: `time [s]`, and `x`, `y`, `z` of the tool centre point in the base frame,
-    each with `[m]` or `[mm]`. With a topic it is a bag with PointStamped, PoseStamped or TransformStamped.
+    each with its unit, such as `[mm]`. With a topic it is a bag with PointStamped, PoseStamped or TransformStamped.
 
     Returns:
         The error, and how it was found.
@@ -173,13 +160,12 @@ def tip_of_file(file: Path | str, nominal: Nominal, topic: str | None = None) ->
         BagError: for a bag that cannot be read, or without such a topic.
         ConfigError: for a file that is none, or of another motion.
     """
-    columns = _table(Path(file)) if topic is None else _topic(file, topic)
-    times, tip = columns[0], np.column_stack(columns[1:])
-    laid = laid_under(times, tip, nominal.tip, nominal.period, nominal.counts, plain(file))
+    rows = _table(Path(file)) if topic is None else _topic(file, topic)
+    laid = laid_under(rows[:, 0], rows[:, 1:], nominal.tip, nominal.period, nominal.counts, plain(file))
     return nominal.tip - laid.values, f"tip of {plain(file)}, begun at {laid.shift:.6f} s of its time"
 
 
-def _topic(bag: Path | str, name: str) -> list[Array]:
+def _topic(bag: Path | str, name: str) -> Array:
     with BagReader(bag) as reader:
         found = [one for one in reader.topics if one.name == absolute(name) and one.msgtype in _POSITIONS]
         if not found:
@@ -187,29 +173,18 @@ def _topic(bag: Path | str, name: str) -> list[Array]:
         read = attrgetter(_POSITIONS[found[0].msgtype])
         messages = [reader.deserialize(one, data) for one, _, data in reader.messages(found)]
     rows = [(message_time_ns(each.header.stamp) / NANOSECONDS, read(each)) for each in messages]
-    table = np.array([(time, place.x, place.y, place.z) for time, place in rows], dtype=np.float64).reshape(-1, 4)
-    return list(table.T)
+    return np.array([(time, place.x, place.y, place.z) for time, place in rows], dtype=np.float64).reshape(-1, 4)
 
 
-def _table(file: Path) -> list[Array]:
-    accepted = "a CSV table with the columns time [s], x [m], y [m], z [m], or with [mm]"
-    try:
-        header = file.open(encoding="utf-8").readline().strip().split(",")
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # without rows it only warns
-            rows = np.loadtxt(file, delimiter=",", skiprows=1, ndmin=2)
-    except (OSError, ValueError, UserWarning) as error:
-        raise ConfigError(f"{plain(file)}: {error}; accepted: {accepted}") from error
-    names = [title.strip().replace("]", "").split("[") for title in header]
-    found = {name[0].strip(): (k, name[1].strip() if len(name) > 1 else "") for k, name in enumerate(names)}
-    columns = []
-    for name in ("time", "x", "y", "z"):
-        column, unit = found.get(name, (-1, ""))
-        scale = {"s": 1.0}.get(unit) if name == "time" else _TIP_UNITS.get(unit)
-        if column < 0 or scale is None or column >= rows.shape[1]:
-            raise ConfigError(f"{plain(file)}: columns {', '.join(header)}; accepted: {accepted}")
-        columns.append(scale * rows[:, column])
-    return columns
+def _table(file: Path) -> Array:
+    rows, units = read_columns(file, ("time", "x", "y", "z"))
+    if units[0] != "s" or len(set(units[1:])) > 1 or units[1] not in UNITS:
+        named = ", ".join(unit or "none" for unit in units)
+        raise ConfigError(
+            f"{plain(file)}: time, x, y, z have the units {named}; accepted: the titles time [s] and x, y, z in one of "
+            f"{', '.join(UNITS)}"
+        )
+    return rows * [1.0, *[UNITS[units[1]]] * 3]
 
 
 def measured(
@@ -242,7 +217,6 @@ def learn_from_record(
     """Learn from one trial that was recorded, and return the correction of the next one.
 
     It is compared with the trials before that were measured alike: not with those of the engine, whose arm is another.
-    If it is worse than the best of them, the next one plays half of what the best one and this one have apart.
 
     Args:
         learner: with what was played, if anything, as `previous`.
@@ -253,18 +227,10 @@ def learn_from_record(
         The correction, and why the trial was not kept; empty where it was.
 
     Raises:
-        ConfigError: as `Learner.take`.
-        CorrectionError: if trial after trial has made it worse.
+        ConfigError, CorrectionError: as `Learner.take`.
     """
-    seen = f"{TIP if learner.tip else ENCODERS}, {RECORD}"
-    before = () if earlier is None else earlier.last_seen(seen)
-    trial, best, following, why = learner.take(found), learner.best, learner.offsets, ""
-    if earlier is not None and before and trial.worst > min(before) + learner.noise:
-        worse = len(before) - before.index(min(before))
-        why = f"worse than {min(before) * 1e3:.4f} mm before"
-        if worse >= MOST_WORSE:
-            raise CorrectionError(f"{worse} trials in a row are {why}; accepted: another model, method or gain")
-        trial, best = replace(trial, kept=False, gain=0.5 ** (worse - 1)), earlier.best
-        following = 0.5 * (best + earlier.correction.offsets)
-    correction = Correction(following, learner.nominal.period)
-    return LearnedCorrection(learner.setup, learner.path, learner.method, seen, correction, (trial,), best), why
+    before = () if earlier is None else earlier.last_seen(learner.seen(RECORD))
+    if earlier is not None and before:
+        learner.go_on(earlier.best, before)
+    why = "" if learner.take(found).kept else f"worse than {min(before) * 1e3:.4f} mm before"
+    return LearnedCorrection.of(learner, RECORD, learner.offsets), why

@@ -2,14 +2,14 @@
 
 The deviations dq of the arm from its nominal motion are linear in the offsets c: the linear time-varying model of the
 perturbation method, with M0, C0 and K0 along the motion, and around it the CS7B's PI on the position, D on the
-velocity, and a lag T of first order for amplifier, velocity observer and sampling, drive by drive (W is the wrist
-coupling):
+velocity, and a lag T of first order for amplifier, velocity observer and sampling, drive by drive (W is the coupling of
+the motors):
 
     M0 d2q/dt2 + (C0 + F) dq/dt + K0 q = W' tau,          di/dt = Mn ki W (c - q),
     T dtau/dt + tau = Mn kv [kp W (c - q) - W dq/dt] + i.
 
 F is the viscous friction; bristles are left out, the next trial measures what they do. Over a set-point this gives
-x(k+1) = A(k) x(k) + B(k) c(k) with 24 states, constant for SPACING.
+x(k+1) = A(k) x(k) + B(k) c(k) with four states for each of the n joints, constant for SPACING.
 
 Norm-optimal learning asks for the change u of the correction that minimises, over the whole motion,
 
@@ -36,82 +36,93 @@ from rx90_common.kernels.compiled import inlined, kernel
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.model import SPACING, linearise
 
-STATES = 24
-"""Deviations of six joints and their velocities, integrators, torques of the drives."""
-FACTORS = np.dtype([("factor", np.float64, (6, 6))])
-"""Of R + B' P B at a set-point; in records, where `factorise` and `solve` take them from."""
 _HALVINGS, _TERMS = 5, 5  # of the matrix exponential: scaled, a Taylor polynomial, squared
 
 
 def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
-    """Return A, shape (points, 24, 24), B, shape (points, 24, 6), and how many set-points each holds for.
+    """Return A, shape (points, 4n, 4n), B, shape (points, 4n, n), and how many set-points each holds for.
+
+    The states are deviations of the joints and their velocities, integrators, and torques of the drives.
 
     Args:
         setup: robot, drives, friction, controller, rates.
-        setpoints: of the nominal motion, shape (m, 3, 6).
+        setpoints: of the nominal motion, shape (m, 3, n).
     """
     controller, period = setup.controller, setup.rates.position_period
     apart = max(1, round(SPACING / period))
     at = slice(None, None, apart)
     linear = linearise(setup.robot, setup.drives, setpoints[at, 0], setpoints[at, 1], setpoints[at, 2])
-    wrist, elements = setup.drives.turning.turns, setup.drives.turning.element_matrix
+    turns, elements, joints = setup.drives.turning.turns, setup.drives.turning.element_matrix, setpoints.shape[2]
     viscous = elements.T @ np.diag([element.c2 for element in setup.friction.elements]) @ elements
     # The velocity observer, critically damped, lags by twice its time constant; a set-point is held for its period.
     lag = (1.0 / controller.current_bandwidth + 2.0 / setup.drives.velocity_bandwidth) / (2.0 * math.pi)
     lag += 0.5 * setup.rates.period
     proportional, derivative = (
-        np.diag(controller.inertia * gain) @ wrist for gain in (controller.kv * controller.kp, controller.kv)
+        np.diag(controller.inertia * gain) @ turns for gain in (controller.kv * controller.kp, controller.kv)
     )
-    integral = np.diag(controller.inertia * controller.ki) @ wrist
+    integral = np.diag(controller.inertia * controller.ki) @ turns
     inverse = np.linalg.inv(linear.mass)
-    q, v, i, tau, c = (slice(k, k + 6) for k in range(0, 30, 6))
-    rates = np.zeros((len(inverse), 30, 30))  # of the states, and of the offsets, which are held
-    rates[:, q, v] = np.eye(6)
+    q, v, i, tau, c = (slice(k, k + joints) for k in range(0, 5 * joints, joints))
+    one = np.eye(joints)
+    rates = np.zeros((len(inverse), 5 * joints, 5 * joints))  # of the states, and of the offsets, which are held
+    rates[:, q, v] = one
     rates[:, v, q], rates[:, v, v] = -inverse @ linear.stiffness, -inverse @ (linear.damping + viscous)
-    rates[:, v, tau] = inverse @ wrist.T
+    rates[:, v, tau] = inverse @ turns.T
     rates[:, i, q], rates[:, i, c] = -integral, integral
     rates[:, tau, q], rates[:, tau, c], rates[:, tau, v] = -proportional / lag, proportional / lag, -derivative / lag
-    rates[:, tau, i], rates[:, tau, tau] = np.eye(6) / lag, -np.eye(6) / lag
-    scaled, step = rates * (period / 2**_HALVINGS), np.eye(30)
+    rates[:, tau, i], rates[:, tau, tau] = one / lag, -one / lag
+    scaled, still = rates * (period / 2**_HALVINGS), np.eye(5 * joints)
+    step = still
     for term in range(_TERMS, 0, -1):
-        step = np.eye(30) + scaled @ step / term
+        step = still + scaled @ step / term
     for _ in range(_HALVINGS):
         step = step @ step
-    return np.ascontiguousarray(step[:, :STATES, :STATES]), np.ascontiguousarray(step[:, :STATES, c]), apart
+    states = slice(4 * joints)
+    return np.ascontiguousarray(step[:, states, states]), np.ascontiguousarray(step[:, states, c]), apart
 
 
-@kernel
 def gains(
     a: Array, b: Array, apart: int, error: Array, change: float, counted: Array
 ) -> tuple[Array, NDArray[np.void]]:
-    """Return the feedback K, shape (n, 6, 24), and the FACTORS of R + B' P B, shape (n,): the Riccati recursion.
+    """Return the feedback K, shape (m, n, 4n), and the factors of R + B' P B, shape (m,): the Riccati recursion.
 
     Args:
-        a: A, shape (points, 24, 24).
-        b: B, shape (points, 24, 6).
+        a: A, shape (points, 4n, 4n).
+        b: B, shape (points, 4n, n).
         apart: set-points for which each of them holds.
-        error: Q of the joints, m^2/rad^2, shape (points, 6, 6).
+        error: Q of the joints, m^2/rad^2, shape (points, n, n).
         change: square root of R, m/rad.
-        counted: by how much the error of a set-point counts, 0 to 1, shape (n,).
+        counted: by how much the error of a set-point counts, 0 to 1, shape (m,).
     """
-    count, states = len(counted), a.shape[1]
-    feedback, factors = np.empty((count, 6, states)), np.empty(count, FACTORS)
+    joints = b.shape[2]
+    # In records, where `factorise` and `solve` take them from.
+    factors = np.empty(len(counted), np.dtype([("factor", np.float64, (joints, joints))]))
+    return _gains(a, b, apart, error, change, counted, factors), factors
+
+
+@kernel
+def _gains(
+    a: Array, b: Array, apart: int, error: Array, change: float, counted: Array, factors: NDArray[np.void]
+) -> Array:
+    count, states, joints = len(counted), a.shape[1], b.shape[2]
+    feedback = np.empty((count, joints, states))
     cost, carried = np.zeros((states, states)), np.empty((states, states))
-    closed, pushed, weight, column = np.empty((states, states)), np.empty((states, 6)), np.empty((6, 6)), np.empty(6)
+    closed, pushed = np.empty((states, states)), np.empty((states, joints))
+    weight, column = np.empty((joints, joints)), np.empty(joints)
     for k in range(count - 1, -1, -1):
         point = min(k // apart, len(a) - 1)
         step, push = a[point], b[point]
         _times(cost, push, pushed)  # P B
         _transposed_times(push, pushed, weight)
-        for i in range(6):
+        for i in range(joints):
             weight[i, i] += change * change
         factorise(weight, factors[k].factor)
         _transposed_times(pushed, step, feedback[k])
         for j in range(states):
-            for i in range(6):
+            for i in range(joints):
                 column[i] = feedback[k, i, j]
             solve(factors[k].factor, column)
-            for i in range(6):
+            for i in range(joints):
                 feedback[k, i, j] = column[i]
         _times(push, feedback[k], closed)
         for i in range(states):
@@ -119,44 +130,44 @@ def gains(
                 closed[i, j] = step[i, j] - closed[i, j]
         _times(cost, closed, carried)
         _transposed_times(step, carried, cost)  # A' P (A - B K)
-        for i in range(6):
-            for j in range(6):
+        for i in range(joints):
+            for j in range(joints):
                 cost[i, j] += counted[k] * error[point, i, j]
         for i in range(states):
             for j in range(i):
                 cost[i, j] = cost[j, i] = 0.5 * (cost[i, j] + cost[j, i])
-    return feedback, factors
+    return feedback
 
 
 @kernel
 def best_change(a: Array, b: Array, apart: int, feedback: Array, factors: NDArray[np.void], weighted: Array) -> Array:
-    """Return the change of the correction, rad, shape (n, 6).
+    """Return the change of the correction, rad, shape (m, n).
 
     Args:
-        a: A, shape (points, 24, 24).
-        b: B, shape (points, 24, 6).
+        a: A, shape (points, 4n, 4n).
+        b: B, shape (points, 4n, n).
         apart: set-points for which each of them holds.
         feedback: K of `gains`.
         factors: of `gains`.
-        weighted: C' Q e of the last trial, m^2/rad, shape (n, 6): 0 where the error does not count.
+        weighted: C' Q e of the last trial, m^2/rad, shape (m, n): 0 where the error does not count.
     """
-    count, states = len(weighted), a.shape[1]
-    change, now, then = np.empty((count, 6)), np.zeros((states, 1)), np.zeros((states, 1))
-    pushed, drawn = np.empty((6, 1)), np.empty((states, 1))
+    count, states, joints = len(weighted), a.shape[1], b.shape[2]
+    change, now, then = np.empty((count, joints)), np.zeros((states, 1)), np.zeros((states, 1))
+    pushed, drawn = np.empty((joints, 1)), np.empty((states, 1))
     for k in range(count - 1, -1, -1):  # the adjoint
         point = min(k // apart, len(a) - 1)
         _transposed_times(b[point], now, pushed)
         _transposed_times(a[point], now, then)
         _transposed_times(feedback[k], pushed, drawn)
         for i in range(states):
-            now[i, 0] = then[i, 0] - drawn[i, 0] + (weighted[k, i] if i < 6 else 0.0)
+            now[i, 0] = then[i, 0] - drawn[i, 0] + (weighted[k, i] if i < joints else 0.0)
         change[k] = pushed[:, 0]
         solve(factors[k].factor, change[k])
     now[:] = 0.0
     for k in range(count):  # the response
         point = min(k // apart, len(a) - 1)
         _times(feedback[k], now, pushed)
-        for i in range(6):
+        for i in range(joints):
             change[k, i] -= pushed[i, 0]
             pushed[i, 0] = change[k, i]
         _times(a[point], now, then)

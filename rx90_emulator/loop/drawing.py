@@ -12,11 +12,11 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
 
@@ -25,21 +25,76 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.description.rotations import rpy_rotation
 from rx90_controller.paths.curve import KINK
-from rx90_controller.paths.segment import Segment
+from rx90_controller.paths.path import Segment
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 25.4e-3}
 """Units of drawings, m."""
 _DXF_UNITS = {1: "in", 4: "mm", 5: "cm", 6: "m"}
 _CSV, _GCODE, _DXF = (".csv",), (".nc", ".ngc", ".gcode", ".tap"), (".dxf",)
 _MOST_BYTES = 16 << 20
-_MOST_SEGMENTS = 20_000
+_MOST_POINTS = 50_000  # what a spline through them needs is some 200 MB
 _JOINED = 1e-4  # of the drawing's unit: ends closer than this are one
+_ARC_ENDS = 0.02  # mm: how unequally far from the centre an arc's ends may be, as programs round them
 _ON_SPLINE = 12  # points on each span of a drawing's spline
 _WORD = re.compile(r"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*")
 _COMMENT = re.compile(r"\([^)]*\)|;.*$")
-_HEAD = re.compile(r"\s*([xyz])\s*(?:\[\s*(\w+)\s*\])?\s*", re.IGNORECASE)
+_HEAD = re.compile(r"\s*(\w+)\s*(?:\[\s*(\w+)\s*\])?\s*")
 _WITHOUT_MOTION = {17.0, 40.0, 49.0, 54.0, 61.0, 64.0, 69.0, 80.0, 94.0}
 _PASSED_OVER = frozenset("MSTENO")
+
+
+def _lines_of(file: Path) -> list[str]:
+    try:
+        if file.stat().st_size > _MOST_BYTES:
+            raise ConfigError(f"{plain(file)}: holds more than {_MOST_BYTES:,} bytes; accepted: up to that")
+        return file.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{plain(file)}: cannot be read ({error}); accepted: a text file") from error
+
+
+def read_columns(file: Path, names: Sequence[str]) -> tuple[Array, list[str | None]]:
+    """Read columns of a CSV file, whose delimiter is found, and whose lines with # are comments.
+
+    Args:
+        file: its titles are names, each with or without a unit: `x [mm]`. Without titles it has these columns alone.
+        names: of the columns.
+
+    Returns:
+        The numbers, (n, columns), and the unit that each title has.
+
+    Raises:
+        ConfigError: naming file and line, what is there and what is accepted.
+    """
+    lines, asked = _lines_of(file), ", ".join(names)
+    first = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
+    delimiter = next((each for each in ",;\t" if each in first), " ")
+    rows: list[list[float]] = []
+    columns, units = list(range(len(names))), list[str | None]()
+    for number, row in enumerate(csv.reader(lines, delimiter=delimiter, skipinitialspace=True), 1):
+        cells = [cell for cell in row if cell.strip()] if delimiter == " " else row
+        if not any(cell.strip() for cell in cells) or cells[0].lstrip().startswith("#"):
+            continue
+        heads = [_HEAD.fullmatch(cell) for cell in cells]
+        titles = [head[1].lower() if head else "" for head in heads]
+        if not rows and not units and set(titles) & set(names):
+            if any(titles.count(name) != 1 for name in names):
+                raise ConfigError(
+                    f"{plain(file)}: line {number} is {quoted(', '.join(cells))}; accepted: the columns {asked} once"
+                )
+            columns = [titles.index(name) for name in names]
+            units = [head[2] for k in columns if (head := heads[k])]
+            continue
+        try:
+            point = [float(cells[k]) for k in columns]
+            good = all(map(math.isfinite, point)) and (bool(units) or len(cells) == len(names))
+        except (ValueError, IndexError):
+            good = False
+        if not good:
+            raise ConfigError(
+                f"{plain(file)}: line {number} is {quoted(', '.join(cells))}; accepted: finite numbers, {asked}"
+            )
+        rows.append(point)
+    return np.array(rows, dtype=np.float64).reshape(-1, len(names)), units or [None] * len(names)
 
 
 @dataclass(frozen=True)
@@ -79,8 +134,8 @@ class Drawing:
         unit, start, segments = reader()
         if not segments:
             self._refuse("holds no path; accepted: two different points or more")
-        if len(segments) > _MOST_SEGMENTS:
-            self._refuse(f"holds {len(segments):,} segments; accepted: up to {_MOST_SEGMENTS:,}")
+        if (count := sum(len(one.points) for one in segments)) > _MOST_POINTS:
+            self._refuse(f"holds {count:,} points; accepted: up to {_MOST_POINTS:,}")
         turn, origin = rpy_rotation(self.rpy), np.array(self.origin)
 
         def placed(point: Any) -> tuple[float, ...]:
@@ -111,48 +166,15 @@ class Drawing:
             rounded.append(replace(one, zone=zone))
         return (*rounded, segments[-1])
 
-    def _refuse(self, text: str) -> None:
+    def _refuse(self, text: str) -> NoReturn:
         raise ConfigError(f"{plain(self.file)}: {text}")
 
-    def _text(self) -> str:
-        try:
-            if self.file.stat().st_size > _MOST_BYTES:
-                self._refuse(f"holds more than {_MOST_BYTES:,} bytes; accepted: up to that")
-            return self.file.read_text(encoding="utf-8-sig")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(f"{plain(self.file)}: cannot be read ({error}); accepted: a text file") from error
-
     def _csv(self) -> tuple[str, Any, list[Segment]]:
-        text = self._text()
-        first = next((line for line in text.splitlines() if line.strip()), "")
-        delimiter = next((each for each in ",;\t" if each in first), " ")
-        rows: list[tuple[float, ...]] = []
-        named, columns = None, [0, 1, 2]
-        for number, row in enumerate(csv.reader(text.splitlines(), delimiter=delimiter, skipinitialspace=True), 1):
-            cells = [cell for cell in row if cell.strip()] if delimiter == " " else row
-            if not any(cell.strip() for cell in cells) or cells[0].lstrip().startswith("#"):
-                continue
-            heads = [_HEAD.fullmatch(cell) for cell in cells]
-            if not rows and any(heads):
-                names = [head[1].lower() if head else "" for head in heads]
-                if any(names.count(axis) != 1 for axis in "xyz"):
-                    self._refuse(f"line {number} is {quoted(', '.join(cells))}; accepted: the columns x, y and z once")
-                columns = [names.index(axis) for axis in "xyz"]
-                units = {heads[k][2] for k in columns}  # type: ignore[index]
-                if len(units) > 1 or units - {None, *UNITS}:
-                    told = ", ".join(str(one) for one in units)
-                    self._refuse(f"line {number}: units {told}; accepted: one of {', '.join(UNITS)} for all")
-                named = units.pop()
-                continue
-            try:
-                point = tuple(float(cells[k]) for k in columns)
-                good = all(map(math.isfinite, point)) and (len(cells) == 3 or columns != [0, 1, 2] or named is not None)
-            except (ValueError, IndexError):
-                good = False
-            if not good:
-                self._refuse(f"line {number} is {quoted(', '.join(cells))}; accepted: three finite numbers, x, y and z")
-            rows.append(point)
-        unit = self._unit(named)
+        table, units = read_columns(self.file, "xyz")
+        if len(set(units)) > 1 or units[0] not in (None, *UNITS):
+            named = ", ".join(str(unit) for unit in units)
+            self._refuse(f"units {named}; accepted: one of {', '.join(UNITS)} for all")
+        unit, rows = self._unit(units[0]), [tuple(row) for row in table.tolist()]
         if len(rows) < 2:
             self._refuse(f"holds {len(rows)} points; accepted: two or more")
         for number, (a, b) in enumerate(pairwise(rows), 1):
@@ -170,27 +192,6 @@ class Drawing:
             self._refuse(f"is in {named}, unit is {self.unit}; accepted: the same")
         return str(named or self.unit)
 
-    def _gcode(self) -> tuple[str, Any, list[Segment]]:
-        return _Program(self).read()
-
-    def program_lines(self) -> Iterator[tuple[int, list[tuple[str, float]]]]:
-        """Return number and words of each line of a G-code program, as far as M2 or M30."""
-        for number, line in enumerate(self._text().splitlines(), 1):
-            left = _COMMENT.sub(" ", line).strip()
-            if left in ("", "%") or left.startswith("/"):
-                continue
-            words, at = [], 0
-            while at < len(left):
-                word = _WORD.match(left, at)
-                if word is None:
-                    self._refuse(f"line {number}: {quoted(left[at : at + 20])}; accepted: words such as G1 or X12.5")
-                    return
-                words.append((word[1].upper(), float(word[2])))
-                at = word.end()
-            yield number, words
-            if any(word in (("M", 2.0), ("M", 30.0)) for word in words):
-                return
-
     def _dxf(self) -> tuple[str, Any, list[Segment]]:
         from ezdxf.filemanagement import readfile  # here, because only drawings need it
         from ezdxf.lldxf.const import DXFError
@@ -199,134 +200,135 @@ class Drawing:
             document = readfile(self.file)
         except (OSError, UnicodeDecodeError, DXFError) as error:  # an OSError, too, for what is no DXF file
             raise ConfigError(f"{plain(self.file)}: cannot be read ({error}); accepted: a DXF file") from error
-        named = _DXF_UNITS.get(document.header.get("$INSUNITS", 0))
-        unit = self._unit(named)
-        parts: list[_Strand] = []
-        for entity in document.modelspace():
-            if self.layer is None or entity.dxf.layer == self.layer:
-                parts += self._strands(entity)
-        if not parts:
+        unit = self._unit(_DXF_UNITS.get(document.header.get("$INSUNITS", 0)))
+        drawn = [
+            one
+            for entity in document.modelspace()
+            if self.layer is None or entity.dxf.layer == self.layer
+            for one in self._entity(entity)
+        ]
+        if not drawn:
             known = sorted({entity.dxf.layer for entity in document.modelspace()})
             where = "" if self.layer is None else f" on the layer {quoted(self.layer)} (there are {', '.join(known)})"
             self._refuse(f"holds no path{where}; accepted: lines, arcs and splines")
-        start, segments = self._chained(parts)
-        return unit, start, segments
+        return unit, *self._chained(drawn)
 
-    def _strands(self, entity: Any) -> list[_Strand]:
+    def _entity(self, entity: Any) -> list[_Drawn]:
         """Return what an entity draws, in its order."""
         kind, dxf = entity.dxftype(), entity.dxf
         if kind == "LINE":
-            return [_Strand(tuple(dxf.start), Segment((tuple(dxf.end),)))]
+            start, end = tuple(dxf.start), tuple(dxf.end)
+            return [(start, Segment((end,)))] if start != end else []
         if kind in ("ARC", "CIRCLE"):
             ocs = entity.ocs()
-            center, normal = tuple(ocs.to_wcs(dxf.center)), tuple(dxf.extrusion)
             if kind == "ARC":
                 first, last = tuple(entity.start_point), tuple(entity.end_point)
             else:
                 first = last = tuple(ocs.to_wcs(dxf.center + type(dxf.center)(dxf.radius, 0.0, 0.0)))
-            return [_Strand(first, Segment((last,), "arc", center, normal))]
+            return [(first, Segment((last,), "arc", tuple(ocs.to_wcs(dxf.center)), tuple(dxf.extrusion)))]
         if kind in ("LWPOLYLINE", "POLYLINE"):
-            return [part for each in entity.virtual_entities() for part in self._strands(each)]
+            return [part for each in entity.virtual_entities() for part in self._entity(each)]
         if kind == "SPLINE":
             curve = entity.construction_tool()
             spans = max(1, len(set(curve.knots())) - 1)
             points = [tuple(point) for point in curve.approximate(spans * _ON_SPLINE)]
-            return [_Strand(points[0], Segment(tuple(points[1:]), "spline"))]
-        if kind in ("TEXT", "MTEXT", "DIMENSION", "POINT", "HATCH"):  # draw no path
-            return []
-        self._refuse(
-            f"{kind} on the layer {quoted(dxf.layer)}; accepted: LINE, ARC, CIRCLE, LWPOLYLINE, POLYLINE, SPLINE"
-        )
+            return [(points[0], Segment(tuple(points[1:]), "spline"))]
+        if kind not in ("TEXT", "MTEXT", "DIMENSION", "POINT", "HATCH"):  # which draw no path
+            self._refuse(
+                f"{kind} on the layer {quoted(dxf.layer)}; accepted: LINE, ARC, CIRCLE, LWPOLYLINE, POLYLINE, SPLINE"
+            )
         return []
 
-    def _chained(self, parts: list[_Strand]) -> tuple[tuple[float, ...], list[Segment]]:
-        """Return all parts end to end, from an open end, else from the start of the first one."""
-        parts = [part for part in parts if part.segment.kind != "line" or not part.closed]
-        ends = np.array([[part.start, part.end] for part in parts]).reshape(-1, 3)
-        touching = (np.linalg.norm(ends[:, None] - ends[None], axis=2) < _JOINED).sum(axis=1)
-        if len(parts) > 1 and (touching > 2).any():
-            place = ends[int(np.argmax(touching))].tolist()
-            self._refuse(f"{int(touching.max())} ends meet at {place}; accepted: two, one path without branches")
-        free = np.flatnonzero(touching == 1)
-        first = int(free[0]) if len(free) else 0
-        at = ends[first]
-        begin, left, found = tuple(at.tolist()), list(range(len(parts))), []
+    def _chained(self, drawn: list[_Drawn]) -> tuple[tuple[float, ...], list[Segment]]:
+        """Return start and segments end to end, from an open end, else from the start of the first one."""
+        from scipy.spatial import cKDTree
+
+        ends = np.array([end for start, one in drawn for end in (start, one.points[-1])], dtype=np.float64)
+        touching: list[list[int]] = list(cKDTree(ends).query_ball_point(ends, _JOINED))  # type: ignore[arg-type]
+        crowded = max(touching, key=len)
+        if len(crowded) > 2:
+            place = ends[crowded[0]].tolist()
+            self._refuse(f"{len(crowded)} ends meet at {place}; accepted: two, one path without branches")
+        at = first = next((k for k, each in enumerate(touching) if len(each) == 1), 0)
+        found: list[Segment] = []
+        left = set(range(len(drawn)))
         while left:
-            near = [(k, side) for k in left for side in (0, 1) if np.linalg.norm(ends[2 * k + side] - at) < _JOINED]
-            if not near:
-                self._refuse(f"goes on nowhere from {at.tolist()}, {len(left)} entities are left; accepted: one path")
-            k, side = near[0]
-            found.append((parts[k] if side == 0 else parts[k].turned()).segment)
-            at = ends[2 * k + 1 - side]
-            left.remove(k)
-        return begin, found
+            if at // 2 not in left:
+                self._refuse(
+                    f"goes on nowhere from {ends[at].tolist()}, {len(left)} entities are left; accepted: one path"
+                )
+            start, one = drawn[at // 2]
+            left.remove(at // 2)
+            if at % 2:  # drawn backwards
+                normal = tuple(-x for x in one.normal)
+                one = replace(one, points=(*one.points[-2::-1], start), normal=normal)
+            found.append(one)
+            at = next((k for k in touching[at ^ 1] if k // 2 in left), at ^ 1)
+        return tuple(ends[first].tolist()), found
+
+    def _gcode(self) -> tuple[str, Any, list[Segment]]:
+        program = _Program(self.file, self.unit or "mm")
+        for number, line in enumerate(_lines_of(self.file), 1):
+            left, words, at = _COMMENT.sub(" ", line).strip(), list[tuple[str, float]](), 0
+            if left in ("", "%") or left.startswith("/"):
+                continue
+            while at < len(left):
+                word = _WORD.match(left, at)
+                if word is None:
+                    self._refuse(f"line {number}: {quoted(left[at : at + 20])}; accepted: words such as G1 or X12.5")
+                words.append((word[1].upper(), float(word[2])))
+                at = word.end()
+            program.take(number, words)
+            if any(word in (("M", 2.0), ("M", 30.0)) for word in words):
+                break
+        return "mm", program.start.tolist(), program.segments
 
 
-@dataclass(frozen=True)
-class _Strand:
-    """A segment with its start."""
-
-    start: tuple[float, ...]
-    segment: Segment
-
-    @property
-    def end(self) -> tuple[float, ...]:
-        return self.segment.points[-1]
-
-    @property
-    def closed(self) -> bool:
-        return self.start == self.end
-
-    def turned(self) -> _Strand:
-        """Return it travelled the other way."""
-        normal = tuple(-x for x in self.segment.normal)
-        points = (*self.segment.points[-2::-1], self.start)
-        return _Strand(self.end, replace(self.segment, points=points, normal=normal))
+_Drawn: TypeAlias = tuple[tuple[float, ...], Segment]
+"""A start and a segment from there."""
 
 
 class _Program:
-    """A G-code program, line by line."""
+    """A G-code program, line by line.
 
-    def __init__(self, drawing: Drawing) -> None:
-        self._drawing = drawing
-        self._unit = UNITS[drawing.unit or "mm"] / UNITS["mm"]  # mm, as all lengths here
+    Attributes:
+        start: where its path begins, mm.
+        segments: so far, in mm.
+    """
+
+    def __init__(self, file: Path, unit: str) -> None:
+        self._file, self._number = file, 0
+        self._unit = UNITS[unit] / UNITS["mm"]  # mm, as all lengths here
         self._relative, self._relative_center = False, True
         self._mode: float | None = None
-        self._feed: float | None = None
+        self._feed: float | None = None  # m/s
         self._at: Array | None = None
-        self._start: Array | None = None
-        self._segments: list[Segment] = []
+        self.start: Array = np.zeros(3)
+        self.segments: list[Segment] = []
 
-    def read(self) -> tuple[str, Any, list[Segment]]:
-        """Return unit, start and segments."""
-        for number, words in self._drawing.program_lines():
-            self._line(number, words)
-        start = (0.0, 0.0, 0.0) if self._start is None else tuple(self._start.tolist())
-        return "mm", start, self._segments
+    def _refuse(self, text: str) -> NoReturn:
+        raise ConfigError(f"{plain(self._file)}: line {self._number}: {text}")
 
-    def _refuse(self, number: int, text: str) -> None:
-        raise ConfigError(f"{plain(self._drawing.file)}: line {number}: {text}")
-
-    def _line(self, number: int, words: list[tuple[str, float]]) -> None:
-        numbers: dict[str, float] = {}
-        motion = False
+    def take(self, line: int, words: list[tuple[str, float]]) -> None:
+        """Take the words of a line."""
+        self._number, numbers, motion = line, dict[str, float](), False
         for letter, value in words:
             if letter == "G":
-                motion |= self._code(number, value, words)
+                motion |= self._code(value, words)
             elif letter in "XYZIJKRF":
                 if letter in numbers:
-                    self._refuse(number, f"{letter} stands twice; accepted: once")
+                    self._refuse(f"{letter} stands twice; accepted: once")
                 numbers[letter] = value
             elif letter not in _PASSED_OVER and not (letter in "PQ" and ("G", 64.0) in words):
-                self._refuse(number, f"{letter}{value:g}; accepted: X, Y, Z, I, J, R, F, and words that do not move")
+                self._refuse(f"{letter}{value:g}; accepted: X, Y, Z, I, J, R, F, and words that do not move")
         if "F" in numbers:
             if not numbers["F"] > 0.0:
-                self._refuse(number, f"F{numbers['F']:g}; accepted: a number > 0")
-            self._feed = numbers["F"] * self._unit
+                self._refuse(f"F{numbers['F']:g}; accepted: a number > 0")
+            self._feed = numbers["F"] * self._unit * UNITS["mm"] / 60.0  # m/s
         if any(axis in numbers for axis in "XYZ") or (motion and "I" in numbers):
-            self._move(number, numbers)
+            self._move(numbers)
 
-    def _code(self, number: int, code: float, words: list[tuple[str, float]]) -> bool:
+    def _code(self, code: float, words: list[tuple[str, float]]) -> bool:
         """Take a G word; return whether it is a motion."""
         if code in (0.0, 1.0, 2.0, 3.0):
             self._mode = code
@@ -340,58 +342,52 @@ class _Program:
         elif code == 92.0 and {letter for letter, _ in words} <= {"G", "E", "N"}:
             pass  # of a printer's extruder
         elif code not in _WITHOUT_MOTION:
-            self._refuse(number, f"G{code:g}; accepted: G0 to G3, G17, G20, G21, G90, G91, G90.1, G91.1")
+            self._refuse(f"G{code:g}; accepted: G0 to G3, G17, G20, G21, G90, G91, G90.1, G91.1")
         return False
 
-    def _move(self, number: int, numbers: dict[str, float]) -> None:
-        given = {k: numbers[axis] * self._unit for k, axis in enumerate("XYZ") if axis in numbers}
+    def _move(self, numbers: dict[str, float]) -> None:
         if self._mode is None:
-            self._refuse(number, "moves without G0, G1, G2 or G3; accepted: with one of them")
-        base = np.zeros(3) if self._at is None else self._at
-        end = base.copy()
-        for k, value in given.items():
-            end[k] = value + (base[k] if self._relative else 0.0)
-        before, self._at = self._at, end
-        if not self._segments and (before is None or self._mode == 0.0):
-            if self._mode in (2.0, 3.0):
-                self._refuse(number, "an arc from nowhere; accepted: after a G0 or G1")
-            self._start = end
+            self._refuse("moves without G0, G1, G2 or G3; accepted: with one of them")
+        before, arc = self._at, self._mode in (2.0, 3.0)
+        end = self._at = np.zeros(3) if before is None else before.copy()
+        for k, axis in enumerate("XYZ"):
+            if axis in numbers:
+                end[k] = numbers[axis] * self._unit + (end[k] if self._relative else 0.0)
+        if before is None or (not self.segments and self._mode == 0.0):
+            if arc:
+                self._refuse("an arc from nowhere; accepted: after a G0 or G1")
+            self.start = end
             return
-        assert before is not None
-        speed = None if self._mode == 0.0 else self._speed()
-        if self._mode in (0.0, 1.0):
-            if np.any(end != before):
-                self._segments.append(Segment((tuple(end.tolist()),), speed=speed))
-            return
-        if end[2] != before[2] or numbers.get("K"):
-            self._refuse(number, "an arc that leaves the plane G17; accepted: X, Y, I and J")
-        normal = (0.0, 0.0, 1.0 if self._mode == 3.0 else -1.0)
-        center = self._center(number, before, end, numbers)
-        near, far = np.linalg.norm(before - center), np.linalg.norm(end - center)
-        if near == 0.0 or abs(near - far) > 0.02:
-            self._refuse(number, f"the arc's ends are {near:.6g} and {far:.6g} mm from its centre; accepted: as far")
-        self._segments.append(Segment((tuple(end.tolist()),), "arc", tuple(center.tolist()), normal, speed=speed))
+        place, speed = (tuple(end.tolist()),), None if self._mode == 0.0 else self._feed
+        if arc:
+            if end[2] != before[2] or numbers.get("K"):
+                self._refuse("an arc that leaves the plane G17; accepted: X, Y, I and J")
+            center, normal = self._center(before, end, numbers), (0.0, 0.0, 1.0 if self._mode == 3.0 else -1.0)
+            near, far = np.linalg.norm(before - center), np.linalg.norm(end - center)
+            if near == 0.0 or abs(near - far) > _ARC_ENDS:
+                self._refuse(f"the arc's ends are {near:.6g} and {far:.6g} mm from its centre; accepted: as far")
+            self.segments.append(Segment(place, "arc", tuple(center.tolist()), normal, speed=speed))
+        elif np.any(end != before):
+            self.segments.append(Segment(place, speed=speed))
 
-    def _speed(self) -> float | None:
-        """Return F in m/s."""
-        return None if self._feed is None else self._feed * UNITS["mm"] / 60.0
-
-    def _center(self, number: int, start: Array, end: Array, numbers: dict[str, float]) -> Array:
+    def _center(self, start: Array, end: Array, numbers: dict[str, float]) -> Array:
         if "R" in numbers:
             chord, radius = end - start, numbers["R"] * self._unit
             half = 0.5 * float(np.linalg.norm(chord))
             if half == 0.0 or abs(radius) < half * (1.0 - 1e-4):
-                self._refuse(number, f"R{numbers['R']:g} between ends {2.0 * half:g} mm apart; accepted: half of that, "
-                             "or more, between different ends")  # fmt: skip
+                self._refuse(
+                    f"R{numbers['R']:g} between ends {2.0 * half:g} mm apart; accepted: half of that, or more, between "
+                    "different ends"
+                )
             height = math.sqrt(max(radius * radius - half * half, 0.0))
             across = np.array([-chord[1], chord[0], 0.0]) / (2.0 * half)
             left = (self._mode == 3.0) == (radius > 0.0)
             return np.asarray(0.5 * (start + end) + (height if left else -height) * across)
         if "I" not in numbers and "J" not in numbers:
-            self._refuse(number, "an arc without a centre; accepted: with I and J, or with R")
+            self._refuse("an arc without a centre; accepted: with I and J, or with R")
         offset = np.array([numbers.get("I", 0.0), numbers.get("J", 0.0), 0.0]) * self._unit
         if self._relative_center:
             return np.asarray(start + offset)
         if not {"I", "J"} <= numbers.keys():
-            self._refuse(number, "an arc whose centre is absolute (G90.1) has I or J alone; accepted: both")
+            self._refuse("an arc whose centre is absolute (G90.1) has I or J alone; accepted: both")
         return np.asarray(offset + np.array([0.0, 0.0, start[2]]))

@@ -10,17 +10,21 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, check_type
-from rx90_common.description.kinematics import Pose, forward
+from rx90_common.description.kinematics import Pose, forward, polyline_error, tip_position
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import length, product, transposed
 from rx90_controller.lines import plan as planning
 from rx90_controller.lines.plan import LinePlan
-from rx90_controller.lines.task import LineTask, TipTask
+from rx90_controller.lines.task import SETTLING, LineTask, TipTask
 from rx90_controller.paths.path import Path
 from rx90_controller.trajectory.correction import Correction
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
+
+_AT_REST = 1e-4  # m/s: slower set-points have no direction of their own but for rounding
+_REST = 0.1  # s: in shorter stops the tip is at a corner of one path, and may cut it
+_ROUNDING = 1e-9  # s, of stamps
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +49,8 @@ class PathAccuracy:
 
     @property
     def worst(self) -> float:
-        """Return the largest distance from the path, m."""
-        return float(self.perpendicular.max())
+        """Return the largest distance from the path, m; 0 where nothing counts."""
+        return float(self.perpendicular.max(initial=0.0))
 
     @property
     def rms(self) -> float:
@@ -56,12 +60,22 @@ class PathAccuracy:
     @property
     def worst_along_track(self) -> float:
         """Return the largest distance from the set-point along the path, m; NaN where it was not looked for."""
-        return math.nan if self.along_track is None else float(np.abs(self.along_track).max())
+        return math.nan if self.along_track is None else float(np.abs(self.along_track).max(initial=0.0))
 
     @property
     def worst_orientation(self) -> float:
         """Return the largest angle of the tool from its orientation, rad; NaN where it was not looked for."""
-        return math.nan if self.orientation is None else float(self.orientation.max())
+        return math.nan if self.orientation is None else float(self.orientation.max(initial=0.0))
+
+    @property
+    def words(self) -> str:
+        """Return the largest errors in words."""
+        if not len(self.times):
+            return "no path error: set-points that do not move the tip"
+        return (
+            f"path error {1e3 * self.worst:.4f} mm, RMS {1e3 * self.rms:.4f} mm; along the path "
+            f"{1e3 * self.worst_along_track:.4f} mm; tool {1e3 * self.worst_orientation:.4f} mrad"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,12 +200,48 @@ def path_accuracy(
     pose = forward(robot.chain, joint_position[window])
     asked = task.profile().sample(times[window] - start_time - begin).distance
     error = task.error(pose.position, asked)
-    turned = _turned(robot, pose, task.poses(np.clip(error.along, 0.0, task.length)))
+    turned = turned_by(robot, pose, task.poses(np.clip(error.along, 0.0, task.length)))
     return PathAccuracy(times[window], error.along, error.perpendicular, error.along - asked, turned)
 
 
-def _turned(robot: RobotModel, pose: Pose, asked: Pose) -> Array:
-    """Return the angle between poses, rad, shape (n,)."""
+def followed_accuracy(
+    robot: RobotModel, times: Array, joint_position: Array, setpoint_times: Array, setpoints: Array
+) -> PathAccuracy:
+    """Measure the path error of joint positions against the path that their set-points describe, whatever it is.
+
+    What set-points do between two rests is a path by itself, and counts as `TipTask.counted` says; `times` of the
+    result are those that count, none if the set-points never move. Places on it are those of the set-points, between
+    which the tip goes straight.
+
+    Args:
+        robot: the arm.
+        times: s, increasing, shape (n,).
+        joint_position: rad, shape (n, joints), finite.
+        setpoint_times: s, increasing, shape (m,).
+        setpoints: rad, shape (m, joints), finite.
+    """
+    tips = tip_position(robot.chain, setpoints)
+    steps = np.flatnonzero(length(np.diff(tips, axis=0)) > _AT_REST * np.diff(setpoint_times))
+    rests = np.flatnonzero(setpoint_times[steps[1:]] - setpoint_times[steps[:-1] + 1] > _REST) + 1
+    found = [np.empty((5, 0))]
+    for moves in np.split(steps, rests) if len(steps) else []:
+        places = np.append(moves[0], moves + 1)
+        begin, end = setpoint_times[places[[0, -1]]]
+        rows = slice(*np.searchsorted(times, [begin, end + SETTLING + _ROUNDING]))
+        if len(steps) > (after := np.searchsorted(steps, moves[-1], side="right")):
+            rows = slice(rows.start, min(rows.stop, int(np.searchsorted(times, setpoint_times[steps[after]]))))
+        corners, when, pose = tips[places], setpoint_times[places], forward(robot.chain, joint_position[rows])
+        near = np.clip(np.searchsorted(when, times[rows], side="right") - 1, 0, len(when) - 1)
+        along, across = polyline_error(pose.position, corners, near)
+        way = np.concatenate([[0.0], np.cumsum(length(np.diff(corners, axis=0)))])
+        there = np.column_stack([np.interp(along, way, joint) for joint in setpoints[places].T])
+        turned = turned_by(robot, pose, forward(robot.chain, there))
+        found.append(np.stack([times[rows], along, across, along - np.interp(times[rows], when, way), turned]))
+    return PathAccuracy(*np.concatenate(found, axis=1))
+
+
+def turned_by(robot: RobotModel, pose: Pose, asked: Pose) -> Array:
+    """Return the angle between poses of the tool, rad, shape (n,); of an arm of five joints that of its axis."""
     if len(robot.joint_names) < 6:  # the arm turns its tool about the tool's axis as it likes
         first, second = pose.rotation[..., 2], asked.rotation[..., 2]
         cosine = np.sum(first * second, axis=-1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -10,11 +9,11 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import LEFT_OUT, ListOf, Number, Numbers, Text
 from rx90_common.base.errors import LineError
 from rx90_common.base.groups import Group
+from rx90_common.base.section import Section
 from rx90_common.base.share import resolve_config
 from rx90_common.description.branch import Branch
-from rx90_controller.lines.task import TASK, LineTask, load_task
-from rx90_controller.paths.path import ORIENTATIONS, Path
-from rx90_controller.paths.segment import Segment
+from rx90_controller.lines.task import TASK, LineTask, radians, task_of
+from rx90_controller.paths.path import ORIENTATIONS, Path, Segment
 from rx90_emulator.loop.drawing import UNITS, Drawing
 
 _point = Numbers("", "m", count=3)
@@ -108,22 +107,7 @@ def load_path(name: FilePath | str) -> Path:
         LineError: if the values do not make a path.
     """
     file = resolve_config(str(name))
-    content = PATH.read(load_yaml(file))
-    values: dict[str, Any] = content["path"]
-    drawn = values.pop("file", None)
-    start, segments = values.pop("start", None), values.pop("segments", ())
-    values["start_rpy"] = _radians(values.pop("tool_rpy_degrees"))
-    try:
-        if drawn is not None:
-            if start is not None:
-                raise LineError("a start beside a file, which has its own; accepted: one of them")
-            turn = _radians(drawn.pop("rpy_degrees", (0.0, 0.0, 0.0)))
-            start, parts = Drawing(file.parent / drawn.pop("name"), rpy=turn, **drawn).read()
-        else:
-            parts = tuple(_segment(one) for one in segments)
-        return Path(start, parts, **values, branch=Branch(**content.get("posture", {})))
-    except LineError as error:
-        raise LineError(f"{file}: {error}") from error
+    return _path(file, load_yaml(file))
 
 
 def load_motion(name: FilePath | str) -> LineTask | Path:
@@ -134,13 +118,33 @@ def load_motion(name: FilePath | str) -> LineTask | Path:
         LineError: if the values do not make a line or a path.
     """
     file = resolve_config(str(name))
-    return load_path(file) if "path" in load_yaml(file) else load_task(file)
+    root = load_yaml(file)
+    return _path(file, root) if "path" in root else task_of(file, root)
+
+
+def _path(file: FilePath, root: Section) -> Path:
+    content = PATH.read(root)
+    values: dict[str, Any] = content["path"]
+    drawn = values.pop("file", None)
+    start, segments = values.pop("start", None), values.pop("segments", ())
+    values["start_rpy"] = radians(values.pop("tool_rpy_degrees"))
+    try:
+        if drawn is not None:
+            if start is not None:
+                raise LineError("a start beside a file, which has its own; accepted: one of them")
+            turn = radians(drawn.pop("rpy_degrees", (0.0, 0.0, 0.0)))
+            start, parts = Drawing(file.parent / drawn.pop("name"), rpy=turn, **drawn).read()
+        else:
+            parts = tuple(_segment(one) for one in segments)
+        return Path(start, parts, **values, branch=Branch(**content.get("posture", {})))
+    except LineError as error:
+        raise LineError(f"{file}: {error}") from error
 
 
 def _segment(content: dict[str, Any]) -> Segment:
     motion: dict[str, Any] = {key: content[key] for key in ("speed", "zone") if key in content}
     if "tool_rpy_degrees" in content:
-        motion["end_rpy"] = _radians(content["tool_rpy_degrees"])
+        motion["end_rpy"] = radians(content["tool_rpy_degrees"])
     if "line" in content:
         return Segment((content["line"]["end"],), **motion)
     if "spline" in content:
@@ -150,7 +154,3 @@ def _segment(content: dict[str, Any]) -> Segment:
         return Segment((arc["via"], arc["end"]), "arc", **motion)
     about = {key: arc[key] for key in ("center", "normal") if key in arc}
     return Segment((arc["end"],), "arc", **about, **motion)
-
-
-def _radians(degrees: tuple[float, ...]) -> tuple[float, ...]:
-    return tuple(math.radians(angle) for angle in degrees)

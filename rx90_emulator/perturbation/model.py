@@ -98,9 +98,9 @@ class Linearisation(NamedTuple):
     """Derivatives of the inverse dynamics M a + h along a motion.
 
     Attributes:
-        mass: M0 = M(q0), rotors included, kg m^2, shape (n, 6, 6).
-        damping: C0 = dh/dv, Nm s/rad, shape (n, 6, 6).
-        stiffness: K0 = d(M a0 + h)/dq, gravity and spring included, Nm/rad, shape (n, 6, 6).
+        mass: M0 = M(q0), rotors included, kg m^2, shape (n, joints, joints).
+        damping: C0 = dh/dv, Nm s/rad, shape (n, joints, joints).
+        stiffness: K0 = d(M a0 + h)/dq, gravity and spring included, Nm/rad, shape (n, joints, joints).
     """
 
     mass: Array
@@ -116,13 +116,13 @@ def linearise(
     Args:
         robot: the arm with its tool.
         drives: rotors and spring.
-        position: rad, shape (n, 6).
-        velocity: rad/s, shape (n, 6).
-        acceleration: rad/s^2, shape (n, 6).
+        position: rad, shape (n, joints).
+        velocity: rad/s, shape (n, joints).
+        acceleration: rad/s^2, shape (n, joints).
     """
     data = robot.model.createData()
-    count = len(position)
-    mass, damping, stiffness = (np.empty((count, 6, 6)) for _ in range(3))
+    count, joints = position.shape
+    mass, damping, stiffness = (np.empty((count, joints, joints)) for _ in range(3))
     for n, state in enumerate(zip(position, velocity, acceleration, strict=True)):
         by_position, by_velocity, by_acceleration = pin.computeRNEADerivatives(robot.model, data, *state)
         upper = np.triu(by_acceleration)
@@ -130,8 +130,8 @@ def linearise(
         damping[n], stiffness[n] = by_velocity, by_position
     # The rotors' inertia is the same in every pose, so it adds to M0 alone; the spring gives k cos(q) to K0.
     mass += drives.rotor_matrix
-    joints = np.arange(6)
-    stiffness[:, joints, joints] += drives.spring_torque * np.cos(position)
+    diagonal = np.arange(joints)
+    stiffness[:, diagonal, diagonal] += drives.spring_torque * np.cos(position)
     return Linearisation(mass, damping, stiffness)
 
 

@@ -20,7 +20,7 @@ from rx90_common.report.plot import COLOURS, GREY, INK, Curve, Dots, Level, Mark
 from rx90_emulator.loop.parameters import SWITCH
 from rx90_emulator.sweep.store import about, failures, read_results
 
-_WORST, _RMS = "path_error_worst", "path_error_rms"
+_OF_THE_PATH = "path_error_worst", "path_error_rms", "along_track_worst", "orientation_worst"
 _MM = 1e3
 _MOST_PANELS = 12  # parameters that are drawn
 _MOST_ROWS = 40  # parameters in the table
@@ -102,6 +102,8 @@ class SweepFigures:
         block: of each run.
         worst: path error, mm; NaN of failed runs.
         rms: as worst.
+        along: largest distance from the set-point along the path, mm; NaN in results that do not have it.
+        turned: largest orientation error, mrad; likewise.
         columns: the swept parameters.
         effects: on the worst path error, the largest share first.
         errors: kinds of failures with counts and an example.
@@ -112,6 +114,8 @@ class SweepFigures:
     block: Sequence[str]
     worst: Array
     rms: Array
+    along: Array
+    turned: Array
     columns: Mapping[str, SweptColumn]
     effects: Sequence[MainEffect]
     errors: Sequence[tuple[str, int, str]]
@@ -124,7 +128,7 @@ class SweepFigures:
             SweepError: if there are none, they cannot be read, or no run of them has succeeded.
         """
         table = read_results(file)
-        worst, rms = (_MM * _numbers(table, name) for name in (_WORST, _RMS))
+        worst, rms, along, turned = (_MM * _numbers(table, name) for name in _OF_THE_PATH)
         if not np.isfinite(worst).any():
             raise SweepError(f"{plain(file)}: no run has succeeded; accepted: results with a path error")
         parameters = [field for field in table.schema if field.metadata[b"kind"] == b"parameter"]
@@ -132,10 +136,12 @@ class SweepFigures:
         effects = [main_effect(name, column.values, worst) for name, column in columns.items()]
         effects = sorted((one for one in effects if one.runs), key=lambda one: (-np.nan_to_num(one.share), -one.span))
         return cls(about(table.schema, file), table["index"].to_numpy(), table["block"].to_pylist(), worst, rms,
-                   columns, effects, failures(table))  # fmt: skip
+                   along, turned, columns, effects, failures(table))  # fmt: skip
 
 
 def _numbers(table: pa.Table, name: str) -> Array:
+    if name not in table.column_names:
+        return np.full(len(table), np.nan)
     column = pc.cast(table[name], pa.float64())
     return np.asarray(column.fill_null(np.nan).to_numpy(), dtype=np.float64)
 
@@ -217,8 +223,8 @@ def _sampled(worst: Array, most: int) -> NDArray[np.intp]:
     return np.unique(np.concatenate([top, spread]))
 
 
-def _worst_runs(figures: SweepFigures) -> list[tuple[int, str, str, float, float]]:
-    """Return the worst runs: index, block, values of the parameters of largest effect, worst and RMS error, mm."""
+def _worst_runs(figures: SweepFigures) -> list[tuple[int, str, str, list[float]]]:
+    """Return the worst runs: index, block, values of the parameters of largest effect, and path errors, mm and mrad."""
 
     def text(column: SweptColumn, value: float) -> str:
         if column.unit == SWITCH:
@@ -232,5 +238,6 @@ def _worst_runs(figures: SweepFigures) -> list[tuple[int, str, str, float, float
         values = [text(c, c.values[row]) for c in columns if np.isfinite(c.values[row])]
         more = [f"and {len(values) - _SHOWN_VALUES} more"] * (len(values) > _SHOWN_VALUES)
         shown = ", ".join([*values[:_SHOWN_VALUES], *more])
-        found.append((int(figures.index[row]), figures.block[row], shown, figures.worst[row], figures.rms[row]))
+        errors = [float(each[row]) for each in (figures.worst, figures.rms, figures.along, figures.turned)]
+        found.append((int(figures.index[row]), figures.block[row], shown, errors))
     return found

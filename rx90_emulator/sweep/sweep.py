@@ -18,13 +18,14 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, SweepError
 from rx90_common.base.sources import ROOT, sources_hash, versions, with_imports
-from rx90_common.description.kinematics import tip_position
+from rx90_common.description.kinematics import forward, tip_position
+from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import provenance_of
 from rx90_controller.lines.task import LineTask, TipTask
 from rx90_controller.paths.path import Path
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.closed_loop import peaks_and_work, setpoints_of, simulate_commands
-from rx90_emulator.loop.line import plan_path
+from rx90_emulator.loop.line import plan_path, turned_by
 from rx90_emulator.loop.parameters import Catalogue, Leaf, Value, apply
 from rx90_emulator.loop.path_file import load_motion
 from rx90_emulator.loop.result import MotionCommand, RunResult
@@ -37,6 +38,7 @@ PLANNED_LINES = 64
 LARGEST_DEVIATION: Final = 0.04
 """Of the tip, m, by the perturbation method: there its error reaches 4 to 5 % (docs/explanation/perturbation.md)."""
 _LARGEST_ERROR = 0.05  # of the deviation, in the runs that are held against the closed loop
+_LOOKS = 10  # ticks between looks at the tool's orientation, which costs as much as all else; its peak is 0.2 % less
 _PREPARED = 4  # nominal motions that are kept
 _KEPT_SETPOINTS = 4
 _OF_THE_MOTION = {("controller", "start_tolerance"), ("controller", "max_acceleration")}
@@ -74,6 +76,8 @@ def metrics_of(joints: Sequence[str], elements: Sequence[str], *, perturbs: bool
     errors = (
         Metric("path_error_worst", "m", "largest distance of the tip from the line"),
         Metric("path_error_rms", "m", "root mean square distance of the tip from the line"),
+        Metric("along_track_worst", "m", "largest distance of the tip from its set-point along the line"),
+        Metric("orientation_worst", "rad", "largest angle of the tool from its orientation there, every 10 ticks"),
         *(Metric(f"tracking_error_worst_{j}", "rad", worst) for j in joints),
         *(Metric(f"tracking_error_rms_{j}", "rad", "root mean square position error") for j in joints),
     )
@@ -94,7 +98,6 @@ def measure(task: TipTask, result: RunResult) -> tuple[float | int, ...]:
     """Return the metrics of a run of `task`."""
     rows = _window(task, result.times)
     slow = result.slow
-    tip = tip_position(result.setup.robot.chain, slow.joint_states[rows, 0])
     peaks, work = np.zeros((3, slow.joint_states.shape[2])), np.zeros(slow.friction_states.shape[2])
     peaks_and_work(
         slow.joint_states[rows], slow.friction_states[rows], slow.tracking_error[rows],
@@ -102,7 +105,8 @@ def measure(task: TipTask, result: RunResult) -> tuple[float | int, ...]:
     )  # fmt: skip
     velocity, torque, error = peaks.tolist()
     return (
-        *_path_errors(task, tip, result.times[rows]), *error, *map(_rms, slow.tracking_error[rows, 0].T),
+        *_path_errors(task, result.setup.robot, slow.joint_states[rows, 0], result.times[rows]),
+        *error, *map(_rms, slow.tracking_error[rows, 0].T),
         *velocity, *torque, *work.tolist(), *result.saturated.tolist(),
     )  # fmt: skip
 
@@ -112,7 +116,13 @@ def measure_perturbation(task: TipTask, result: PerturbationResult, run: int) ->
     rows = _window(task, result.model.times)
     deviation = result.joint_deviation[run, rows]
     return (
-        *_path_errors(task, result.tip_position(run)[rows], result.model.times[rows]),
+        *_path_errors(
+            task,
+            result.model.setup.robot,
+            result.joint_position(run)[rows],
+            result.model.times[rows],
+            result.tip_position(run)[rows],
+        ),
         *np.abs(deviation).max(axis=0).tolist(),
         *map(_rms, deviation.T),
         *result.saturated[run].tolist(),
@@ -125,11 +135,16 @@ def tip_distance(result: PerturbationResult, run: int) -> float:
     return float(np.linalg.norm(result.tip_deviation[run], axis=1).max())
 
 
-def _path_errors(task: TipTask, tip: Array, times: Array) -> tuple[float, float]:
-    line = isinstance(task, LineTask)  # to which the nearest place is known at once
-    near = None if line else task.profile().sample(times - task.rest_before).distance
-    path = task.error(tip, near).perpendicular
-    return float(path.max()), _rms(path)
+def _path_errors(
+    task: TipTask, robot: RobotModel, position: Array, times: Array, tip: Array | None = None
+) -> tuple[float, ...]:
+    asked = task.profile().sample(times - task.rest_before).distance
+    error = task.error(tip_position(robot.chain, position) if tip is None else tip, asked)
+    few = slice(None, None, _LOOKS)
+    there = task.poses(np.clip(error.along[few], 0.0, task.length))
+    turned = turned_by(robot, forward(robot.chain, position[few]), there)
+    across = error.perpendicular
+    return float(across.max()), _rms(across), float(np.abs(error.along - asked).max()), float(turned.max())
 
 
 def _window(task: TipTask, times: Array) -> slice:

@@ -11,12 +11,12 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from rx90_common.base.quoting import plain
-from rx90_common.description.kinematics import tip_position
+from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.arm_watch import ArmWatch, JointSample, NodeStatus, Trajectory
 from rx90_common.exchange.client_node import ClientNode
 from rx90_common.exchange.topics import MAX_DISPLAY_RTF
-from rx90_controller.lines.task import LineTask
+from rx90_controller.lines.task import TipTask
 from rx90_emulator.view.page import Page, block, from_user
 from rx90_emulator.view.plots import LoopPlot, RollingPlot, RunComparison
 from rx90_emulator.view.scene import ArmScene, LineScene, legend_html
@@ -45,7 +45,7 @@ class LiveView:
         robot: the arm that is expected.
         elements: names of its friction elements.
         controller: name of the controller node, relative or absolute; the arm is in its namespace.
-        line: the reference line, if the robot has one.
+        line: the reference line, or another path, if there is one.
 
     Attributes:
         watch: what the nodes publish.
@@ -62,9 +62,9 @@ class LiveView:
         robot: RobotModel,
         elements: tuple[str, ...],
         controller: str,
-        line: LineTask | None,
+        line: TipTask | None,
     ) -> None:
-        self._page, self._chain, gui, self._robot = page, robot.chain, page.gui, str(robot.model.name)
+        self._page, self._model, gui, self._robot = page, robot, page.gui, str(robot.model.name)
         self._names, joints = elements, robot.joint_names
         self.watch = ArmWatch(client.node, controller, joints, self._names)
         self._elements: JointSample | None = None  # the newest: deflection, velocity, torque
@@ -73,7 +73,7 @@ class LiveView:
         self._followed: Trajectory | None = None
         self.state: JointSample | None = None
         self.arm = ArmScene(page, "/arm", robot)
-        self._line = None if line is None else LineScene(page, "/reference", np.array(line.start), np.array(line.end))
+        self._line = None if line is None else LineScene(page, "/reference", robot, line)
         with page.plot_tab("Friction"):
             self._friction = RollingPlot(page, "friction torque [Nm]", self._names, (-1.0, 1.0))
             self._deflection = RollingPlot(page, "bristle deflection [\u00b5rad]", self._names, (-10.0, 10.0))
@@ -111,12 +111,11 @@ class LiveView:
         for show, period in periods.items():
             page.every(period, show, busy=lambda now: self.pace(now) > MAX_DISPLAY_RTF)
 
-    def lay_line(self, task: LineTask) -> None:
+    def lay_line(self, task: TipTask) -> None:
         """Show a line that was sent; from now on the spot's path error is its distance from this one."""
-        start, end = np.array(task.start), np.array(task.end)
         if self._line is None:
-            self._line = LineScene(self._page, "/reference", start, end)
-        self._line.place(start, end)
+            self._line = LineScene(self._page, "/reference", self._model, task)
+        self._line.place(task)
         self._followed = None
 
     def newest(self) -> JointSample | None:
@@ -181,9 +180,10 @@ class LiveView:
                 if trajectory is None:
                     none = np.empty((0, len(newest.position)))
                     trajectory = Trajectory(0.0, np.empty(0), none, np.empty(0, dtype=np.bool_))
-                self._line.follow(trajectory.times, tip_position(self._chain, trajectory.position), trajectory.at_rest)
-            tips = tip_position(self._chain, np.array([state.position for state in states]))
-            error = self._line.add(np.array([state.time for state in states]), tips)[-1]
+                tips = forward(self._model.chain, trajectory.position).position
+                self._line.follow(trajectory.times, tips, trajectory.at_rest)
+            pose = forward(self._model.chain, np.array([state.position for state in states]))
+            error = self._line.add(np.array([state.time for state in states]), *pose)[-1]
         if before is None or newest.time != before.time:  # else it stands still
             self._velocity.add(newest.time, newest.velocity)
             self._torque.add(newest.time, newest.effort)

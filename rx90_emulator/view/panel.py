@@ -30,10 +30,11 @@ from rx90_common.exchange.client_node import (
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.law.parameters import load_controller
 from rx90_controller.lines.plan import Approach
-from rx90_controller.lines.task import TOOL_DOWN, USUAL_ACCELERATION, USUAL_SPEED, LineTask, load_task
+from rx90_controller.lines.task import TOOL_DOWN, USUAL_ACCELERATION, USUAL_SPEED, LineTask
 from rx90_controller.node.trajectory_client import TrajectoryClient, enable_request
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
+from rx90_emulator.loop.path_file import load_motion
 from rx90_emulator.view.forms import ElementForm, LineForm, LinePreview
 from rx90_emulator.view.page import Page, block, from_user, on_change, put
 from rx90_sim.node.simulation_client import pause_request, reset_request, step_request
@@ -318,7 +319,8 @@ class DoPanel:
         self._page, self._arm, self._on_line = page, arm, on_line
         robot = load_robot(files.urdf, files.tool)
         limits = load_controller(files.controller).limits(robot)
-        task = load_task(files.task) if files.task is not None else _usual_line(robot)
+        motion = None if files.task is None else load_motion(files.task)
+        task = motion if isinstance(motion, LineTask) else _usual_line(robot)
         self._operator = Operator(client, controller, self._hear)
         self._joints = limits.names
         self._lines: deque[str] = deque(maxlen=_LINES)  # the newest of what the nodes say and of what was refused here

@@ -25,11 +25,12 @@ from rx90_emulator.view.page import Page, from_user, on_change, put
 from rx90_emulator.view.plots import NO_POINTS, Graph, add_plot_export, curves_of
 from rx90_emulator.view.recording import (
     Difference,
+    PathErrors,
     Recording,
     Track,
     difference,
     open_recording,
-    path_error_track,
+    path_errors,
     seconds,
     since,
     tip_path,
@@ -214,18 +215,17 @@ class BagPlayer:
         if len(recordings) > 1:
             self.arms.append(ArmScene(page, "/ghost", robot, ghost=_GHOST))
         page.look_at_arm(robot)
-        errors = [path_error_track(recording.arm, recording.reference, robot.chain) for recording in recordings]
-        self._draw_path(robot, errors[0])
+        errors = [path_errors(recording.arm, recording.reference, robot) for recording in recordings]
+        self._draw_path(robot, errors[0] and errors[0].distance)
         with page.tab("Bag"):
             self._add_controls()
             if errors[0] is not None:
                 page.gui.add_html(legend_html())
             for recording, error in zip(recordings, errors, strict=True):
                 if error is not None:
-                    said = "its set-points never move"
-                    if np.isfinite(error.fields["position"]).any():
-                        ((worst, at_ns),) = error.worst()
-                        said = f"largest path error {1e3 * worst:.3f} mm, at {seconds(at_ns - begin)} s"
+                    said = error.accuracy.words
+                    if len(error.accuracy.times):
+                        said += f"; furthest off at {seconds(error.distance.worst()[0][1] - begin)} s"
                     page.gui.add_markdown(f"{_escaped(recording.path.name)}: {said}")
             if found is not None:
                 names = [recording.path.name for recording in recordings]
@@ -305,7 +305,7 @@ class BagPlayer:
         if there.any():
             self._page.add_lines("/path", pieces[there], np.repeat(colors[there, None], 2, axis=1), thickness=4.0)
 
-    def _add_plots(self, path_errors: Sequence[Track], end: int) -> None:
+    def _add_plots(self, errors: Sequence[PathErrors], end: int) -> None:
         page, begin, found = self._page, self._origin, self._difference
         arms = [recording.arm for recording in self._recordings]
         frictions = [recording.friction for recording in self._recordings if recording.friction is not None]
@@ -325,7 +325,9 @@ class BagPlayer:
             whole = plots(
                 ("distance of the tips [mm]", [] if found is None else [found.tip], "position", 1e3),
                 ("difference of the joints [mrad]", [] if found is None else [found.joints], "position", 1e3),
-                ("path error at the tip [mm]", path_errors, "position", 1e3),
+                ("path error at the tip [mm]", [one.distance for one in errors], "position", 1e3),
+                ("tip ahead along the path [mm]", [one.along for one in errors], "position", 1e3),
+                ("orientation error of the tool [mrad]", [one.orientation for one in errors], "position", 1e3),
                 ("joint angles [rad]", arms, "position", 1.0),
             )
             page.gui.add_markdown(_HINT)

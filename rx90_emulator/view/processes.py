@@ -15,8 +15,8 @@ from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 from rx90_controller.law.parameters import load_controller
 from rx90_controller.lines.plan import Approach, plan_line
-from rx90_controller.lines.task import load_task
 from rx90_controller.node.trajectory_client import Delivery, deliver
+from rx90_emulator.loop.path_file import load_motion
 from rx90_emulator.view.live import LiveView
 from rx90_emulator.view.page import Page, from_user, output_path, sentence
 
@@ -102,7 +102,7 @@ class Tour:
     def __init__(self, robot: str, files: RobotFiles, controller: str) -> None:
         model = load_robot(files.urdf, files.tool)
         self._command = executable("rx90_cell", "--ros-args", "-p", f"robot:={robot}")
-        self._plan = plan_line(model, load_task(files.required("task")), _SET_POINT_PERIOD)
+        self._plan = plan_line(model, load_motion(files.required("task")), _SET_POINT_PERIOD)
         limits = load_controller(files.controller).limits(model)
         self._delivery = Delivery(controller, 0.0, limits, _SET_POINT_PERIOD, Approach())
         self._group = ProcessGroup()

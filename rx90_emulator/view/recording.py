@@ -27,12 +27,11 @@ from rx90_common.description.kinematics import tip_position
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES, SAMPLED
-from rx90_controller.lines.task import SETTLING
 from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.identification.robot import JOINT_STATES, arm_layout, with_signals
+from rx90_emulator.loop.line import PathAccuracy, followed_accuracy
 
 TIP, PATH_ERROR = "tip", "path error"
-_AT_REST = 1e-4  # m/s, of the set-points: below it they have no direction of their own
 _GAP = 3.5  # times the median interval: fewer than three messages that are missing are interpolated
 _BLOCK = 1 << 14  # samples; for all of them at once some steps would take too much memory
 
@@ -189,39 +188,40 @@ def difference(first: Track, second: Track, chain: RigidChain, paths: tuple[Path
     return Difference(of_joints, Track(TIP, (TIP,), stamps, tip, gap_ns=first.gap_ns), exact)
 
 
-def path_error_track(arm: Track, reference: Track | None, chain: RigidChain) -> Track | None:
-    """Return the distance of the tip from the path of its set-points under PATH_ERROR, m; None without set-points.
+class PathErrors(NamedTuple):
+    """Path error of a recording at the arm's stamps, NaN where none counts; position is the value, one column each.
 
-    It is the distance from the set-point of the same time, without its part along the path, which is the lag. It counts
-    as `LineTask.counted` says of a line: while the set-points move and until the arm has settled, where their path has
-    the direction of their last motion. Elsewhere it is NaN.
+    Attributes:
+        accuracy: all of it, at the stamps that count.
+        distance: from the path, m, under the name PATH_ERROR.
+        along: how far ahead of its set-point the tip is along the path, m.
+        orientation: angle between the tool and what the set-points ask for in that place, rad.
+    """
+
+    accuracy: PathAccuracy
+    distance: Track
+    along: Track
+    orientation: Track
+
+
+def path_errors(arm: Track, reference: Track | None, robot: RobotModel) -> PathErrors | None:
+    """Return the path error by the set-points, as `followed_accuracy` says; None without set-points.
+
+    In gaps of the set-points nothing counts.
     """
     if reference is None:
         return None
-    direction, counted = _directions(reference, chain)
-    error = np.empty((len(arm.stamp_ns), 1))
+    known, found = np.empty(len(arm.stamp_ns), dtype=np.bool_), np.full((3, len(arm.stamp_ns)), np.nan)
     for rows in _blocks(len(arm.stamp_ns)):
-        stamps = arm.stamp_ns[rows]
-        target = tip_position(chain, reference.at("position", stamps))
-        off = tip_position(chain, arm.fields["position"][rows]) - target
-        place = np.searchsorted(reference.stamp_ns, stamps, side="right") - 1
-        across = off - np.sum(off * direction[place], axis=1)[:, None] * direction[place]
-        error[rows, 0] = np.where(counted[place] & (place >= 0), np.linalg.norm(across, axis=1), np.nan)
-    return Track(PATH_ERROR, (PATH_ERROR,), arm.stamp_ns, error, gap_ns=arm.gap_ns)
-
-
-def _directions(reference: Track, chain: RigidChain) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the direction of the path at each set-point, shape (n, 3), and whether its path error counts, (n,)."""
-    stamps = reference.stamp_ns
-    tips = np.empty((len(stamps), 3))
-    for rows in _blocks(len(stamps)):
-        tips[rows] = tip_position(chain, reference.fields["position"][rows])
-    way = np.diff(tips, axis=0, append=tips[-1:])
-    length = np.linalg.norm(way, axis=1)
-    moving = length > _AT_REST * np.diff(stamps, append=stamps[-1] + 1) / NANOSECONDS
-    last = np.maximum.accumulate(np.where(moving, np.arange(len(stamps)), -1))
-    counted = (last >= 0) & (stamps - stamps[np.minimum(last + 1, len(stamps) - 1)] <= SETTLING * NANOSECONDS)
-    return np.asarray(way[last] / np.where(length[last] > 0.0, length[last], 1.0)[:, None]), counted
+        known[rows] = np.isfinite(reference.at("position", arm.stamp_ns[rows])).all(axis=1)
+    finite = np.isfinite(reference.fields["position"]).all(axis=1)
+    times, when = ((stamp - arm.begin_ns) / NANOSECONDS for stamp in (arm.stamp_ns[known], reference.stamp_ns[finite]))
+    of = followed_accuracy(robot, times, arm.fields["position"][known], when, reference.fields["position"][finite])
+    counts = np.flatnonzero(known)[np.searchsorted(times, of.times)]
+    found[:, counts] = of.perpendicular, of.along_track, of.orientation
+    names = (PATH_ERROR, "along the path", "orientation")
+    return PathErrors(of, *(Track(name, (name,), arm.stamp_ns, values[:, None], gap_ns=arm.gap_ns)
+                            for name, values in zip(names, found, strict=True)))  # fmt: skip
 
 
 def tip_path(arm: Track, error: Track | None, chain: RigidChain, pieces: int) -> tuple[Array, Array]:

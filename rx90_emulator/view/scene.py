@@ -1,9 +1,9 @@
-"""What stands in the scene: an arm, a straight line, the laser spot, and its trace coloured by the path error."""
+"""What stands in the scene: an arm, a line or path, the laser spot, and its trace coloured by the path error."""
 
 from __future__ import annotations
 
 from collections import deque
-from itertools import pairwise
+from itertools import combinations
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from viser import transforms
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.kinematics import decompose, path_error
+from rx90_common.description.kinematics import Pose
 from rx90_common.description.robot import RobotModel
+from rx90_common.description.rotations import length
 from rx90_common.description.shapes import VisualShape, drawn_shapes
-from rx90_controller.lines.task import SETTLING
-from rx90_emulator.loop.line import PathAccuracy
+from rx90_controller.lines.task import SETTLING, TipTask
+from rx90_emulator.loop.line import PathAccuracy, turned_by
 from rx90_emulator.view.page import Page
 
 Color: TypeAlias = tuple[int, int, int]
@@ -133,7 +134,10 @@ def legend_html(planned: str = "") -> str:
     )
 
 
-_END_TOLERANCE = 1e-4  # m; a motion that begins and ends so near the line's ends is one along the line
+_END_TOLERANCE = 1e-4  # m; a motion that begins and ends so near the line's ends, and keeps so near, is one along it
+_CHORDS = 0.05  # of its length; between the points of its trajectory it is longer than the straight way
+_LONGER = 5e-3  # s that a motion may take longer than the line's own: the same speeds
+_DRAWN = 5e-3  # m between points of a path that is drawn
 _START = 0.01  # m; in these a motion that follows another one bends the bristles back
 _MAX_SAMPLES = 4000  # of a run; of a longer one the larger of each two is kept
 _KEPT_BEFORE = 100  # samples from before it is known that they are of a run
@@ -145,21 +149,22 @@ _NEVER = np.inf, -np.inf  # s, when no sample counts
 
 
 class LineScene:
-    """A line from start to end, m, the spot on or near it, where the spot has been, and its runs along the line.
+    """A line, or another path, the spot on or near it, where the spot has been, and its runs along the line.
 
     Args:
         page: to draw in.
         name: of its nodes in the scene.
-        start: (3,) m.
-        end: (3,) m.
+        robot: the arm.
+        task: the line or path.
 
     Attributes:
         run: path error of the newest run along the line, as far as it has come; None before the first one.
         held: the trace that is kept, m, shape (n, 3).
     """
 
-    def __init__(self, page: Page, name: str, start: Array, end: Array) -> None:
-        ends = np.stack([start, end])[None].astype(np.float32)
+    def __init__(self, page: Page, name: str, robot: RobotModel, task: TipTask) -> None:
+        ends = np.zeros((1, 2, 3), dtype=np.float32)
+        self._robot = robot
         self._line = page.add_lines(f"{name}/line", ends, (30, 30, 30), thickness=2.0)
         self._spot = page.scene.add_icosphere(f"{name}/spot", 0.007, _SPOT, subdivisions=2, cast_shadow=False)
         # A colour for each end: a page that has seen one for all draws no others until it is loaded again.
@@ -169,25 +174,26 @@ class LineScene:
             for of, thickness in (("trace", 5.0), ("held", 3.0))
         )
         self._factor = 1.0
-        self._points: deque[tuple[Array, float]] = deque(maxlen=_LENGTH)  # of the trace, with their path errors
-        self.held = np.empty((0, 3))
-        self._ends = np.full((2, 3), np.nan)
-        self.place(start, end)
+        # Of the trace, with their path errors and their places on the line.
+        self._points: deque[tuple[Array, float, float]] = deque(maxlen=_LENGTH)
+        self.held, self._held_places = np.empty((0, 3)), np.empty(0)
+        self._task = task
+        self.place(task)
 
-    def place(self, start: Array, end: Array) -> None:
-        """Compare with the line from start to end, (3,) m, from now on, with an empty trace and no run."""
-        before, self._ends = self._ends, np.array([start, end], dtype=np.float64)
-        if not np.array_equal(before, self._ends):
+    def place(self, task: TipTask) -> None:
+        """Compare with a line or path from now on, with an empty trace and no run."""
+        if task != self._task:
             self.hold(wanted=False)
-        self._line.points = self._ends[None].astype(np.float32)
+        self._task = task
+        connect(self._line, task.poses(task.places(_DRAWN, 1)).position)
         self.run: PathAccuracy | None = None
         self._now = np.nan  # path error, m
         self.begin_again()
 
     def begin_again(self) -> None:
         """Forget trace and times that were seen: time has begun again. The newest run stays."""
-        self._span = _NEVER
-        self._rows = np.empty((0, 3))  # time, distance along the line, path error
+        self._span, self._asked, self._begin = _NEVER, np.zeros((2, 1)), np.nan
+        self._rows = np.empty((0, 4))  # time, distance along the line, path error, orientation error
         self.clear()
 
     def clear(self) -> None:
@@ -204,29 +210,53 @@ class LineScene:
             at_rest: at which of them it rests, shape (n,).
         """
         self._span, self._rows = _NEVER, self._rows[-_KEPT_BEFORE:]
-        for first, last in pairwise(np.flatnonzero(at_rest)):
-            if np.linalg.norm(tips[[first, last]] - self._ends, axis=1).max() < _END_TOLERANCE:
+        ends, whole = self._task.poses(np.array([0.0, self._task.length])).position, self._task.length
+        way = np.concatenate([np.zeros(min(1, len(tips))), np.cumsum(length(np.diff(tips, axis=0)))])
+        for first, last in combinations(np.flatnonzero(at_rest), 2):
+            travelled, moves = way[last] - way[first], way[first] < way[first + 1] and way[last - 1] < way[last]
+            if not moves or abs(travelled - whole) > _CHORDS * whole:
+                continue
+            if length(tips[[first, last]] - ends).max() >= _END_TOLERANCE:
+                continue
+            asked = (way[first : last + 1] - way[first]) * (whole / travelled)
+            error = self._task.error(tips[first : last + 1], asked)
+            if error.perpendicular.max() < _END_TOLERANCE and abs(error.along - asked).max() < _CHORDS * whole:
+                self._asked = np.stack([times[first : last + 1], error.along])
                 self._span = float(times[first]), float(times[last] + min(SETTLING, times[-1] - times[last]))
+                # The points at rest lie half a set-point before the motion and behind it.
+                longer = float(times[last] - times[first]) - self._task.profile().duration
+                self._begin = float(times[first]) + 0.5 * longer if 0.0 <= longer < _LONGER else np.nan
 
-    def add(self, times: Array, tips: Array) -> Array:
-        """Take where the spot was, (n, 3) m, at times (n,) s; return its path errors, m, NaN where none counts."""
+    def add(self, times: Array, tips: Array, rotation: Array | None = None) -> Array:
+        """Take where the spot was; return its path errors, m, NaN where none counts.
+
+        Args:
+            times: s, shape (n,).
+            tips: m, shape (n, 3).
+            rotation: of the tool, shape (n, 3, 3); None where it does not matter.
+        """
         tips = np.asarray(tips, dtype=np.float64)
         self._spot.position = tips[-1]
-        error = path_error(tips, *self._ends)
-        self._rows = np.concatenate([self._rows, np.stack([times, error.along, error.perpendicular], axis=1)])
+        error = self._task.error(tips, np.interp(times, *self._asked))
+        here = self._task.poses(np.clip(error.along, 0.0, self._task.length))
+        turned = turned_by(self._robot, here if rotation is None else Pose(tips, rotation), here)
+        rows = np.stack([times, error.along, error.perpendicular, turned], axis=1)
+        self._rows = np.concatenate([self._rows, rows])
         if len(self._rows) > _MAX_SAMPLES:
-            pairs = self._rows[: len(self._rows) // 2 * 2].reshape(-1, 2, 3)
+            pairs = self._rows[: len(self._rows) // 2 * 2].reshape(-1, 2, 4)
             self._rows = pairs[np.arange(len(pairs)), np.argmax(pairs[:, :, 2], axis=1)]
         counted = (times >= self._span[0]) & (times <= self._span[1])
         if counted.any():
             at = self._rows[:, 0]
-            self.run = PathAccuracy(*self._rows[(at >= self._span[0]) & (at <= self._span[1])].T)
+            when, along, across, angle = self._rows[(at >= self._span[0]) & (at <= self._span[1])].T
+            ahead = along - self._task.profile().sample(when - self._begin).distance
+            self.run = PathAccuracy(when, along, across, None if np.isnan(self._begin) else ahead, angle)
         else:
             self._rows = self._rows[-_KEPT_BEFORE:]
         errors = np.where(counted, error.perpendicular, np.nan)
-        for tip, one in zip(tips, errors.tolist(), strict=True):
+        for tip, one, along in zip(tips, errors.tolist(), error.along.tolist(), strict=True):
             if not self._points or float(np.linalg.norm(tip - self._points[-1][0])) >= _STEP:
-                self._points.append((tip, one))
+                self._points.append((tip, one, along))
                 self._changed = True
         self._now = float(errors[-1])
         return errors
@@ -241,9 +271,11 @@ class LineScene:
         at, beyond = float(along[np.argmax(error)]), error[along > _START]
         words += f"; {'largest of this run' if known else 'last run'} {self.run.worst * 1e3:.3f} mm, "
         words += f"{at * 1e3:.0f} mm from the start"
-        if at > _START or not len(beyond):
-            return words
-        return f"{words} (beyond {_START * 1e3:.0f} mm: {beyond.max() * 1e3:.3f} mm)"
+        if at <= _START and len(beyond):
+            words += f" (beyond {_START * 1e3:.0f} mm: {beyond.max() * 1e3:.3f} mm)"
+        if not np.isnan(self.run.worst_along_track):
+            words += f"; along it {self.run.worst_along_track * 1e3:.3f} mm"
+        return f"{words}; tool {self.run.worst_orientation * 1e3:.3f} mrad"
 
     def hold(self, *, wanted: bool = True) -> None:
         """Keep the trace along the line in one colour, beside the next one, until another line is placed; or forget it.
@@ -251,7 +283,9 @@ class LineScene:
         Args:
             wanted: whether it is kept.
         """
-        self.held = np.array([tip for tip, error in self._points if wanted and np.isfinite(error)]).reshape(-1, 3)
+        kept = [(tip, along) for tip, error, along in self._points if wanted and np.isfinite(error)]
+        self.held = np.array([tip for tip, _ in kept]).reshape(-1, 3)
+        self._held_places = np.array([along for _, along in kept])
         self._draw_held()
 
     def magnify(self, factor: float) -> None:
@@ -264,18 +298,17 @@ class LineScene:
         if not self._changed or len(self._points) < 2:
             return
         self._changed = False
-        tips, error = (np.array(each) for each in zip(*self._points, strict=True))
+        tips, error, along = (np.array(each) for each in zip(*self._points, strict=True))
         colors = line_colors(error)
-        drawn = np.where(np.isnan(error)[:, None], tips, self._magnified(tips))
+        drawn = np.where(np.isnan(error)[:, None], tips, self._magnified(tips, along))
         connect(self._trace, drawn, colors)
         self._trace.visible = True
 
     def _draw_held(self) -> None:
         self._held_trace.visible = len(self.held) > 1
         if self._held_trace.visible:
-            drawn = self._magnified(self.held)
+            drawn = self._magnified(self.held, self._held_places)
             connect(self._held_trace, drawn, np.broadcast_to(_LINEAR[list(HELD)], drawn.shape))
 
-    def _magnified(self, tips: Array) -> Array:
-        _, across = decompose(tips - self._ends[0], self._ends[1] - self._ends[0])
-        return np.asarray(tips + (self._factor - 1.0) * across)
+    def _magnified(self, tips: Array, along: Array) -> Array:
+        return np.asarray(tips + (self._factor - 1.0) * (tips - self._task.poses(along).position))

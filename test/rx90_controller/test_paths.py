@@ -23,12 +23,11 @@ from rx90_common.base.errors import LineError, Rx90Error
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.plan import check_plan, describe_line, plan_line
 from rx90_controller.lines.task import TrapezoidalProfile
-from rx90_controller.paths.path import Path
+from rx90_controller.paths.path import Path, Segment
 from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
-from rx90_controller.paths.segment import Segment
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.arms import robot_of_urdf
-from rx90_emulator.loop.line import path_accuracy, plan_path, run_path
+from rx90_emulator.loop.line import followed_accuracy, path_accuracy, plan_path, run_path
 from rx90_emulator.loop.path_file import load_path
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.loop.trajectory_file import load_trajectory
@@ -230,6 +229,17 @@ def test_the_engine_follows_a_circle(shipped: Setup, circle: Path) -> None:
     np.testing.assert_allclose(np.array(accuracy.along_track)[middle], (way - asked)[middle], atol=1e-8)
     again = path_accuracy(shipped.robot, ran.task, ran.times, ran.slow.joint_states[:, 0])
     assert again.worst == accuracy.worst
+    # The path that the set-points describe is the circle, whether they are known to be one or not.
+    joints, setpoints = ran.slow.joint_states[:, 0], ran.slow.reference[:, 0]
+    followed = followed_accuracy(shipped.robot, ran.times, joints, ran.times, setpoints)
+    assert np.abs(followed.times[[0, -1]] - accuracy.times[[0, -1]]).max() < 0.01
+    rows = np.isin(accuracy.times, followed.times)
+    chord = (1e-3 * 0.1) ** 2 / (8.0 * RADIUS)  # between set-points the tip is taken to go straight
+    for name, most in (("perpendicular", 1.01 * chord), ("along_track", 5e-8), ("orientation", 1e-7)):
+        ours, theirs = (np.asarray(getattr(one, name)) for one in (followed, accuracy))
+        np.testing.assert_allclose(ours[100:-250], theirs[rows][100:-250], atol=most)
+    still = followed_accuracy(shipped.robot, ran.times, joints, ran.times, np.tile(setpoints[0], (len(joints), 1)))
+    assert not len(still.times)
 
 
 @pytest.mark.parametrize("joints", [5, 7])

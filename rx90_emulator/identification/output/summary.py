@@ -122,6 +122,7 @@ def measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
         f"torques and positions are compared below {result.bandwidths.torque:.3g} Hz ({result.bandwidths.reason})",
         f"the simulated motion is {abs(result.lag) * 1e3:.3f} ms {'later' if result.lag >= 0.0 else 'earlier'}, which "
         "is taken out",
+        *(f"tip, {what}: {path.words}" for what, path in zip(("measured", "simulated"), result.paths, strict=True)),
         *(f"{name}'s motor is at its limit in {share:.1%} of the simulated time" for name, share in saturated if share),
         *result.remarks,
     )

@@ -48,6 +48,7 @@ from rx90_emulator.identification.robot import (
 )
 from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
 from rx90_emulator.loop.closed_loop import run_setpoints
+from rx90_emulator.loop.line import PathAccuracy, followed_accuracy
 from rx90_emulator.loop.result import FastSeries, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
 
@@ -126,6 +127,7 @@ class MeasuredComparison:
         lag: by how much the simulated motion was later than the measured one, s; it is taken out of the series.
         bandwidths: of the set-points, and of torques and positions here.
         setpoints: where the set-points come from, in words.
+        paths: path errors along the set-points, measured and simulated.
         saturated: share of the time in which each motor was at its limit in the simulation, shape (n,).
         remarks: what else there is to say, a sentence each.
         tolerances: what counts as agreement.
@@ -143,6 +145,7 @@ class MeasuredComparison:
     lag: float
     bandwidths: Bandwidths
     setpoints: str
+    paths: tuple[PathAccuracy, PathAccuracy]
     saturated: Array
     remarks: tuple[str, ...]
     tolerances: MeasuredTolerances
@@ -263,6 +266,11 @@ def compare_measured(
         lag -= float(np.sum(difference * velocity)) / float(np.sum(velocity**2))
         lag = float(np.clip(lag, -_MAX_LAG_S, _MAX_LAG_S))
     follows = np.asarray(simulated(time + lag - setpoints.start))
+    when = np.arange(len(setpoints.values), dtype=np.float64) * setup.rates.position_period  # since the first of them
+    measured_path, simulated_path = (
+        followed_accuracy(setup.robot, time - setpoints.start, position, when, setpoints.values[:, 0])
+        for position in (measured[:, 0], follows[:, 0])
+    )
     return MeasuredComparison(
         names=run.names,
         robot=setup.robot.model.name,
@@ -276,6 +284,7 @@ def compare_measured(
         lag=lag,
         bandwidths=run.bandwidths,
         setpoints=setpoints.source,
+        paths=(measured_path, simulated_path),
         saturated=saturated,
         remarks=(*beyond, *_remarks(record, pieces, run)),
         tolerances=tolerances,

@@ -192,7 +192,6 @@ def test_path_error_of_known_points() -> None:
     error = path_error(points, np.zeros(3), np.array([4.0, 0, 0]))
     np.testing.assert_allclose(error.along, [1, -2, 5, 2])
     np.testing.assert_allclose(error.perpendicular, [5, 0, 1, 0])
-    np.testing.assert_allclose(error.beyond, [0, 2, 1, 0])
 
 
 def test_path_error_does_not_depend_on_the_frame() -> None:

@@ -88,7 +88,8 @@ def scaled(measured: Measured, factor: float) -> rx.Setup:
 def test_the_engines_own_run_is_met_and_wrong_friction_shows_with_its_size(measured: Measured) -> None:
     """Along recorded set-points the same robot gives the bag's torques to 0.2 % and its positions to 5 urad.
 
-    With 30 % more friction the verdict is no, and joint 1 differs by 0.3 times its steady friction torque.
+    With 30 % more friction the verdict is no, and joint 1 differs by 0.3 times its steady friction torque. The tip's
+    path errors are those of the run, along and across the path of its set-points, but for the low-pass.
     """
     result = rx.compare_measured(measured.bag, measured.setup)
     assert result.setpoints == "rx90_controller/reference in the bag"
@@ -97,6 +98,15 @@ def test_the_engines_own_run_is_met_and_wrong_friction_shows_with_its_size(measu
     assert np.nanmax(result.torque_share) < 5e-3
     assert result.position_worst.max() < 5e-6
     assert abs(result.lag) < 1e-5
+    series, asked = measured.run.series["joint_states"], measured.run.slow.reference[:, 0]
+    rows = (series.time >= result.time[0]) & (series.time <= result.time[-1])
+    times, position = series.time[rows], np.asarray(series.position)[rows]
+    own = rx.followed_accuracy(measured.setup.robot, times, position, measured.run.times, asked)
+    for path in result.paths:
+        assert path.worst == pytest.approx(own.worst, rel=0.03)
+        assert path.worst_along_track == pytest.approx(own.worst_along_track, rel=0.03)
+        assert path.worst_orientation == pytest.approx(own.worst_orientation, rel=0.03)
+        assert path.words in rx.measured_summary(result)
     wrong = rx.compare_measured(measured.bag, scaled(measured, 1.3))
     assert not wrong.passed
     assert wrong.total_share > wrong.tolerances.total_torque

@@ -205,8 +205,10 @@ def test_a_sweep_goes_along_a_path(shipped: Setup) -> None:
     for index, speed in enumerate(speeds):
         metrics = sweep.run(index).metrics
         assert metrics is not None
-        worst = run_path(shipped, replace(load_path(file), speed=speed)).path_accuracy.worst
-        assert metrics[column] == pytest.approx(worst, abs=1e-12)
+        accuracy = run_path(shipped, replace(load_path(file), speed=speed)).path_accuracy
+        assert metrics[column] == pytest.approx(accuracy.worst, abs=1e-12)
+        assert metrics[column + 2] == pytest.approx(accuracy.worst_along_track, abs=1e-12)
+        assert metrics[column + 3] == pytest.approx(accuracy.worst_orientation, rel=5e-3)
 
 
 def test_metrics_of_a_run(shipped: Setup, task: LineTask) -> None:
@@ -218,6 +220,9 @@ def test_metrics_of_a_run(shipped: Setup, task: LineTask) -> None:
     # The error that remains of two ways to the same sum, against 1e-5 m.
     assert abs(found["path_error_worst"] - accuracy.worst) < 1e-13
     assert abs(found["path_error_rms"] - accuracy.rms) < 1e-13
+    assert found["along_track_worst"] == pytest.approx(accuracy.worst_along_track, abs=1e-13)
+    assert accuracy.orientation is not None
+    assert found["orientation_worst"] == pytest.approx(accuracy.orientation[::10].max(), rel=1e-9)
     rows = np.isin(result.times, accuracy.times)
     error, joint = result.slow.tracking_error[rows, 0], result.slow.joint_states[rows]
     friction = result.slow.friction_states[rows]

@@ -33,7 +33,7 @@ from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import scene
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.player import BagPlayer, _difference_text, _recording_text, open_player
-from rx90_emulator.view.recording import Recording, Track, difference, open_recording, path_error_track, tip_path
+from rx90_emulator.view.recording import Recording, Track, difference, open_recording, path_errors, tip_path
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reference" / "reference_task"
 JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
@@ -78,16 +78,27 @@ def test_a_bag_of_the_suite_is_read_whole(shipped: Setup, monkeypatch: pytest.Mo
     assert len(recording.friction.stamp_ns) == len(recording.arm.stamp_ns)
 
 
-def test_the_path_error_of_a_bag_is_that_of_the_run(shipped: Setup) -> None:
-    """The page's largest path error of the reference line is the one that `rx90_run` gives for the same states."""
+def test_the_path_error_of_a_bag_is_that_of_the_run(shipped: Setup, capsys: pytest.CaptureFixture[str]) -> None:
+    """Across and along the reference line, and of the tool, the page has what `rx90_run` gives for the same states.
+
+    `rx90_bag compare --path` says the same in words.
+    """
     recording = opened(REFERENCE, shipped)
-    found = path_error_track(recording.arm, recording.reference, shipped.robot.chain)
-    assert found is not None
+    errors = path_errors(recording.arm, recording.reference, shipped.robot)
+    assert errors is not None
     times = recording.arm.stamp_ns * 1e-9
-    run = path_accuracy(shipped.robot, load_task(), times, recording.arm.fields["position"])
+    run_ = path_accuracy(shipped.robot, load_task(), times, recording.arm.fields["position"])
+    found = errors.distance
     error = found.fields["position"][:, 0]
-    assert np.nanmax(error) == pytest.approx(run.worst, rel=1e-6)
+    assert np.nanmax(error) == pytest.approx(run_.worst, rel=1e-6)
     assert found.worst() == [(np.nanmax(error), recording.arm.stamp_ns[np.nanargmax(error)])]
+    for track, expected in ((errors.along, run_.worst_along_track), (errors.orientation, run_.worst_orientation)):
+        assert np.nanmax(np.abs(track.fields["position"])) == pytest.approx(expected, rel=1e-5)
+    assert run("rx90_bag", ["compare", str(REFERENCE), str(REFERENCE), "--path"]) == 0
+    lines = capsys.readouterr().out.splitlines()[-2:]
+    assert lines == [f"{REFERENCE}: {run_.words}"] * 2
+    assert run("rx90_bag", ["compare", str(REFERENCE), str(REFERENCE), "--robot", "rx90b"]) == 2
+    assert "--robot without --path" in capsys.readouterr().err
 
 
 def test_joint_states_of_others(tmp_path: Path, shipped: Setup) -> None:
@@ -377,8 +388,9 @@ def test_path_error_is_the_distance_across_the_path(shipped: Setup, tmp_path: Pa
     ]
     write_joint_states(tmp_path / "bag", series)
     recording = opened(tmp_path / "bag", shipped)
-    found = path_error_track(recording.arm, recording.reference, shipped.robot.chain)
-    assert found is not None
+    errors = path_errors(recording.arm, recording.reference, shipped.robot)
+    assert errors is not None
+    found = errors.distance
     error = found.fields["position"][:, 0]
     lag = np.linalg.norm(tip(shipped, arm[100]) - tip(shipped, target[100]))
     assert lag > 3e-4

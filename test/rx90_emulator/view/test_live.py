@@ -18,13 +18,14 @@ from processes import Processes
 from rosbags.rosbag2 import Reader as Rosbag2Reader
 from short_task import SHORT_TASK
 
-from rx90_common.description.kinematics import tip_position
+from rx90_common.description.kinematics import forward, tip_position
 from rx90_common.exchange.arm_watch import JointSample, NodeStatus, Trajectory
 from rx90_common.process.children import ChildProcess
 from rx90_controller.lines.plan import Approach, approached
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.line import path_accuracy, plan_line
+from rx90_emulator.loop.line import path_accuracy, plan_path
+from rx90_emulator.loop.path_file import load_path
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import live as live_module
 from rx90_emulator.view.live import LiveView
@@ -184,7 +185,7 @@ def test_what_the_nodes_publish_is_what_the_plots_show(
     watch = SimpleNamespace(
         elements=friction, joints=joints, trajectory=None, elements_at_ticks=ticks, listens_at_ticks=True
     )
-    line: Any = SimpleNamespace(add=lambda times, _: [5e-5 if times[-1] > 1.0 else np.nan])
+    line: Any = SimpleNamespace(add=lambda times, *_: [5e-5 if times[-1] > 1.0 else np.nan])
     made: dict[str, Any] = {}
     add = page.gui.add_uplot
     monkeypatch.setattr(page.gui, "add_uplot", lambda *a, **k: made.setdefault(k["title"], add(*a, **k)))
@@ -264,45 +265,62 @@ def test_each_fact_stands_in_its_row(view_of: Callable[..., LiveView]) -> None:
 
 
 START, END = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
+LINE = LineTask(tuple(START), tuple(END))
 REST = np.array([True, True])
 LATE = 90  # samples before the trajectory is known
 
 
-def test_the_largest_is_that_of_the_run(shipped: Setup, page: Page) -> None:
-    """Of an approach, a rest and a line what counts on the page is what `path_accuracy` counts, sample by sample.
+@pytest.mark.parametrize("of", ["line", "circle"])
+def test_the_largest_is_that_of_the_run(shipped: Setup, page: Page, of: str) -> None:
+    """Of an approach, a rest and a line or circle what counts on the page is what `path_accuracy` counts.
 
-    The word of the trajectory may come later than the line's first samples.
+    Sample by sample, along the path and of the tool's orientation, too. The word of the trajectory may come later than
+    the first samples; one of a circle the other way round is none of this path.
     """
-    task = replace(load_task(), rest_before=0.05)
-    plan = plan_line(shipped, task)
+    task = replace(load_task() if of == "line" else load_path("paths/circle.yaml"), rest_before=0.05)
+    plan = plan_path(shipped, task)
     limits = shipped.controller.limits(shipped.robot)
     here = plan.start_pose + 0.05
     line = approached(plan, here, limits, shipped.rates.position_period, Approach())
     run = simulate(shipped, line.points, here)
     times, position = run.times[::10], run.slow.joint_states[::10, 0]
     expected = path_accuracy(shipped.robot, task, times, position, line.approach)
-    chain = shipped.robot.chain
-    meter = LineScene(page, "/line", np.array(task.start), np.array(task.end))
-    tips = tip_position(chain, position)
-    seen = np.concatenate([meter.add(times[k : k + 3], tips[k : k + 3]) for k in range(0, LATE, 3)])
-    assert np.isnan(seen).all()
+    meter = LineScene(page, "/line", shipped.robot, task)
+    pose = forward(shipped.robot.chain, position)
+
+    def add(rows: range) -> np.ndarray:
+        return np.concatenate([meter.add(times[k : k + 3], *(each[k : k + 3] for each in pose)) for k in rows])
+
+    assert np.isnan(add(range(0, LATE, 3))).all()
     assert times[LATE - 1] > line.approach + task.rest_before + 0.3
     assert meter.words() == "not on the line"
     points = line.points
-    meter.follow(points.times, tip_position(chain, points.position), np.equal(points.velocity, 0.0).all(axis=1))
-    seen = np.concatenate([meter.add(times[k : k + 3], tips[k : k + 3]) for k in range(LATE, len(times), 3)])
+    at_rest = np.equal(points.velocity, 0.0).all(axis=1)
+    tips = tip_position(shipped.robot.chain, points.position)
+    meter.follow(points.times, tips[::-1], at_rest[::-1])
+    assert np.isnan(meter.add(times[-1:], pose.position[-1:])).all()
+    meter.follow(points.times, tips, at_rest)
+    seen = add(range(LATE, len(times), 3))
     found = meter.run
     assert found is not None
     count = len(expected.times)
     assert len(found.times) - count <= 1  # the trajectory's last knot is half a set-point behind the line's end
     np.testing.assert_allclose(found.times[:count], expected.times)
-    np.testing.assert_allclose(found.perpendicular[:count], expected.perpendicular, atol=1e-15)
+    np.testing.assert_allclose(found.perpendicular[:count], expected.perpendicular, atol=1e-12)
+    for ours, theirs, error in (
+        (found.orientation, expected.orientation, 1e-9), (found.along_track, expected.along_track, 1e-8)
+    ):  # fmt: skip
+        assert ours is not None
+        assert theirs is not None
+        np.testing.assert_allclose(ours[:count], theirs, atol=error)
     assert np.isfinite(seen).sum() == (found.times >= times[LATE]).sum()
     assert found.worst == pytest.approx(expected.worst)
     at = expected.along[np.argmax(expected.perpendicular)]
-    beyond = expected.perpendicular[expected.along > 0.01].max()
-    largest = f"{1e3 * expected.worst:.3f} mm, {1e3 * at:.0f} mm from the start"
-    assert meter.words() == f"not on the line; last run {largest} (beyond 10 mm: {1e3 * beyond:.3f} mm)"
+    largest = f"not on the line; last run {1e3 * expected.worst:.3f} mm, {1e3 * at:.0f} mm from the start"
+    if at <= 0.01:
+        beyond = expected.perpendicular[expected.along > 0.01].max()
+        largest += f" (beyond 10 mm: {1e3 * beyond:.3f} mm)"
+    assert meter.words().startswith(f"{largest}; along it ")
 
 
 def spot(times: np.ndarray, begin: float, error: float) -> np.ndarray:
@@ -311,9 +329,9 @@ def spot(times: np.ndarray, begin: float, error: float) -> np.ndarray:
     return np.asarray(START + share * (END - START) + [0.0, 0.0, error])
 
 
-def test_a_run_stays_until_the_next_one_begins(page: Page) -> None:
+def test_a_run_stays_until_the_next_one_begins(shipped: Setup, page: Page) -> None:
     """Neither the end of a run nor a new beginning of time takes it away; no sample of it counts for the next one."""
-    meter = LineScene(page, "/line", START, END)
+    meter = LineScene(page, "/line", shipped.robot, LINE)
     times = np.arange(0.0, 8.0, 0.01)
     ends = np.stack([START, END])
     for error in (3e-5, 1e-5):
@@ -332,9 +350,9 @@ def test_a_run_stays_until_the_next_one_begins(page: Page) -> None:
     assert meter.run.worst == pytest.approx(1e-5)
 
 
-def test_a_long_run_keeps_its_largest(page: Page) -> None:
+def test_a_long_run_keeps_its_largest(shipped: Setup, page: Page) -> None:
     """Of an hour at 100 Hz the memory is that of a minute, and the largest error is still known."""
-    meter = LineScene(page, "/line", START, END)
+    meter = LineScene(page, "/line", shipped.robot, LINE)
     meter.follow(np.array([0.0, 3600.0]), np.stack([START, END]), REST)
     times = np.arange(0.0, 3600.0, 0.01)
     tips = START + times[:, None] / 3600.0 * (END - START) + [0.0, 0.0, 1e-5]

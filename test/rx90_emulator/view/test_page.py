@@ -12,6 +12,7 @@ import threading
 import time
 import webbrowser
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import FrameType, SimpleNamespace
@@ -28,6 +29,7 @@ from processes import wait_until
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.errors import ConfigError
 from rx90_common.report.plot import Curve, Panel
+from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import page as page_module
 from rx90_emulator.view import plots
@@ -158,19 +160,19 @@ def empty(shown: BrowserPage) -> list[list[np.ndarray]]:
     return [[np.array(column, float) for column in plot["data"][1:]] for plot in shown.plots().values()]
 
 
-def test_the_trace_is_drawn_beside_the_line(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_trace_is_drawn_beside_the_line(shipped: Setup, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     """Magnified, the trace is so many times as far from the line as it was, blue to red; off it grey, in place."""
     made: dict[str, Any] = {}
     add = page.add_lines
     monkeypatch.setattr(page, "add_lines", lambda name, *a, **k: made.setdefault(name, add(name, *a, **k)))
     start, end = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
-    line = LineScene(page, "/line", start, end)
+    line = LineScene(page, "/line", shipped.robot, LineTask(tuple(start), tuple(end)))
     tips = np.array([[0.5, 0.02, 0.2], [0.5, 0.0, 0.2], [0.6, 0.0, 0.2], [0.7, 1e-4, 0.2], [0.8, 0.0, 0.2]])
     line.follow(np.array([1.5, 9.0]), np.stack([start, end]), np.array([True, True]))
     line.add(np.arange(5.0), tips)
     line.magnify(100.0)
     line.draw()
-    np.testing.assert_allclose(made["/line/line"].points, [[start, end]], rtol=1e-6)
+    np.testing.assert_allclose(made["/line/line"].points[[0, -1], [0, 1]], [start, end], rtol=1e-6)
     trace = made["/line/trace"]
     drawn = np.concatenate([trace.points[:, 0], trace.points[-1:, 1]])
     np.testing.assert_allclose(drawn, [*tips[:3], [0.7, 1e-2, 0.2], tips[4]], atol=1e-6)
@@ -180,12 +182,14 @@ def test_the_trace_is_drawn_beside_the_line(page: Page, monkeypatch: pytest.Monk
     assert colors[3][0] > colors[3][2]  # red
 
 
-def test_a_trace_has_its_colours_on_a_page_that_was_there_before_it(page: Page, open_page: Open) -> None:
+def test_a_trace_has_its_colours_on_a_page_that_was_there_before_it(
+    shipped: Setup, page: Page, open_page: Open
+) -> None:
     """On a page that is opened before the arm moves, the trace is drawn in the colour of its path error."""
     start, end = np.array([-0.4, 0.0, 0.0]), np.array([0.4, 0.0, 0.0])
     camera = page.server.initial_camera
     camera.position, camera.look_at, camera.up = (0.0, -0.5, 0.5), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-    line = LineScene(page, "/line", start, end)
+    line = LineScene(page, "/line", shipped.robot, LineTask(tuple(start), tuple(end)))
     shown = open_page(page.address, (900, 200), every_picture=True)
     times = np.arange(100) * 0.1
 
@@ -350,6 +354,7 @@ def test_a_signal_that_is_handled_beyond_the_wait_does_not_stop_the_page(idle: P
 
 
 START, END = np.array([0.5, 0.0, 0.2]), np.array([0.7, 0.0, 0.2])
+LINE = LineTask(tuple(START), tuple(END))
 SHARE = np.linspace(0.0, 1.0, 401)
 ALONG = "path error along the line [mm]"
 UNITS = "torque [Nm]"
@@ -362,9 +367,9 @@ def run(line: LineScene, begin: float, largest: float) -> None:
     line.add(times, START + SHARE[:, None] * (END - START) + np.outer(largest * np.sin(np.pi * SHARE), [0, 1.0, 0]))
 
 
-def test_two_runs_are_compared_along_the_line(page: Page, open_page: Open) -> None:
+def test_two_runs_are_compared_along_the_line(shipped: Setup, page: Page, open_page: Open) -> None:
     """The run that is held stays while others come: curves, largest, place, RMS and ratio; another line lets it go."""
-    line = LineScene(page, "/line", START, END)
+    line = LineScene(page, "/line", shipped.robot, LINE)
     with page.plot_tab("Path"):
         runs = RunComparison(page)
     page.every(0.05, lambda _: runs.draw(line))
@@ -387,7 +392,7 @@ def test_two_runs_are_compared_along_the_line(page: Page, open_page: Open) -> No
     files = {curve.label: curve for curve in runs.panel().marks if isinstance(curve, Curve)}
     np.testing.assert_allclose(files["held"].y, 0.1 * np.sin(np.pi * files["held"].x / 200.0), atol=1e-6)
     assert list(files) == ["held", "newest"]
-    page.later(lambda: line.place(START, END + 0.1))
+    page.later(lambda: line.place(replace(LINE, end=(0.8, 0.1, 0.3))))
     shown.wait_until(lambda: not release.is_visible(), "that it was let go")
     assert "0.1000" not in shown.text()
     assert shown.complaints == []
