@@ -22,7 +22,6 @@ from numpy.typing import ArrayLike
 from benchmarks.hybrid_reference import StiffPlant, decoupled_setup
 from benchmarks.report import print_table
 from rx90_common.base.arrays import Array
-from rx90_common.description.drives import DriveParameters
 from rx90_common.friction import FrictionElement
 from rx90_emulator.export.export import export_robot
 from rx90_emulator.loop.setup import Setup

@@ -15,7 +15,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import BagError, ConfigError, check_type, write_error
 from rx90_common.base.quoting import listed, plain, quoted
-from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay_slopes, viscous_torque
+from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay, viscous_torque
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.files import written_beside
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Panel, Plot
@@ -29,6 +29,7 @@ REPORT = "export.yaml"
 
 _FEWEST = 20  # samples of a bag that say how fast a joint moves
 _WITHIN = 1e-9  # Nm: of a difference that is rounding
+_OF_CURVE = ("tau_c_positive", "tau_s_positive", "omega_s", "delta", "c2", "alpha")
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,14 +130,11 @@ def export_robot(
     if speeds is not None and bag is not None:
         raise ConfigError("speeds from a range and from a bag; accepted: one of both")
     one, turns, fits = TARGETS[target], arm.drives.turning.element_matrix, []
-    used, words = _speeds_in_use(arm, turns if TARGETS[target].coupled else np.eye(turns.shape[1]), speeds, bag)
-    if one.coupled:
-        for name, element, speed in zip(arm.friction.names, arm.friction.elements, used, strict=True):
-            fits.append(fit_friction(one, name, [element], speed))
-    else:
-        for joint, (name, speed) in enumerate(zip(arm.robot.joint_names, used, strict=True)):
-            felt = [each for each, row in zip(arm.friction.elements, turns, strict=True) if row[joint]]
-            fits.append(_with_coupling(fit_friction(one, name, felt, speed), arm, joint))
+    names, felt = (arm.friction.names, np.eye(len(turns))) if one.coupled else (arm.robot.joint_names, turns)
+    used, words = _speeds_in_use(arm, turns[: len(names)], speeds, bag)
+    for k, (name, speed) in enumerate(zip(names, used, strict=True)):
+        fit = fit_friction(one, name, [arm.friction.elements[e] for e in np.flatnonzero(felt[:, k])], speed)
+        fits.append(fit if one.coupled else _with_coupling(fit, arm, k))
     files, lost = files_of(arm, one, fits), _arm_lost(arm, one)
     if target == "mujoco-classic":
         fastest = max(creep(*files.values(), arm, fits))
@@ -282,19 +280,12 @@ def _band(friction: FrictionFile, fit: FrictionFit, speed: Array) -> Array | Non
     Errors of the parameters are taken as independent, which makes the band too wide where they compensate each other.
     """
     found = ((friction.identification or {}).get("parameters") or {}).get(fit.name, {})
-    one = fit.elements[0]
-    decay, by_omega_s, by_delta = stribeck_decay_slopes(speed, one.omega_s, one.delta)
-    rise, viscous = one.tau_s_positive - one.tau_c_positive, one.viscous_torque(speed)
-    slopes = {
-        "tau_c_positive": 1.0 - decay,
-        "tau_s_positive": decay,
-        "omega_s": rise * by_omega_s / one.omega_s,
-        "delta": rise * by_delta / one.delta,
-        "c2": viscous_torque(speed, 1.0, one.alpha),
-        "alpha": viscous * np.log(np.maximum(speed, LINEAR_SPEED)),
-    }
-    intervals = {name: found[name]["interval"] for name in slopes if "interval" in found.get(name, {})}
-    if not intervals:
-        return None
-    halves = [0.5 * (high - low) * slopes[name] for name, (low, high) in intervals.items()]
-    return np.asarray(np.sqrt(np.sum(np.square(halves), axis=0)))
+    here = {name: getattr(fit.elements[0], name) for name in _OF_CURVE}
+
+    def curve(name: str, value: float) -> Array:
+        tau_c, tau_s, omega_s, delta, c2, alpha = (here | {name: value}).values()
+        return tau_c + (tau_s - tau_c) * stribeck_decay(speed, omega_s, delta) + viscous_torque(speed, c2, alpha)
+
+    intervals = {name: found[name]["interval"] for name in _OF_CURVE if "interval" in found.get(name, {})}
+    halves = [0.5 * (curve(name, high) - curve(name, low)) for name, (low, high) in intervals.items()]
+    return np.asarray(np.sqrt(np.sum(np.square(halves), axis=0))) if halves else None

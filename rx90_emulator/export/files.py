@@ -47,7 +47,8 @@ def _environment() -> Environment:
 def render(template: str, **values: object) -> str:
     """Return a template of this folder with these values; in those that end with .xml, text is escaped."""
     text = _environment().get_template(template).render(values)
-    return _indented(ET.fromstring(text)) if template.endswith(".xml") else text
+    parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
+    return _indented(ET.fromstring(text, parser)) if template.endswith(".xml") else text
 
 
 def _indented(root: ET.Element) -> str:
@@ -56,8 +57,8 @@ def _indented(root: ET.Element) -> str:
 
 
 def numbers(values: Any, between: str = " ") -> str:
-    """Return a number, or an array of them, with all digits."""
-    return between.join(map(repr, np.ravel(values).astype(float).tolist()))
+    """Return a number, or an array of them, with all digits, and none as -0.0."""
+    return between.join(map(repr, (np.ravel(values) + 0.0).tolist()))
 
 
 def _python(value: object) -> str:
@@ -153,7 +154,8 @@ def _links(arm: Arm) -> list[dict[str, Any]]:
         z_to_axis = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
         links.append(_body(robot.model.inertias[number]) | {
             "name": children[joint], "joint": joint, "axis": axis,
-            "position": place.translation, "turn": _quaternion(place.rotation), "rpy": pin.rpy.matrixToRpy(place.rotation),
+            "position": place.translation, "turn": _quaternion(place.rotation),
+            "rpy": pin.rpy.matrixToRpy(place.rotation),
             "world_position": world.translation, "world_turn": _quaternion(world.rotation),
             "axis_turn": _quaternion(z_to_axis), "axis_turn_above": _quaternion(place.rotation @ z_to_axis),
             "spring": springs[k] / (_SPRING_ARM * _SPRING_ANCHOR), "spring_arm": _SPRING_ARM * side,

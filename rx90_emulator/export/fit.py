@@ -16,6 +16,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay
 from rx90_common.friction.element import SIGNS, FrictionElement
+from rx90_common.friction.parts.load import LoadPart
 
 POINTS = 400
 """Of the speeds at which curves are compared, evenly spaced in their logarithm."""
