@@ -49,7 +49,7 @@ def data_files() -> list[tuple[str, list[str]]]:
 
 
 VIEW = ["viser>=1.1,<1.2"]
-EXPORT = ["mujoco>=3.17,<4.1", "usd-core>=24.11,<27"]
+EXPORT = ["mujoco>=3.17,<4.1"]
 DXF = ["ezdxf>=1.4,<2"]
 DOCS = [
     "sphinx>=8.1,<9.1",
@@ -104,6 +104,7 @@ setup(
             *VIEW,
             *EXPORT,
             *DXF,
+            "usd-core>=24.11,<27",
             "playwright>=1.50,<2",
             "distributed>=2026.1,<2027",
             "pandas>=2.2,<4",

@@ -22,33 +22,29 @@ from numpy.typing import ArrayLike
 from benchmarks.hybrid_reference import StiffPlant, decoupled_setup
 from benchmarks.report import print_table
 from rx90_common.base.arrays import Array
-from rx90_common.description.drives import DriveParameters
 from rx90_common.friction import FrictionElement
-from rx90_emulator.export.mjcf import arm_spec
+from rx90_emulator.export.export import export_robot
 from rx90_emulator.loop.setup import Setup
 
 _NO_MOTOR = (1e-9, 1e-9)  # motor constants of an actuator that is there for its friction alone
 
 
 def mujoco_arm(setup: Setup) -> Any:
-    """Return the MuJoCo model; its controls are the motor torques, Nm, shape (6,)."""
-    spec, wrist = arm_spec(setup), setup.friction.names[-1]
-    joints = [spec.joint(name) for name in setup.robot.joint_names]
-    _add_motors(spec, joints, wrist, setup.drives)
-    transmissions = [(joint.name, mujoco.mjtTrn.mjTRN_JOINT) for joint in joints]
-    transmissions.append((wrist, mujoco.mjtTrn.mjTRN_TENDON))
-    for (target, kind), element in zip(transmissions, setup.friction.elements, strict=True):
-        _add_friction(spec.add_actuator(name=f"friction_{target}", target=target, trntype=kind), element)
-    return spec.compile()
+    """Return the MuJoCo model of an export; its controls are the motor torques, Nm, shape (6,)."""
+    held = tuple(as_in_mujoco(one) for one in setup.friction.elements)
+    setup = dataclasses.replace(setup, friction=dataclasses.replace(setup.friction, elements=held))
+    return mujoco.MjModel.from_xml_string(*export_robot(setup, "mujoco").files.values())
 
 
-def _add_motors(spec: Any, joints: Any, wrist: str, drives: DriveParameters) -> None:
-    for i, (joint, gear, peak) in enumerate(zip(joints, drives.gear, drives.peak_torque, strict=True)):
-        motor = spec.add_actuator(name=f"motor_{i + 1}", ctrllimited=True, ctrlrange=[-peak, peak])
-        motor.set_to_motor()
-        motor.trntype = mujoco.mjtTrn.mjTRN_TENDON if i == 5 else mujoco.mjtTrn.mjTRN_JOINT
-        motor.target = wrist if i == 5 else joint.name
-        motor.gear[0] = gear
+def as_in_mujoco(element: FrictionElement) -> FrictionElement:
+    """Return an element with what MuJoCo can hold of it."""
+    return dataclasses.replace(
+        element,
+        tau_c_negative=element.tau_c_positive,
+        tau_s_negative=element.tau_s_positive,
+        delta=2.0,
+        omega_d=math.inf,
+    )
 
 
 def _add_friction(actuator: Any, element: FrictionElement) -> None:
@@ -100,18 +96,6 @@ SCENARIOS = (
     Scenario("reversal", lambda t: 60.0 * math.sin(2.0 * math.pi * t), 2.0),
     Scenario("stick", lambda t: 50.0 if t < 0.3 else 10.0, 1.5),
 )
-
-
-def element_of(setup: Setup) -> FrictionElement:
-    """Return the friction of joint 1 as far as MuJoCo can express it."""
-    first = setup.friction.elements[0]
-    return dataclasses.replace(
-        first,
-        tau_c_negative=first.tau_c_positive,
-        tau_s_negative=first.tau_s_positive,
-        delta=2.0,
-        omega_d=math.inf,
-    )
 
 
 def run_plant(setup: Setup, torques: Array, substeps: int = 1) -> States:
@@ -174,7 +158,7 @@ def miss(a: States, b: States) -> tuple[float, float, float]:
 def main() -> int:
     """Run all scenarios and print who is how far from whom."""
     shipped = Setup.load()
-    element, period = element_of(shipped), shipped.rates.period
+    element, period = as_in_mujoco(shipped.friction.elements[0]), shipped.rates.period
     setup = decoupled_setup(shipped, (element,), INERTIA)
     implicit = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     rows = []

@@ -34,7 +34,6 @@ SOURCES = {
     "numba": Source("numba"),
     "numpy": Source("numpy", "python3-numpy"),
     "pinocchio": Source("pin", "ros-jazzy-pinocchio"),
-    "pxr": Source("usd-core"),
     "pyarrow": Source("pyarrow"),
     "rosbags": Source("rosbags"),
     "rich": Source("viser"),

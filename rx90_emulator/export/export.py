@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -17,36 +15,21 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import BagError, ConfigError, check_type, write_error
 from rx90_common.base.quoting import listed, plain, quoted
-from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay_slopes, viscous_torque
+from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay, viscous_torque
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.process.files import hidden_beside
+from rx90_common.process.files import written_beside
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Panel, Plot
 from rx90_emulator.configuration.origins import aligned
-from rx90_emulator.export.fit import POINTS, FrictionFit, fit_friction, speeds_up_to, sum_of
-from rx90_emulator.export.targets import TARGETS, Target
+from rx90_emulator.export.files import creep, files_of
+from rx90_emulator.export.fit import POINTS, TARGETS, FrictionFit, Target, fit_friction, speeds_up_to, sum_of
 from rx90_emulator.loop.setup import Arm
 
 REPORT = "export.yaml"
 """The file beside those of the simulator that says what the export costs."""
 
-Writer = Callable[[Arm, Target, Sequence[FrictionFit]], tuple[Mapping[str, str], Sequence[str]]]
-"""Returns the texts of the files by their names, and what else is lost."""
-
-_WRITERS = {
-    "mujoco": "mjcf:write_mjcf",
-    "mujoco-classic": "mjcf:write_mjcf",
-    "urdf": "descriptions:write_urdf",
-    "sdf": "descriptions:write_sdf",
-    "usd": "usd:write_usd",
-    "isaaclab": "tables:write_isaaclab",
-    "drake": "descriptions:write_drake",
-    "bam": "tables:write_bam",
-    "modelica": "tables:write_modelica",
-}
-"""The module and function that writes the files of each target, by their names, imported when it is asked for."""
-
 _FEWEST = 20  # samples of a bag that say how fast a joint moves
 _WITHIN = 1e-9  # Nm: of a difference that is rounding
+_OF_CURVE = ("tau_c_positive", "tau_s_positive", "omega_s", "delta", "c2", "alpha")
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,20 +130,16 @@ def export_robot(
     if speeds is not None and bag is not None:
         raise ConfigError("speeds from a range and from a bag; accepted: one of both")
     one, turns, fits = TARGETS[target], arm.drives.turning.element_matrix, []
-    used, words = _speeds_in_use(arm, turns if TARGETS[target].coupled else np.eye(turns.shape[1]), speeds, bag)
-    if one.coupled:
-        for name, element, speed in zip(arm.friction.names, arm.friction.elements, used, strict=True):
-            fits.append(fit_friction(one, name, [element], speed))
-    else:
-        for joint, (name, speed) in enumerate(zip(arm.robot.joint_names, used, strict=True)):
-            felt = [each for each, row in zip(arm.friction.elements, turns, strict=True) if row[joint]]
-            fits.append(_with_coupling(fit_friction(one, name, felt, speed), arm, joint))
-    module, _, function = _WRITERS[target].partition(":")
-    writer: Writer = getattr(import_module(f"rx90_emulator.export.{module}"), function)
-    files, remarks = writer(arm, one, fits)
-    # Names of robots and joints may have slashes.
-    files = {re.sub(r"[/\\]", "_", name): text for name, text in files.items()}
-    return Export(one, tuple(fits), files, (*_arm_lost(arm, one), *remarks), words)
+    names, felt = (arm.friction.names, np.eye(len(turns))) if one.coupled else (arm.robot.joint_names, turns)
+    used, words = _speeds_in_use(arm, turns[: len(names)], speeds, bag)
+    for k, (name, speed) in enumerate(zip(names, used, strict=True)):
+        fit = fit_friction(one, name, [arm.friction.elements[e] for e in np.flatnonzero(felt[:, k])], speed)
+        fits.append(fit if one.coupled else _with_coupling(fit, arm, k))
+    files, lost = files_of(arm, one, fits), _arm_lost(arm, one)
+    if target == "mujoco-classic":
+        fastest = max(creep(*files.values(), arm, fits))
+        lost.append(f"rest: under half of its friction a joint creeps by up to {fastest:.2g} rad/s, measured in MuJoCo")
+    return Export(one, tuple(fits), files, tuple(lost), words)
 
 
 def _speeds_in_use(
@@ -221,24 +200,25 @@ def _with_coupling(fit: FrictionFit, arm: Arm, joint: int) -> FrictionFit:
 
 def _arm_lost(arm: Arm, target: Target) -> list[str]:
     """Return what a target does not hold of the drives."""
-    drives, mujoco_arm = arm.drives, target.name.startswith("mujoco")
-    lost = []
-    if target.name in {"bam", "modelica", "isaaclab"}:
-        lost.append("arm: the friction alone is written" + ", with rotor inertias" * (target.name != "modelica"))
+    drives, lost = arm.drives, []
+    if not target.arm:
+        lost.append("arm: the friction alone is written" + ", with rotor inertias" * bool(target.rotors))
     else:
         lost.append("drives: encoders, current loop, brakes; end stops are the simulator's own, at the joint limits")
-        if target.name in {"usd", "drake"}:
+        if target.rotors == "by joint":
             lost.append("rotor of a motor that turns with two joints: its inertia stands in each of them, not between")
-        if drives.spring_torque.any() and not mujoco_arm:
+        if drives.spring_torque.any() and not target.springs:
             lost.append(f"gravity-compensation springs: up to {drives.spring_torque.max():g} Nm")
+        if not target.rotors:
+            largest = drives.rotor_inertia.max()
+            lost.append(f"rotor inertias, for which it has no place: up to {largest:g} kg m^2 at a joint")
     if drives.elasticity.elastic.any():
         lost.append("elasticity and play of the gears: they are rigid")
-    if drives.cogging.used and not (mujoco_arm and target.bristles):
+    if drives.cogging.used and not target.motors:
         lost.append(f"cogging: up to {np.abs(drives.cogging.amplitude).sum(axis=0).max():.3g} Nm of a motor")
     if drives.winding.used:
-        kept = ", but for their temperatures" if mujoco_arm and target.bristles else ""
-        lost.append(f"windings: rise of the resistance and derating{kept}")
-    return lost
+        lost.append(f"windings: rise of the resistance and derating{', but for their temperatures' * target.motors}")
+    return [*lost, target.remark] if target.remark else lost
 
 
 def write_export(export: Export, folder: Path | str) -> None:
@@ -262,14 +242,12 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
         raise ConfigError(f"{plain(folder)} exists; accepted: a new name")
     try:
         folder.absolute().parent.mkdir(parents=True, exist_ok=True)
-        with hidden_beside(folder.absolute()) as hidden:
-            inside = hidden / folder.name
-            inside.mkdir()
-            for name, text in texts.items():
-                (inside / name).write_text(text, encoding="utf-8")
-            inside.replace(folder)
     except OSError as error:
         raise write_error(folder, error) from error
+    with written_beside(folder) as (place,):
+        place.mkdir()
+        for name, text in texts.items():
+            (place / name).write_text(text, encoding="utf-8")
 
 
 def export_plot(export: Export, friction: FrictionFile | None = None) -> Plot:
@@ -302,19 +280,12 @@ def _band(friction: FrictionFile, fit: FrictionFit, speed: Array) -> Array | Non
     Errors of the parameters are taken as independent, which makes the band too wide where they compensate each other.
     """
     found = ((friction.identification or {}).get("parameters") or {}).get(fit.name, {})
-    one = fit.elements[0]
-    decay, by_omega_s, by_delta = stribeck_decay_slopes(speed, one.omega_s, one.delta)
-    rise, viscous = one.tau_s_positive - one.tau_c_positive, one.viscous_torque(speed)
-    slopes = {
-        "tau_c_positive": 1.0 - decay,
-        "tau_s_positive": decay,
-        "omega_s": rise * by_omega_s / one.omega_s,
-        "delta": rise * by_delta / one.delta,
-        "c2": viscous_torque(speed, 1.0, one.alpha),
-        "alpha": viscous * np.log(np.maximum(speed, LINEAR_SPEED)),
-    }
-    intervals = {name: found[name]["interval"] for name in slopes if "interval" in found.get(name, {})}
-    if not intervals:
-        return None
-    halves = [0.5 * (high - low) * slopes[name] for name, (low, high) in intervals.items()]
-    return np.asarray(np.sqrt(np.sum(np.square(halves), axis=0)))
+    here = {name: getattr(fit.elements[0], name) for name in _OF_CURVE}
+
+    def curve(name: str, value: float) -> Array:
+        tau_c, tau_s, omega_s, delta, c2, alpha = (here | {name: value}).values()
+        return tau_c + (tau_s - tau_c) * stribeck_decay(speed, omega_s, delta) + viscous_torque(speed, c2, alpha)
+
+    intervals = {name: found[name]["interval"] for name in _OF_CURVE if "interval" in found.get(name, {})}
+    halves = [0.5 * (curve(name, high) - curve(name, low)) for name, (low, high) in intervals.items()]
+    return np.asarray(np.sqrt(np.sum(np.square(halves), axis=0))) if halves else None

@@ -8,24 +8,25 @@ from __future__ import annotations
 
 import json
 import math
-import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
+import pinocchio as pin
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.description.coupling import Coupling
-from rx90_common.description.robot import RobotModel, load_robot
+from rx90_common.description.robot import MOUNT_LINK, load_robot
 from rx90_common.description.robot_files import FILES
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.friction_file import ALL_ELEMENTS, FrictionFile
 from rx90_common.friction.parts.load import LoadPart
+from rx90_emulator.export.files import render
 from rx90_emulator.identification.output.assumed_files import assumed_files
 from rx90_emulator.identification.output.robot_files import Identified, marked
 
@@ -33,17 +34,19 @@ DEFLECTION = 2.5e-4
 """Assumed deflection at break-away, rad, that gives the c0 of elements without bristles."""
 
 _DAMPING_TIME = 1e-3  # s: c1 over c0, assumed
+_FADING = 1.0  # rad/s: omega_d of elements without bristles, assumed
 _BAM = ("friction_base", "friction_stribeck", "dtheta_stribeck", "alpha", "friction_viscous")
 _BAM_LOAD = tuple(f"load_friction_{of}{at}" for of in ("external", "motor") for at in ("", "_stribeck"))
 _EXACT = {"m1": (_BAM[0], _BAM[4]), "m2": _BAM, "m5": _BAM + _BAM_LOAD}
+_KNOWN = ("c2", "delta", "omega_s", "tau_c", "tau_s")
 _BRISTLES = {
     "c0": f"tau_s over a guessed deflection at break-away, {DEFLECTION:g} rad",
     "c1": f"{_DAMPING_TIME:g} s c0",
-    "omega_d": "1 rad/s, so that the element is passive (Olsson 1996)",
+    "omega_d": f"{_FADING:g} rad/s, so that the element is passive (Olsson 1996)",
 }
 _NONE = 1e-6  # Nm: of a joint without friction, which no element can be
-_OF_MJCF = {"tau_c", "tau_s", "omega_s", "delta", "c2"}
 _PEAK_VELOCITY, _PEAK_EFFORT = math.pi, 1000.0  # rad/s and Nm, assumed: MJCF need not limit them
+_FLANGE_SITES = ("tcp", "attachment_site")  # of rx90_export, and by custom
 
 
 def import_bam(paths: Sequence[Path | str]) -> FrictionFile:
@@ -71,37 +74,37 @@ def import_bam(paths: Sequence[Path | str]) -> FrictionFile:
             raise ConfigError(f"{plain(path)}: {by_motor[0]} is {found[by_motor[0]]:g}; accepted: {accepted}")
         if path.stem in elements:
             raise ConfigError(f"{plain(path)}: a second element {quoted(path.stem)}; accepted: each name once")
-        base, rise = found["friction_base"], found.get("friction_stribeck", 0.0)
-        speed, exponent = found.get("dtheta_stribeck", 1.0), found.get("alpha", 1.0)
-        load = (found[_BAM_LOAD[0]], found[_BAM_LOAD[1]]) if model == "m5" else None
-        elements[path.stem] = _rigid(path, base, base + rise, speed, exponent, found["friction_viscous"], load)
-    known = {"tau_c", "tau_s", "omega_s", "delta", "c2"}
-    return _file(elements, known, listed(plain(path) for path in paths), dict.fromkeys(elements, False))
+        elements[path.stem] = _rigid(
+            path, found["friction_base"], found.get("friction_stribeck", 0.0), found["friction_viscous"],
+            found.get("dtheta_stribeck", 1.0), found.get("alpha", 1.0),
+            (found[_BAM_LOAD[0]], found[_BAM_LOAD[1]]) if model == "m5" else None,
+        )  # fmt: skip
+    return _file(elements, listed(plain(path) for path in paths))
 
 
 def _rigid(
-    path: Path, tau_c: float, tau_s: float, omega_s: float, delta: float, c2: float,
+    path: Path, tau_c: float, rise: float, c2: float, omega_s: float = 1.0, delta: float = 1.0,
     load: tuple[float, float] | None = None,
 ) -> FrictionElement:  # fmt: skip
     """Return an element without bristles; load: share of the load torque, and what comes to it at rest."""
-    c0 = tau_s / DEFLECTION
+    tau_s, c0 = tau_c + rise, (tau_c + rise) / DEFLECTION
     try:
         part = None if load is None else LoadPart(load[0], load[0], load[1], load[1])
         return FrictionElement(
-            tau_c, tau_c, tau_s, tau_s, omega_s, delta, c0, _DAMPING_TIME * c0, c2, omega_d=1.0, load=part
+            tau_c, tau_c, tau_s, tau_s, omega_s, delta, c0, _DAMPING_TIME * c0, c2, omega_d=_FADING, load=part
         )
     except ConfigError as error:
         raise ConfigError(f"{plain(path)}: {error}") from error
 
 
-def _file(
-    elements: dict[str, FrictionElement], known: set[str], source: str, bristles: dict[str, bool]
-) -> FrictionFile:
-    """Return a file whose known parameters are derived, those of elements without bristles otherwise assumed."""
-    about: dict[str, dict[str, Any]] = {ALL_ELEMENTS: {"provenance": dict.fromkeys(sorted(known), "derived")}}
-    for name, has in bristles.items():
-        about[name] = {"provenance": {"c0": "derived", "c1": "derived"}} if has else {"source": dict(_BRISTLES)}
-    return FrictionFile(elements, "assumed", f"imported from {source}; what that does not have is assumed", about=about)
+def _file(elements: Mapping[str, FrictionElement], source: str) -> FrictionFile:
+    """Return a file of elements, in which the bristles of those that had none are assumed."""
+    about: dict[str, dict[str, Any]] = {ALL_ELEMENTS: {"provenance": dict.fromkeys(_KNOWN, "derived")}}
+    for name, one in elements.items():
+        assumed = math.isfinite(one.omega_d)
+        about[name] = {"source": dict(_BRISTLES)} if assumed else {"provenance": {"c0": "derived", "c1": "derived"}}
+    why = f"imported from {source}; what that does not have is assumed"
+    return FrictionFile(dict(elements), "assumed", why, about=about)
 
 
 def import_mjcf_friction(path: Path | str) -> FrictionFile:
@@ -113,155 +116,56 @@ def import_mjcf_friction(path: Path | str) -> FrictionFile:
         ConfigError: if MuJoCo cannot read it, there is no friction in it, or some that is no element: a damping that is
             a polynomial, LuGre behind a site, two friction torques of one joint.
     """
-    path = Path(path)
-    elements, bristles = _friction(path, _model(path))
+    mjcf = _Mjcf(Path(path))
+    elements = mjcf.friction()
     if not elements:
-        raise ConfigError(f"{plain(path)}: no dcmotor with lugre, no frictionloss; accepted: an MJCF with friction")
-    return _file(elements, _OF_MJCF, plain(path), bristles)
-
-
-def _friction(path: Path, model: Any) -> tuple[dict[str, FrictionElement], dict[str, bool]]:
-    """Return the elements by the names of their joints and tendons, and whether each has bristles."""
-    import mujoco
-
-    elements: dict[str, FrictionElement] = {}
-    kinds = {mujoco.mjtTrn.mjTRN_JOINT: model.joint, mujoco.mjtTrn.mjTRN_TENDON: model.tendon}
-    for k in range(len(model.actuator_trntype)):  # more than nu where some have no input
-        c0, c1 = model.actuator_dynprm[k, 5:7].tolist()
-        if model.actuator_biastype[k] != mujoco.mjtBias.mjBIAS_DCMOTOR or c0 <= 0.0:
-            continue
-        kind = mujoco.mjtTrn(model.actuator_trntype[k])
-        name = kinds[kind](model.actuator_trnid[k, 0]).name if kind in kinds else ""
-        if not name or name in elements:
-            what = f"a second lugre on {name}" if name else f"lugre on {kind.name}"
-            raise ConfigError(f"{plain(path)}: {what}; accepted: one for a joint or a tendon")
-        if np.any(model.actuator_dampingpoly[k]):
-            raise ConfigError(f"{plain(path)}: the damping of {name} is a polynomial; accepted: a linear one")
-        tau_c, tau_s, omega_s = model.actuator_biasprm[k, 3:6].tolist()
-        n = abs(float(model.actuator_gear[k, 0]))
-        c2 = n * n * float(model.actuator_damping[k]) + _linear(path, model, name, "damping")
-        elements[name] = FrictionElement(
-            n * tau_c, n * tau_c, n * tau_s, n * tau_s, omega_s / n, 2.0, n * n * c0, n * n * c1, c2
-        )
-    bristles = dict.fromkeys(elements, True)
-    for name in [model.joint(k).name for k in range(model.njnt)] + [model.tendon(k).name for k in range(model.ntendon)]:
-        if (loss := _linear(path, model, name, "frictionloss")) > 0.0:
-            if name in elements:
-                raise ConfigError(f"{plain(path)}: lugre and frictionloss of {name}; accepted: one of both")
-            elements[name] = _rigid(path, loss, loss, 1.0, 1.0, _linear(path, model, name, "damping"))
-            bristles[name] = False
-    return elements, bristles
-
-
-def _linear(path: Path, model: Any, name: str, what: str) -> float:
-    """Return what a joint, or else a tendon, has itself of armature, damping, frictionloss or stiffness."""
-    joints = {model.joint(k).name: k for k in range(model.njnt)}
-    kind, at = ("jnt" if what == "stiffness" else "dof", joints[name]) if name in joints else (
-        "tendon", model.tendon(name).id)  # fmt: skip
-    at = model.jnt_dofadr[at] if kind == "dof" else at
-    if np.any(getattr(model, f"{kind}_{what}poly", [[0.0]] * (at + 1))[at]):
-        raise ConfigError(f"{plain(path)}: the {what} of {name} is a polynomial; accepted: a linear one")
-    return float(getattr(model, f"{kind}_{what}")[at])
-
-
-def _model(path: Path) -> Any:
-    import mujoco
-
-    try:
-        return mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"{plain(path)}: MuJoCo cannot read it ({reason}); accepted: an MJCF") from error
+        mjcf.refuse("no dcmotor with lugre, no frictionloss", "an MJCF with friction")
+    return _file(elements, plain(path))
 
 
 def import_arm(path: Path | str) -> dict[str, str]:
     """Return the texts of a robot folder for an MJCF arm by the files' names: URDF, drives, friction, controller.
 
-    Hinges become joints; a slide, such as that of a finger, stays where it is at the start. Shapes are left out. A
-    fixed tendon with an actuator is a motor that turns with several joints. Armatures are rotors; what else drives and
+    Hinges become joints; a slide, such as that of a finger, stays where it is at the start. Shapes are left out, and
+    need not be there where bodies have inertias of their own. A fixed tendon with an actuator is a motor that turns
+    with several joints. Armatures are rotors; a site tcp or attachment_site is the flange. What else drives and
     controller need is assumed in proportion to the arm. A joint without friction gets next to none.
 
     Raises:
         ConfigError: if MuJoCo cannot read it, it is no arm of 1 to 7 hinges in series, or has a spring or a tendon that
             no robot folder holds.
     """
-    import mujoco
-
-    path, model = Path(path), _model(Path(path))
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    robot = ET.Element("robot", name=path.stem)
-    remark = f" From {path.name}, read by MuJoCo. Velocities of {_PEAK_VELOCITY:.3f} rad/s are ASSUMED, and "
-    remark += f"efforts of {_PEAK_EFFORT:g} Nm where nothing limits them. "
-    robot.append(ET.Comment(remark + f"Armatures are no part of it: they stand in {FILES['drives']}. "))
-    names = ["base_link", *(model.body(b).name or f"body_{b}" for b in range(1, model.nbody))]
-    origins, turns = np.zeros((model.nbody, 3)), np.zeros((model.nbody, 3, 3))
-    turns[0] = np.eye(3)
-    for b, name in enumerate(names):
-        link = ET.SubElement(robot, "link", name=name)
-        if b == 0:
-            continue
-        joints = range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])
-        hinges = [j for j in joints if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
-        slides = [j for j in joints if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE]
-        if len(hinges) > 1 or len(hinges) + len(slides) < len(joints):
-            raise ConfigError(f"{plain(path)}: body {quoted(name)} turns in several ways; accepted: one hinge, slides")
-        turns[b] = data.xmat[b].reshape(3, 3)
-        # A link's frame is that of its joint.
-        origins[b] = data.xanchor[hinges[0]] if hinges else data.xpos[b]
-        parent = model.body_parentid[b]
-        _add_joint(robot, model, names, b, hinges, turns[parent].T @ (origins[b] - origins[parent]),
-                   turns[parent].T @ turns[b])  # fmt: skip
-        if model.body_mass[b] > 0.0:
-            axes = np.empty(9)
-            mujoco.mju_quat2Mat(axes, model.body_iquat[b])
-            tensor = axes.reshape(3, 3) @ np.diag(model.body_inertia[b]) @ axes.reshape(3, 3).T
-            inertial = ET.SubElement(link, "inertial")
-            center = turns[b].T @ (data.xpos[b] - origins[b]) + model.body_ipos[b]
-            ET.SubElement(inertial, "origin", xyz=_text(center))
-            ET.SubElement(inertial, "mass", value=repr(float(model.body_mass[b])))
-            upper = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-            ET.SubElement(inertial, "inertia", {key: repr(float(tensor[at])) for key, at in upper.items()})
-    ET.indent(robot)
-    texts = {FILES["urdf"]: ET.tostring(robot, encoding="unicode") + "\n"}
-    return texts | _drives_and_friction(path, model, _robot_of(path, texts[FILES["urdf"]]))
-
-
-def _robot_of(path: Path, urdf: str) -> RobotModel:
-    """Return the arm of a URDF that was made of an MJCF."""
+    path = Path(path)
+    mjcf = _Mjcf(path)
+    urdf = render("urdf.xml", name=path.stem, file=path.name, links=mjcf.links(), velocity=_PEAK_VELOCITY,
+                  effort=_PEAK_EFFORT, drives=FILES["drives"])  # fmt: skip
     with TemporaryDirectory() as folder:
         file = Path(folder) / FILES["urdf"]
         file.write_text(urdf, encoding="utf-8")
         try:
-            return load_robot(file)
+            robot = load_robot(file)
         except ConfigError as error:
             raise ConfigError(str(error).replace(str(file), plain(path))) from error
-
-
-def _drives_and_friction(path: Path, model: Any, robot: RobotModel) -> dict[str, str]:
-    """Return the texts of the other files by their names."""
     names = robot.joint_names
-    springs = _springs(path, model, names)
-    turns, tendons = _turns(path, model, names)
+    springs = mjcf.springs(names)
+    turns, tendons = mjcf.turns(names)
     try:
         turning = Coupling(turns)
     except ConfigError as error:
         raise ConfigError(f"{plain(path)}: its tendons: {error}") from error
     motors = [tendons.get(i, name) for i, name in enumerate(names)]
-    lost = [name for i, name in enumerate(names) if i in tendons and _linear(path, model, name, "armature")]
+    lost = [name for i, name in enumerate(names) if i in tendons and mjcf.own(name, "armature")]
     if lost:
-        raise ConfigError(f"{plain(path)}: armature of {lost[0]}, whose motor turns with others, too; accepted: 0")
-    rotors = np.array([_linear(path, model, name, "armature") for name in motors])
-    elements, bristles = _friction(path, model)
+        mjcf.refuse(f"armature of {lost[0]}, whose motor turns with others, too", "0")
+    rotors = np.array([mjcf.own(name, "armature") for name in motors])
+    found = mjcf.friction()
     sources = dict(zip(turning.element_names(names), (*names, *(motors[i] for i in turning.sums)), strict=True))
-    if left := sorted(elements.keys() - set(sources.values()) - _fixed(model)):
-        raise ConfigError(f"{plain(path)}: friction of {left[0]}; accepted: of {listed(sources.values())}")
-    for source in sources.values():
-        if source not in elements:
-            elements[source] = _rigid(path, _NONE, _NONE, 1.0, 1.0, _linear(path, model, source, "damping"))
-            bristles[source] = False
-    friction = _file({name: elements[source] for name, source in sources.items()}, _OF_MJCF, plain(path),
-                     {name: bristles[source] for name, source in sources.items()})  # fmt: skip
+    if left := sorted(found.keys() - set(sources.values()) - mjcf.slides):
+        mjcf.refuse(f"friction of {left[0]}", f"of {listed(sources.values())}")
+    elements = {
+        name: found[source] if source in found else _rigid(path, _NONE, 0.0, mjcf.own(source, "damping"))
+        for name, source in sources.items()
+    }
     drives, controller = assumed_files(robot, robot.model, turning, rotors, {})
     about = {
         key: Identified(value, "derived", f"armatures and tendons of {path.name}")
@@ -269,114 +173,196 @@ def _drives_and_friction(path: Path, model: Any, robot: RobotModel) -> dict[str,
     }
     drives["transmission"] = marked(drives["transmission"], about)
     drives["spring"] = marked(drives["spring"], {"torque": Identified(springs, "derived", f"springs of {path.name}")})
+    head = "# {} for the arm of {}, which says little of it: ASSUMED where it is marked so. SI units.\n"
     return {
-        FILES["drives"]: _head("Drives", path) + yaml_text(drives),
-        FILES["friction"]: friction.text(),
-        FILES["controller"]: _head("Controller", path) + yaml_text(controller),
+        FILES["urdf"]: urdf,
+        FILES["drives"]: head.format("Drives", path.name) + yaml_text(drives),
+        FILES["friction"]: _file(elements, plain(path)).text(),
+        FILES["controller"]: head.format("Controller", path.name) + yaml_text(controller),
     }
 
 
-def _springs(path: Path, model: Any, names: Sequence[str]) -> list[float]:
-    """Return k of the torques -k sin(q) that all springs together are, Nm, by the joints."""
-    import mujoco
+class _Mjcf:
+    """An MJCF as MuJoCo reads it.
 
-    data = mujoco.MjData(model)
-    at = [model.joint(name).qposadr[0] for name in names]
-    dof = [model.joint(name).dofadr[0] for name in names]
-
-    def torque(q: Array) -> Array:
-        data.qpos[at] = q
-        mujoco.mj_forward(model, data)
-        return np.asarray(data.qfrc_spring[dof])
-
-    k = 0.0 - torque(np.full(len(names), 0.5 * math.pi))
-    k[np.abs(k) < 1e-9] = 0.0
-    for q in np.random.default_rng(0).uniform(-2.0, 2.0, (8, len(names))):
-        off = np.abs(torque(q) + k * np.sin(q))
-        if (off > 1e-4 * max(1.0, float(np.abs(k).max()))).any() or (k < 0.0).any():
-            worst = names[int(np.argmax(off))]
-            raise ConfigError(f"{plain(path)}: the springs of {worst}; accepted: torques of -k sin(q), k >= 0")
-    if model.body_gravcomp.any() or model.opt.gravity.tolist() != [0.0, 0.0, -9.81]:
-        raise ConfigError(
-            f"{plain(path)}: gravity {model.opt.gravity.tolist()}, or gravcomp; accepted: 0 0 -9.81, none"
-        )
-    return [float(each) for each in k]
-
-
-def _head(what: str, path: Path) -> str:
-    return f"# {what} for the arm of {path.name}, which says little of it: ASSUMED where it is marked so. SI units.\n"
-
-
-def _fixed(model: Any) -> set[str]:
-    """Return the names of joints that stay where they are."""
-    import mujoco
-
-    return {model.joint(j).name for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE}
-
-
-def _turns(path: Path, model: Any, names: Sequence[str]) -> tuple[Array, dict[int, str]]:
-    """Return turns of motors for those of joints, shape (n, n), and the tendons of those that turn with several."""
-    import mujoco
-
-    turns, tendons = np.eye(len(names)), {}
-    driven = model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON, 0]
-    for t in dict.fromkeys(driven.tolist()):
-        name, row = model.tendon(t).name, np.zeros(len(names))
-        wraps = range(model.tendon_adr[t], model.tendon_adr[t] + model.tendon_num[t])
-        joints = [model.joint(model.wrap_objid[w]).name if model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT else None
-                  for w in wraps]  # fmt: skip
-        if set(joints) <= _fixed(model):  # of a gripper
-            continue
-        for w, joint in zip(wraps, joints, strict=True):
-            if joint in names:
-                row[names.index(joint)] = model.wrap_prm[w]
-        own = [i for i in np.flatnonzero(row)[::-1].tolist() if i not in tendons]
-        if not own or np.count_nonzero(row) != len(joints) or len(joints) < 2:
-            raise ConfigError(f"{plain(path)}: tendon {quoted(name)}; accepted: fixed, of several of {listed(names)}")
-        tendons[own[0]] = name
-        turns[own[0]] = row
-    return turns, tendons
-
-
-def _add_joint(
-    robot: ET.Element, model: Any, names: Sequence[str], b: int, hinges: Sequence[int], at: Array, turn: Array
-) -> None:
-    """Add the joint above a body, revolute with its limits where it has a hinge."""
-    import pinocchio as pin
-
-    name = model.joint(hinges[0]).name if hinges else f"{names[b]}_fixed"
-    joint = ET.SubElement(robot, "joint", name=name, type="revolute" if hinges else "fixed")
-    ET.SubElement(joint, "origin", xyz=_text(at), rpy=_text(pin.rpy.matrixToRpy(turn)))
-    ET.SubElement(joint, "parent", link=names[model.body_parentid[b]])
-    ET.SubElement(joint, "child", link=names[b])
-    if hinges:
-        j = hinges[0]
-        low, high = model.jnt_range[j] if model.jnt_limited[j] else (-2.0 * math.pi, 2.0 * math.pi)
-        effort = model.jnt_actfrcrange[j, 1] if model.jnt_actfrclimited[j] else _peak(model, j)
-        ET.SubElement(joint, "axis", xyz=_text(model.jnt_axis[j]))
-        numbers = {"lower": low, "upper": high, "velocity": _PEAK_VELOCITY, "effort": effort}
-        ET.SubElement(joint, "limit", {key: repr(float(value)) for key, value in numbers.items()})
-
-
-def _peak(model: Any, joint: int) -> float:
-    """Return the most that the actuators of a joint give by their ranges of force, or as motors of control, Nm.
-
-    Where they have none it is _PEAK_EFFORT, which the URDF says.
+    Raises:
+        ConfigError: if MuJoCo cannot read it.
     """
-    import mujoco
 
-    most = 0.0
-    for k in range(len(model.actuator_trntype)):
-        if (model.actuator_trntype[k], model.actuator_trnid[k, 0]) != (mujoco.mjtTrn.mjTRN_JOINT, joint):
-            continue
-        one, is_motor = model.actuator(k), model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE
-        gear = abs(float(model.actuator_gear[k, 0]))
-        if model.actuator_forcelimited[k]:
-            most += gear * float(model.actuator_forcerange[k, 1])
-        elif is_motor and one.ctrllimited[0]:
-            most += gear * float(model.actuator_gainprm[k, 0] * one.ctrlrange[1])
-    return most or _PEAK_EFFORT
+    def __init__(self, path: Path) -> None:
+        import mujoco
 
+        self._path, self._mujoco = path, mujoco
+        try:
+            spec = mujoco.MjSpec.from_file(str(path))
+            self._drop_shapes(spec)
+            for kind, things in (("body", spec.bodies[1:]), ("joint", spec.joints), ("tendon", spec.tendons)):
+                for k, one in enumerate(things):
+                    one.name = one.name or f"{kind}_{k + 1}"
+            self._model = spec.compile()
+        except ValueError as error:
+            raise ConfigError(
+                f"{plain(path)}: MuJoCo cannot read it ({' '.join(str(error).split())}); accepted: an MJCF"
+            ) from error
+        model = self._model
+        self._joints = {model.joint(j).name: j for j in range(model.njnt)}
+        kinds = {name: model.jnt_type[j] for name, j in self._joints.items()}
+        self.slides = {name for name, kind in kinds.items() if kind == mujoco.mjtJoint.mjJNT_SLIDE}
 
-def _text(values: Array) -> str:
-    return " ".join(repr(float(value)) for value in values)
+    def _drop_shapes(self, spec: Any) -> None:
+        """Delete what says nothing of the dynamics, but may name files that are not there."""
+        by_shape = spec.compiler.inertiafromgeom == self._mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+        for shape in spec.geoms:
+            if not by_shape and (shape.parent.explicitinertial or shape.parent == spec.worldbody):
+                spec.delete(shape)
+            else:
+                shape.material = ""
+        needed = {shape.meshname for shape in spec.geoms}
+        meshes = [one for one in spec.meshes if (one.name or Path(one.file).stem) not in needed]
+        for one in [*spec.sensors, *spec.pairs, *spec.skins, *spec.materials, *spec.textures, *meshes]:
+            spec.delete(one)
+
+    def refuse(self, what: str, accepted: str) -> NoReturn:
+        """Raise a ConfigError."""
+        raise ConfigError(f"{plain(self._path)}: {what}; accepted: {accepted}")
+
+    def own(self, name: str, what: str) -> float:
+        """Return what a joint, or else a tendon, has itself of armature, damping or frictionloss."""
+        model, joint = self._model, self._joints.get(name)
+        kind, at = ("tendon", model.tendon(name).id) if joint is None else ("dof", model.jnt_dofadr[joint])
+        if what == "damping" and np.any(getattr(model, f"{kind}_dampingpoly")[at]):
+            self.refuse(f"the damping of {name} is a polynomial", "a linear one")
+        return float(getattr(model, f"{kind}_{what}")[at])
+
+    def friction(self) -> dict[str, FrictionElement]:
+        """Return the elements by the names of their joints and tendons."""
+        model, of = self._model, self._mujoco.mjtTrn
+        elements: dict[str, FrictionElement] = {}
+        for k in range(len(model.actuator_trntype)):  # more than nu where some have no input
+            c0, c1 = model.actuator_dynprm[k, 5:7].tolist()
+            if model.actuator_biastype[k] != self._mujoco.mjtBias.mjBIAS_DCMOTOR or c0 <= 0.0:
+                continue
+            kind = of(model.actuator_trntype[k])
+            if kind not in {of.mjTRN_JOINT, of.mjTRN_TENDON}:
+                self.refuse(f"lugre on {kind.name}", "one for a joint or a tendon")
+            name = (model.joint if kind == of.mjTRN_JOINT else model.tendon)(model.actuator_trnid[k, 0]).name
+            if name in elements:
+                self.refuse(f"a second lugre on {name}", "one for a joint or a tendon")
+            if np.any(model.actuator_dampingpoly[k]):
+                self.refuse(f"the damping of {name} is a polynomial", "a linear one")
+            tau_c, tau_s, omega_s = model.actuator_biasprm[k, 3:6].tolist()
+            n = abs(float(model.actuator_gear[k, 0]))
+            c2 = n * n * float(model.actuator_damping[k]) + self.own(name, "damping")
+            elements[name] = FrictionElement(
+                n * tau_c, n * tau_c, n * tau_s, n * tau_s, omega_s / n, 2.0, n * n * c0, n * n * c1, c2
+            )
+        for name in [*self._joints, *(model.tendon(k).name for k in range(model.ntendon))]:
+            if (loss := self.own(name, "frictionloss")) > 0.0:
+                if name in elements:
+                    self.refuse(f"lugre and frictionloss of {name}", "one of both")
+                elements[name] = _rigid(self._path, loss, 0.0, self.own(name, "damping"))
+        return elements
+
+    def links(self) -> list[dict[str, Any]]:
+        """Return the links of a URDF, from the base on, each in the frame of the joint above it."""
+        model, mujoco = self._model, self._mujoco
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        names = [model.body(b).name for b in range(model.nbody)]
+        names[0] = "world" if "base_link" in names else "base_link"
+        frames = [pin.SE3.Identity()]
+        links: list[dict[str, Any]] = [{"name": names[0], "mass": 0.0, "parent": ""}]
+
+        def add(name: str, parent: int, turn: Array, position: Array, **more: Any) -> None:
+            frames.append(pin.SE3(turn.reshape(3, 3), position.copy()))
+            place = frames[parent].actInv(frames[-1])
+            link = {"name": name, "mass": 0.0, "joint": "", "parent": names[parent], "position": place.translation}
+            links.append(link | {"rpy": pin.rpy.matrixToRpy(place.rotation)} | more)
+
+        for b in range(1, model.nbody):
+            joints = range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])
+            hinges = [j for j in joints if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
+            if len(hinges) > 1 or any(j not in hinges and model.joint(j).name not in self.slides for j in joints):
+                self.refuse(f"body {quoted(names[b])} turns in several ways", "one hinge, slides")
+            position = data.xanchor[hinges[0]] if hinges else data.xpos[b]
+            axes = np.empty(9)
+            mujoco.mju_quat2Mat(axes, model.body_iquat[b])
+            body = {
+                "mass": float(model.body_mass[b]),
+                "center": data.xmat[b].reshape(3, 3).T @ (data.xpos[b] - position) + model.body_ipos[b],
+                "inertia": axes.reshape(3, 3) @ np.diag(model.body_inertia[b]) @ axes.reshape(3, 3).T,
+            }
+            add(names[b], model.body_parentid[b], data.xmat[b], position, **body, **self._hinge(hinges))
+        flanges = [site for site in map(model.site, range(model.nsite)) if site.name in _FLANGE_SITES]
+        if flanges and MOUNT_LINK not in names:
+            one = data.site(flanges[0].name)
+            add(MOUNT_LINK, flanges[0].bodyid[0], one.xmat, one.xpos)
+        return links
+
+    def _hinge(self, hinges: Sequence[int]) -> dict[str, Any]:
+        """Return name, axis, range and effort of a hinge, if there is one.
+
+        The last is the most that its actuators give by their ranges of force, or as motors of control, Nm; where they
+        have none it is _PEAK_EFFORT, which the URDF says.
+        """
+        model, mujoco, effort = self._model, self._mujoco, 0.0
+        if not hinges:
+            return {}
+        (j,) = hinges
+        for k in range(len(model.actuator_trntype)):
+            if (model.actuator_trntype[k], model.actuator_trnid[k, 0]) != (mujoco.mjtTrn.mjTRN_JOINT, j):
+                continue
+            gear = abs(float(model.actuator_gear[k, 0]))
+            if model.actuator_forcelimited[k]:
+                effort += gear * float(model.actuator_forcerange[k, 1])
+            elif model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE and model.actuator(k).ctrllimited[0]:
+                effort += gear * float(model.actuator_gainprm[k, 0] * model.actuator(k).ctrlrange[1])
+        if model.jnt_actfrclimited[j]:
+            effort = float(model.jnt_actfrcrange[j, 1])
+        limits = model.jnt_range[j] if model.jnt_limited[j] else (-2.0 * math.pi, 2.0 * math.pi)
+        return {"joint": model.joint(j).name, "axis": model.jnt_axis[j], "effort": effort or _PEAK_EFFORT,
+                "limits": limits}  # fmt: skip
+
+    def springs(self, names: Sequence[str]) -> list[float]:
+        """Return k of the torques -k sin(q) that all springs together are, Nm, by the joints."""
+        model = self._model
+        data = self._mujoco.MjData(model)
+        at, dof = (getattr(model, key)[[self._joints[name] for name in names]] for key in ("jnt_qposadr", "jnt_dofadr"))
+
+        def torque(q: Array) -> Array:
+            data.qpos[at] = q
+            self._mujoco.mj_forward(model, data)
+            return np.asarray(data.qfrc_spring[dof])
+
+        k = 0.0 - torque(np.full(len(names), 0.5 * math.pi))
+        k[np.abs(k) < 1e-9] = 0.0
+        for q in np.random.default_rng(0).uniform(-2.0, 2.0, (8, len(names))):
+            off = np.abs(torque(q) + k * np.sin(q))
+            if (off > 1e-4 * max(1.0, float(np.abs(k).max()))).any() or (k < 0.0).any():
+                self.refuse(f"the springs of {names[int(np.argmax(off))]}", "torques of -k sin(q), k >= 0")
+        if model.body_gravcomp.any() or model.opt.gravity.tolist() != [0.0, 0.0, -9.81]:
+            self.refuse(f"gravity {model.opt.gravity.tolist()}, or gravcomp", "0 0 -9.81, none")
+        return k.tolist()
+
+    def turns(self, names: Sequence[str]) -> tuple[Array, dict[int, str]]:
+        """Return motor turns for joint turns, shape (n, n), and the tendons of motors with several by their numbers."""
+        model, mujoco, turns = self._model, self._mujoco, np.eye(len(names))
+        tendons: dict[int, str] = {}
+        driven = model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON, 0]
+        for t in dict.fromkeys(driven.tolist()):
+            name, wraps = model.tendon(t).name, slice(model.tendon_adr[t], model.tendon_adr[t] + model.tendon_num[t])
+            kinds, ids = model.wrap_type[wraps], model.wrap_objid[wraps]
+            joints = [
+                model.joint(j).name if kind == mujoco.mjtWrap.mjWRAP_JOINT else ""
+                for kind, j in zip(kinds, ids, strict=True)
+            ]
+            if self.slides.issuperset(joints):  # of a gripper
+                continue
+            shares = dict(zip(joints, model.wrap_prm[wraps].tolist(), strict=True))
+            row = np.array([shares.get(joint, 0.0) for joint in names])
+            own = [i for i in np.flatnonzero(row)[::-1].tolist() if i not in tendons]
+            if not own or np.count_nonzero(row) != len(joints) or len(joints) < 2:
+                self.refuse(f"tendon {quoted(name)}", f"fixed, of several of {listed(names)}")
+            tendons[own[0]] = name
+            turns[own[0]] = row
+        return turns, tendons

@@ -21,7 +21,7 @@ def test_mujoco_converges_to_the_plant(shipped: Setup, scenario: bench.Scenario)
     MuJoCo's scheme is of first order, so halving its step halves its distance from the common solution; the
     plant step stays at one step in a tick, and what it misses itself is far below.
     """
-    element, period = bench.element_of(shipped), shipped.rates.period
+    element, period = bench.as_in_mujoco(shipped.friction.elements[0]), shipped.rates.period
     torques = scenario.torques(period)
     ours = bench.run_plant(decoupled_setup(shipped, (element,), bench.INERTIA), torques)
     coarse = np.array(bench.miss(ours, bench.run_mujoco(element, period, torques)))
@@ -34,7 +34,7 @@ def test_mujoco_converges_to_the_plant(shipped: Setup, scenario: bench.Scenario)
 
 def test_the_scenarios_are_what_they_are_called(shipped: Setup) -> None:
     """Sliding leaves the bristles behind, presliding stays on them, reversal turns, stick comes to rest."""
-    element, period = bench.element_of(shipped), shipped.rates.period
+    element, period = bench.as_in_mujoco(shipped.friction.elements[0]), shipped.rates.period
     setup = decoupled_setup(shipped, (element,), bench.INERTIA)
     runs = {s.name: bench.run_plant(setup, s.torques(period)) for s in bench.SCENARIOS}
     deflection = element.tau_s_positive / element.c0

@@ -32,7 +32,7 @@ CALLS = {
     "rx90_correct": (["learn", "robots/rx90b/task.yaml", "--output", "out.yaml"], "numba scipy"),
     "rx90_demo": ([], "numba bokeh"),
     "rx90_experiment": (["plan"], "numba rosbags"),
-    "rx90_export": (["mujoco", "--output", "out"], "numba scipy mujoco"),
+    "rx90_export": (["mujoco-classic", "--output", "out"], "numba scipy mujoco"),
     "rx90_identify": (["bag", "--output", "out.yaml"], "numba scipy"),
     "rx90_import": (["arm.xml", "--output", "robot"], "numba mujoco"),
     "rx90_line": (["--from-file", "robots/rx90b/task.yaml"], "yaml numba"),

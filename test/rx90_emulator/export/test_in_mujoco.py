@@ -18,7 +18,6 @@ from rx90_common.description.coupling import to_motor_torque
 from rx90_common.description.drives import Cogging, Windings
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.export.export import export_robot
-from rx90_emulator.export.mjcf import arm_spec
 from rx90_emulator.loop.setup import Setup, load_setup
 
 START = np.array([0.3, 0.5, 1.0, -0.4, 0.6, 0.2])
@@ -43,7 +42,7 @@ def holdable(setup: Setup) -> Setup:
 def torques(setup: Setup, scenario: str) -> Array:
     """Return motor torques about those that hold the arm at START, shape (TICKS, 6)."""
     time = np.arange(TICKS)[:, None] * setup.rates.period
-    model = arm_spec(setup).compile()
+    model = mujoco.MjModel.from_xml_string(*export_robot(setup, "mujoco").files.values())
     data = mujoco.MjData(model)
     data.qpos[:] = START
     mujoco.mj_forward(model, data)

@@ -1,0 +1,214 @@
+"""The files of each target: an arm's links and motors and its friction, filled into the templates of this folder."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from functools import cache
+from pprint import pformat
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.rates import Rates
+from rx90_common.friction.curves import LINEAR_SPEED
+from rx90_common.friction.element import FRICTION_UNITS
+from rx90_emulator.export.fit import BAM_ACTUATOR, FrictionFit, Target
+from rx90_emulator.loop.setup import Arm, Setup
+
+SOLIMP = (0.999, 0.999, 0.001, 0.5, 2.0)
+"""Of MuJoCo's friction constraint: with its default, 0.9 0.95, joints creep a hundred times as fast."""
+SOLREF_STEPS = 2.0
+"""Time constant of that constraint in steps, the shortest that MuJoCo takes as it is."""
+
+_SPRING_ARM, _SPRING_ANCHOR = 0.1, 0.3  # m; any two lengths give the same torque
+_CREEP_TIME = 0.5  # s
+_DRAKE = "http://drake.mit.edu"
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("rx90_emulator.export"), autoescape=select_autoescape(("xml",)), undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+    )  # fmt: skip
+    environment.filters |= {"numbers": numbers, "quoted": json.dumps, "word": _word, "python": _python}
+    environment.filters |= {"modelica": _identifier, "pattern": re.escape, "degrees": math.degrees, "turn": _quaternion}
+    environment.filters |= {"per_degree": math.radians}
+    return environment
+
+
+def render(template: str, **values: object) -> str:
+    """Return a template of this folder with these values; in those that end with .xml, text is escaped."""
+    text = _environment().get_template(template).render(values)
+    parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
+    return _indented(ET.fromstring(text, parser)) if template.endswith(".xml") else text
+
+
+def _indented(root: ET.Element) -> str:
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def numbers(values: Any, between: str = " ") -> str:
+    """Return a number, or an array of them, with all digits, and none as -0.0."""
+    return between.join(map(repr, (np.ravel(values) + 0.0).tolist()))
+
+
+def _python(value: object) -> str:
+    """Return numbers and containers of them in Python, with all digits."""
+    return pformat(value, width=100, sort_dicts=False)
+
+
+def _word(name: str) -> str:
+    """Return a name as an identifier of letters without accents, digits and underscores."""
+    word = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return f"_{word}" if word[:1].isdigit() else word
+
+
+def _identifier(name: str) -> str:
+    """Return a name for Modelica, which takes any character between quotes, with a backslash for quotes and itself."""
+    return name if _word(name) == name else "'" + re.sub(r"([\\'])", r"\\\1", name) + "'"
+
+
+def files_of(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> dict[str, str]:
+    """Return the texts of a target's files by their names.
+
+    Args:
+        arm: the robot and its drives.
+        target: the simulator.
+        fits: the friction of each element, or of each joint where the target has no others.
+    """
+    name, links = str(arm.robot.model.name), _links(arm)
+    rows = [_place(arm, row) for row in arm.drives.turning.turns]
+    values = {
+        "name": name, "target": target, "arm": arm, "robot": arm.robot, "drives": arm.drives, "fits": fits,
+        "links": links, "fixed": [one for one in arm.robot.placements if one.name not in arm.robot.joint_names],
+        "base": _body(arm.robot.model.inertias[0]) | {"name": arm.robot.placements[0].parent},
+        "tcp": arm.robot.model.frames[arm.robot.model.getFrameId(arm.robot.tcp_frame, pin.BODY)].placement,
+        "rotors": arm.drives.rotor_inertia @ arm.drives.turning.turns**2,
+        "efforts": np.abs(arm.drives.turning.turns).T @ np.abs(arm.drives.gear * arm.drives.peak_torque),
+        "motors": rows, "armature": dict(zip(rows, arm.drives.rotor_inertia, strict=True)),
+        "elements": [_place(arm, row) for row in arm.drives.turning.element_matrix],
+        "element_turns": dict(zip(arm.friction.names, arm.drives.turning.element_matrix, strict=True)),
+        "period": _period(arm), "solimp": SOLIMP, "solref": (SOLREF_STEPS * _period(arm), 1.0),
+        "parameters": {fit.name: {key: getattr(fit.elements[0], key) for key in FRICTION_UNITS} for fit in fits},
+        "linear_speed": LINEAR_SPEED, "actuator": BAM_ACTUATOR, "pi": math.pi,
+    }  # fmt: skip
+    texts = {}
+    for file, template in target.files.items():
+        for fit in fits if "{element}" in file else fits[:1]:
+            text = render(template, **values, fit=fit) if template else _urdf(arm, target, fits)
+            # Names of robots and joints may have slashes.
+            place = re.sub(r"[/\\]", "_", file.format(name=name, word=_word(name), element=fit.name))
+            texts[place] = text
+    return texts
+
+
+def _period(arm: Arm) -> float:
+    return (arm.rates if isinstance(arm, Setup) else Rates()).period
+
+
+def _place(arm: Arm, row: Array) -> tuple[str, str]:
+    """Return whether a motor or element turns with a "joint" or, with several, a "tendon", and the name of that."""
+    if np.count_nonzero(row) == 1:
+        return "joint", arm.robot.joint_names[int(np.argmax(row))]
+    matches = (arm.drives.turning.element_matrix == row).all(axis=1)
+    return "tendon", arm.friction.names[int(np.argmax(matches))]
+
+
+def _body(inertia: pin.Inertia) -> dict[str, Any]:
+    """Return mass, centre of mass, inertia about it in the link's axes, and its principal moments and axes."""
+    moments, axes = np.linalg.eigh(inertia.inertia)
+    axes[:, 2] *= np.linalg.det(axes)
+    return {
+        "mass": inertia.mass, "center": inertia.lever, "inertia": inertia.inertia, "moments": moments,
+        "axes": _quaternion(axes),
+    }  # fmt: skip
+
+
+def _quaternion(turn: Array) -> list[float]:
+    """Return w, x, y, z of a rotation matrix."""
+    x, y, z, w = pin.Quaternion(turn).coeffs().tolist()
+    return [w, x, y, z]
+
+
+def _links(arm: Arm) -> list[dict[str, Any]]:
+    """Return the links from base to tip, each with its joint and what is fixed to it, in the frame of the joint."""
+    robot, springs = arm.robot, arm.drives.spring_torque
+    children, data, links = {one.name: one.child for one in robot.placements}, robot.model.createData(), []
+    pin.forwardKinematics(robot.model, data, np.zeros(robot.model.nq))
+    for k, joint in enumerate(robot.joint_names):
+        number = robot.model.getJointId(joint)
+        place, world = robot.model.jointPlacements[number], data.oMi[number]
+        axis = world.rotation.T @ robot.chain.axis[k]
+        # Of the spring: a tendon of no free length between a point of the link and one above the joint is -k sin(q).
+        side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        side /= np.linalg.norm(side)
+        z_to_axis = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
+        links.append(_body(robot.model.inertias[number]) | {
+            "name": children[joint], "joint": joint, "axis": axis,
+            "position": place.translation, "turn": _quaternion(place.rotation),
+            "rpy": pin.rpy.matrixToRpy(place.rotation),
+            "world_position": world.translation, "world_turn": _quaternion(world.rotation),
+            "axis_turn": _quaternion(z_to_axis), "axis_turn_above": _quaternion(place.rotation @ z_to_axis),
+            "spring": springs[k] / (_SPRING_ARM * _SPRING_ANCHOR), "spring_arm": _SPRING_ARM * side,
+            "spring_anchor": place.translation + _SPRING_ANCHOR * place.rotation @ side,
+        })  # fmt: skip
+    return links
+
+
+def _urdf(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> str:
+    """Return the robot's URDF with its tool, and friction and damping of its joints, or, for Drake, with its rotors.
+
+    Drake's reader takes the damping of a joint and leaves dry friction out, so its URDF has neither.
+    """
+    root, drives = ET.fromstring(arm.robot.urdf), arm.drives
+    ET.register_namespace("drake", _DRAKE)
+    joints = {one.get("name"): one for one in root.findall("joint")}
+    for i, name in enumerate(arm.robot.joint_names):
+        for old in joints[name].findall("dynamics"):
+            joints[name].remove(old)
+        if not target.everything:
+            law = fits[i].law
+            ET.SubElement(joints[name], "dynamics", damping=numbers(law.viscous[0]), friction=numbers(law.tau_c))
+            continue
+        # As large as Drake squares it with the gear; where a motor turns with two joints, it stands in both.
+        gear, turning = drives.gear[i], drives.rotor_inertia @ drives.turning.turns[:, i] ** 2
+        transmission = ET.SubElement(root, "transmission", name=f"transmission_{i + 1}")
+        ET.SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
+        ET.SubElement(transmission, "joint", name=name)
+        actuator = ET.SubElement(transmission, "actuator", name=f"motor_{i + 1}")
+        ET.SubElement(actuator, f"{{{_DRAKE}}}gear_ratio", value=numbers(gear))
+        ET.SubElement(actuator, f"{{{_DRAKE}}}rotor_inertia", value=numbers(turning / gear**2))
+    return _indented(root)
+
+
+def creep(text: str, arm: Arm, fits: Sequence[FrictionFit]) -> list[float]:
+    """Return how fast each joint creeps under half of the friction that holds it, rad/s: measured in MuJoCo.
+
+    Args:
+        text: MJCF, with friction as frictionloss.
+        arm: the robot.
+        fits: the friction of its elements.
+    """
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.gravity[:] = 0.0
+    model.tendon_stiffness[:] = 0.0
+    coulomb = np.array([fit.law.tau_c for fit in fits]) @ np.abs(arm.drives.turning.element_matrix)
+    speeds = []
+    for i, name in enumerate(arm.robot.joint_names):
+        data = mujoco.MjData(model)
+        at = model.joint(name).dofadr[0]
+        data.qfrc_applied[at] = 0.5 * coulomb[i]
+        mujoco.mj_step(model, data, nstep=round(_CREEP_TIME / model.opt.timestep))
+        speeds.append(float(abs(data.qvel[at])))
+    return speeds
