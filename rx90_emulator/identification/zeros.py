@@ -32,7 +32,7 @@ _QUARTERS = (-0.5 * math.pi, 0.5 * math.pi, math.pi)  # rad, between zeros of UR
 _MIN_GAIN = 0.02  # share of a joint's unexplained torque that a doubt must take away, at least
 SMALLEST: Final = 0.01
 """Error of a zero that counts, rad: elasticity and rounded geometry pass for less."""
-_SIGNIFICANT_SD = 5.0  # standard deviations from which a small error is one
+_SIGNIFICANT_SD = 4.0  # standard deviations from which a small error is one
 _MAX_SMALL_ERROR = 0.4  # rad: up to which the derivative is good for the torque
 ROUNDS: Final = 3
 """Of weights, and of Gauss and Newton."""

@@ -25,10 +25,9 @@ from rx90_common.exchange.topics import motor_names
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 from rx90_emulator.identification.arm import RigidArm, joint_model, joint_of, movable_joints
 from rx90_emulator.identification.experiments.plan import Experiment, Poses, check_pose
+from rx90_emulator.identification.output.assumed_files import FULL_SPEED_TIME
 from rx90_emulator.loop.setup import Setup
 
-_TO_FULL_SPEED = 0.5
-"""s, in which a joint gets to its speed limit with the acceleration that is taken where none is given."""
 _START_TOLERANCE = 1e-3  # rad
 _PERIOD = Rates().position_period
 _TORQUE_STRIDE = 10  # set-points, of which torques are looked at
@@ -119,7 +118,7 @@ class PlannedArm:
         """
         robot = robot_of_urdf(urdf, joints, tool)
         names, n = robot.joint_names, len(robot.joint_names)
-        most = robot.max_velocity / _TO_FULL_SPEED
+        most = robot.max_velocity / FULL_SPEED_TIME
         if acceleration is not None:
             if len(acceleration) not in (1, n):
                 raise IdentificationError(f"--acceleration: {len(acceleration)} values; accepted: 1, or {n}")

@@ -26,11 +26,18 @@ _TORQUE_CONSTANT = 0.1  # Nm/A
 _BRAKE_HZ, _STOP_HZ, _HALF_CRITICAL = 50.0, 10.0, 0.5
 _FASTEST = 1000.0  # 1/s: what the velocity loops come to together, where the arm is lightest; the observer has 2500
 _HIGHEST_KV = 400.0  # 1/s
+FULL_SPEED_TIME: Final = 0.5
+"""s, in which a joint gets to its speed limit with the acceleration that is taken where none is given."""
 _SOURCE = "nothing is known of it: chosen in proportion to the arm's inertia and to the efforts of its URDF"
 
 
 def assumed_files(
-    robot: RobotModel, model: Any, turning: Coupling, rotors: Array, known: Mapping[tuple[str, str], Any]
+    robot: RobotModel,
+    model: Any,
+    turning: Coupling,
+    rotors: Array,
+    known: Mapping[tuple[str, str], Any],
+    acceleration: Array | float = 0.0,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the contents of a drives and of a controller file.
 
@@ -41,6 +48,7 @@ def assumed_files(
         rotors: of the motors, seen through their gears, kg m^2, shape (n,).
         known: blocks and keys of the drives file that have other values, such as ("transmission", "gear"): the motors
             then give the same torques at the joints.
+        acceleration: that the joints have been seen to do, rad/s^2, shape (n,), or 0.
     """
     (mean, nominal, least, most), n = _inertia(robot, model, turning, rotors), len(rotors)
     effort = np.abs(turning.joint_turns.T) @ robot.max_effort
@@ -50,6 +58,9 @@ def assumed_files(
         for key, usual in ((("transmission", "gear"), _GEAR), (("motor", "torque_constant"), _TORQUE_CONSTANT))
     )
     current = effort / np.abs(gear * constant)
+    # A light link could be torn away at thousands of rad/s^2: what motions are planned with, or were seen to do, is enough.
+    fastest = np.maximum(robot.max_velocity / FULL_SPEED_TIME, acceleration)
+    fastest = np.minimum(fastest, 0.5 * effort / mean)
 
     def held(frequency: float) -> dict[str, list[float]]:
         pole = 2.0 * math.pi * frequency
@@ -80,7 +91,7 @@ def assumed_files(
         },
         "current_loop": {"bandwidth": 800.0, "slew_rate": _six(2000.0 * current)},
         "supervision": {"following_error": [0.1] * n, "over_speed": 1.2},
-        "trajectory": {"start_tolerance": 1e-3, "max_acceleration": _six(0.5 * effort / mean)},
+        "trajectory": {"start_tolerance": 1e-3, "max_acceleration": _six(fastest)},
     }  # fmt: skip
     return _marked(drives), _marked(controller)
 
