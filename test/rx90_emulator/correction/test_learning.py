@@ -20,7 +20,14 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.points import message_content
 from rx90_emulator.cli.frame import run
-from rx90_emulator.correction.learning import CorrectionError, Learner, Measured, run_corrected
+from rx90_emulator.correction.learning import (
+    ENGINE,
+    CorrectionError,
+    Learner,
+    Measured,
+    learn,
+    run_corrected,
+)
 from rx90_emulator.correction.methods import zero_phase
 from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.correction.recorded import joints_of_bag, laid_under, learn_from_record, tip_of_file
@@ -141,6 +148,11 @@ def test_what_makes_it_worse_is_not_kept_and_divergence_ends_it(shipped: Setup, 
         learner.take(Measured(5.0 * error))
     with pytest.raises(ConfigError, match="the tip was not measured"):
         Learner(shipped, plan, tip=True).take(Measured(error))
+    # A step beyond the limits of an offset ends it likewise, with what was kept.
+    learned = learn(Learner(shipped, plan, rx.Filtered()), lambda _: Measured(200.0 * error), 3, ENGINE, None)
+    assert len(learned.trials) == 1
+    assert not learned.correction.offsets.any()
+    assert "accepted: up to 0.01 rad" in learned.remark
 
 
 def test_a_bag_teaches_what_the_engine_does(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
@@ -319,6 +331,11 @@ def test_a_file_says_where_it_belongs(shipped: Setup, task: rx.LineTask, tmp_pat
         found.fitting(softer, plan)
     with pytest.warns(Rx90Warning, match=r"learned with 3\.7 kg on the last joint, there are 5 kg"):
         found.fitting(rx.with_parameters(shipped, {"arm.link_6.mass": 5.0}), plan)
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace("period: 0.001", "period: 0.002"), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"has offsets every 0\.002 s, the controller a set-point every 0\.001 s"):
+        rx.load_correction(file).fitting(shipped, plan)
+    file.write_text(text, encoding="utf-8")
     beside = file.with_suffix(".npz")
     beside.write_bytes(beside.read_bytes()[:-1] + b"x")
     with pytest.raises(ConfigError, match=r"other offsets than .*line\.yaml has"):
@@ -352,6 +369,11 @@ def test_the_command_learns_shows_and_refuses(tmp_path: Path, capsys: pytest.Cap
     assert run("rx90_correct", ["show", str(output), "--plot", str(tmp_path / "line.png")]) == 0
     assert "path of 5.600 s, up to 100 mm/s" in capsys.readouterr().out
     assert (tmp_path / "line.png").stat().st_size > 10_000
+    mine = tmp_path / "mine.npz"
+    mine.write_bytes(b"mine")
+    assert run("rx90_correct", [*words[:-1], str(tmp_path / "mine.yaml")]) == 2
+    assert mine.read_bytes() == b"mine"
+    assert "mine.npz exists" in capsys.readouterr().err
     for more in (["--from-bag", "x", "--force"], ["--force", "--gain", "1"], [], ["--topic", "x", "--force"]):
         assert run("rx90_correct", [*words, *more]) == 2
         assert len(capsys.readouterr().err.splitlines()) == 1
