@@ -147,6 +147,16 @@ class CorrectionFile:
     distance: Array
 
     @property
+    def identity(self) -> dict[str, Any]:
+        """Return what it is for: robot, arm, payload and path."""
+        return {key: self.head[key] for key in ("robot", "arm", "payload", "path")}
+
+    @property
+    def method(self) -> str:
+        """Return how it was learned, in words."""
+        return str(self.head["method"])
+
+    @property
     def seen(self) -> tuple[str, ...]:
         """Return by what each trial was measured, and where, of SEEN."""
         return tuple(self.head["seen"])
@@ -178,7 +188,7 @@ class CorrectionFile:
                 f"{plain(self.file)} has offsets every {self.correction.period:g} s, the controller a set-point every "
                 f"{period:g} s; accepted: the same"
             )
-        for refusal in _refusals(self.head, here):
+        for refusal in _refusals(self.identity, here):
             raise ConfigError(f"{plain(self.file)} {refusal}")
         counted = int(Nominal.of(setup, path.points, path.counted).counts.sum())
         if go_on and self.distance.shape[1] != counted:
