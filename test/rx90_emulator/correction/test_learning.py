@@ -43,29 +43,31 @@ def task() -> rx.LineTask:
 
 
 def lifted(a: Array, b: Array, apart: int, count: int) -> Array:
-    """Return the matrix from all offsets to all joints, shape (6 count, 6 count), by running the states."""
-    matrix = np.zeros((6 * count, 6 * count))
+    """Return the matrix from all offsets to all joints, shape (n count, n count), by running the states."""
+    n = b.shape[2]
+    matrix = np.zeros((n * count, n * count))
     for j in range(count):
         state = b[min(j // apart, len(b) - 1)]
         for k in range(j + 1, count):
-            matrix[6 * k : 6 * k + 6, 6 * j : 6 * j + 6] = state[:6]
+            matrix[n * k : n * k + n, n * j : n * j + n] = state[:n]
             state = a[min(k // apart, len(a) - 1)] @ state
     return matrix
 
 
-def test_the_recursion_is_the_lifted_solution() -> None:
+@pytest.mark.parametrize("n", [6, 7])
+def test_the_recursion_is_the_lifted_solution(n: int) -> None:
     """On a short horizon of a random time-varying system the change is that of the explicit least-squares problem."""
     rng, apart, count, effort = np.random.default_rng(1), 7, 40, 0.7
-    a, b = 0.18 * rng.normal(size=(5, 24, 24)), rng.normal(size=(5, 24, 6))
-    root = rng.normal(size=(5, 6, 6))
-    weight, counted, error = root @ np.swapaxes(root, 1, 2), rng.uniform(0.0, 1.0, count), rng.normal(size=(count, 6))
+    a, b = 0.18 * rng.normal(size=(5, 4 * n, 4 * n)), rng.normal(size=(5, 4 * n, n))
+    root = rng.normal(size=(5, n, n))
+    weight, counted, error = root @ np.swapaxes(root, 1, 2), rng.uniform(0.0, 1.0, count), rng.normal(size=(count, n))
     at = np.minimum(np.arange(count) // apart, 4)
     weighted = counted[:, None] * np.einsum("nij,nj->ni", weight[at], error)
     change = best_change(a, b, apart, *gains(a, b, apart, weight, effort, counted), weighted)
-    matrix, wide = lifted(a, b, apart, count), np.zeros((6 * count, 6 * count))
+    matrix, wide = lifted(a, b, apart, count), np.zeros((n * count, n * count))
     for k in range(count):
-        wide[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = counted[k] * weight[at[k]]
-    expected = np.linalg.solve(matrix.T @ wide @ matrix + effort**2 * np.eye(6 * count), matrix.T @ weighted.ravel())
+        wide[n * k : n * k + n, n * k : n * k + n] = counted[k] * weight[at[k]]
+    expected = np.linalg.solve(matrix.T @ wide @ matrix + effort**2 * np.eye(n * count), matrix.T @ weighted.ravel())
     assert change.ravel() == pytest.approx(expected, abs=1e-10)
 
 
