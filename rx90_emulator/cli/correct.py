@@ -145,8 +145,8 @@ def _trials(learner: Learner, options: argparse.Namespace) -> LearnedCorrection:
             progress(len(learner.trials), count + 1)
 
         if not options.on_nodes:
-            setup, path, nominal = learner.setup, learner.path, learner.nominal
-            return learn(learner, lambda played: run_corrected(setup, path, played, nominal)[1], count, ENGINE, told)
+            setup, asked = learner.setup, learner.nominal
+            return learn(learner, lambda played: run_corrected(setup, asked, played)[1], count, ENGINE, told)
         from rx90_common.exchange.ros_start import prepare
 
         prepare()

@@ -169,14 +169,18 @@ def test_a_bag_teaches_what_the_engine_does(shipped: Setup, task: rx.LineTask, t
         run_, measured = run_corrected(shipped, plan, learner.correction)
         bag = tmp_path / f"trial_{number}"
         rx.write_bag(run_, bag)
-        joints, said = joints_of_bag(bag, shipped, learner.nominal)
+        joints, played, said = joints_of_bag(bag, shipped, learner.nominal)
         counts = learner.nominal.counts
         assert np.array_equal(joints[counts], measured.joints[counts])
         assert f"begun at {held:.6f} s" in said
-        learner.take(Measured(joints))
+        other = Learner(shipped, plan, previous=learner.offsets + 1e-5)  # which was not played
+        with pytest.raises(ConfigError, match=r"played are up to 1e-05 rad from those that are learned from"):
+            other.take(Measured(joints, played=played))
+        learner.take(Measured(joints, played=played))
     series = rx.read_joint_states(tmp_path / "trial_0", "joint_states", shipped.robot.joint_names)
     rx.write_joint_states(tmp_path / "arm", [series])
-    joints, said = joints_of_bag(tmp_path / "arm", shipped, learner.nominal)
+    joints, unknown, said = joints_of_bag(tmp_path / "arm", shipped, learner.nominal)
+    assert unknown is None
     assert abs(float(said.split("begun at ")[1].split(" s")[0]) - held) < 2e-3
     other = replace(task, end=(0.65, 0.05, 0.25))
     with pytest.raises(ConfigError, match="of the motion's range away from the path where they fit best"):
@@ -254,8 +258,7 @@ def test_an_arm_of_seven_joints_learns(tmp_path: Path) -> None:
 def test_a_path_beyond_the_memory_is_refused(shipped: Setup, task: rx.LineTask) -> None:
     """A path of more set-points than the method can hold is refused with its time, before anything is computed."""
     plan = plan_line(shipped, task)
-    points = replace(plan.points, times=plan.points.times * 1e4)
-    long = TrajectoryPath(points, plan.counted, np.zeros((0, 3)))
+    long = replace(plan, times=plan.times * 500.0)
     with pytest.raises(ConfigError, match=r"a path of .* s; accepted: up to 600 s"):
         Learner(shipped, long)
 
