@@ -142,7 +142,8 @@ def nearest_corner(points: Array, corners: Array, near: Index | None = None) -> 
 def polyline_error(points: Array, corners: Array, near: Index | None = None) -> PathError:
     """Compare points (n, 3) in m with the straight lines through `corners`, (m, 3) m, m >= 2, all different neighbours.
 
-    Beyond both ends the first and the last line go on. `near` is that of `nearest_corner`.
+    Of the lines those count that meet in the nearest corner: corners lie closer than a path bends or comes back. Beyond
+    both ends the first and the last line go on. `near` is that of `nearest_corner`.
     """
     lines, last = np.diff(corners, axis=0), len(corners) - 2
     ways = length(lines)

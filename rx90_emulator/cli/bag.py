@@ -149,7 +149,7 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
         "in s (%(default)s)",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
-    parser.add_argument("--path", action="store_true", help="print, too, how far each bag's tip is from the path of "
+    parser.add_argument("--path-error", action="store_true", help="print, too, how far each tip is from the path of "
                         "its set-points, across and along it, and the tool from its orientation")  # fmt: skip
     add_robot_arguments(parser, *_ROBOT)
 
@@ -164,8 +164,8 @@ def _compare(args: argparse.Namespace) -> int:
     from rx90_common.bags.comparison import Scope, compare_bags
     from rx90_common.bags.tables import comparison_json, comparison_text
 
-    check_needs(args, ("robot", *_ROBOT), ("path",))
-    check_apart(args, ("json",), "path", "one of them")
+    check_needs(args, ("robot", *_ROBOT), ("path_error",))
+    check_apart(args, ("json",), "path_error", "one of them")
     rules = load_rules(Path(args.tolerances)) if args.tolerances else []
     rules += [parse_rule(text) for text in args.tolerance]
     scope = Scope(
@@ -177,7 +177,7 @@ def _compare(args: argparse.Namespace) -> int:
         align=alignment(args.align),
     )
     comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(rules), scope)
-    paths = _path_errors(args) if args.path else []
+    paths = _path_errors(args) if args.path_error else []
     print(comparison_json(comparison) if args.json else comparison_text(comparison))
     print("".join(f"{line}\n" for line in paths), end="")
     return int(comparison.verdict)

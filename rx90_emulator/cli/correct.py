@@ -145,8 +145,8 @@ def _trials(learner: Learner, options: argparse.Namespace) -> LearnedCorrection:
             progress(len(learner.trials), count + 1)
 
         if not options.on_nodes:
-            setup, path, nominal = learner.setup, learner.path, learner.nominal
-            return learn(learner, lambda played: run_corrected(setup, path, played, nominal)[1], count, ENGINE, told)
+            setup, asked = learner.setup, learner.nominal
+            return learn(learner, lambda played: run_corrected(setup, asked, played)[1], count, ENGINE, told)
         from rx90_common.exchange.ros_start import prepare
 
         prepare()
@@ -189,7 +189,7 @@ def _show(options: argparse.Namespace) -> None:
     head, offsets, period = found.head, found.correction.offsets, found.correction.period
     print(f"robot {plain(head['robot'])}, {head['payload']['mass']:.4g} kg on the last joint")
     print(f"path of {head['path']['duration']:.3f} s, up to {head['path']['speed'] * 1e3:.4g} mm/s")
-    print(f"learned by {plain(head['method'])}")
+    print(f"learned by {plain(found.method)}")
     for number, (seen, worst) in enumerate(zip(found.seen, found.worst, strict=True)):
         print(f"trial {number}, {seen}: worst {worst * 1e3:.4f} mm")
     rate = float(np.abs(np.diff(offsets, axis=0)).max(initial=0.0)) / period

@@ -136,7 +136,7 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
     from rx90_controller.lines.task import SETTLING, load_task
     from rx90_emulator.loop import closed_loop
     from rx90_emulator.loop import recorded_run as loop
-    from rx90_emulator.loop.line import LineRun, run_path
+    from rx90_emulator.loop.line import LineRun, followed_accuracy, run_path
     from rx90_emulator.loop.path_file import load_path
     from rx90_emulator.loop.trajectory_file import load_trajectory
 
@@ -184,7 +184,9 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
             print(f"along the path: {accuracy.worst_along_track * 1e3:.4f} mm off the set-point; "
                   f"orientation: {accuracy.worst_orientation * 1e3:.4f} mrad")  # fmt: skip
         return result
-    worst = abs(result.slow.tracking_error[:, 0]).max(axis=0)
+    slow, times = result.slow, result.times
+    print(followed_accuracy(setup.robot, times, slow.joint_states[:, 0], times, slow.reference[:, 0]).words)
+    worst = abs(slow.tracking_error[:, 0]).max(axis=0)
     for name, error in zip(setup.robot.joint_names, worst, strict=True):
         print(f"{name}: worst tracking error {error * 1e3:.4f} mrad")
     return result

@@ -24,7 +24,7 @@ from rx90_common.process.files import write_all
 from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.points import trajectory_identity
 from rx90_emulator.correction.learning import SEEN, LearnedCorrection
-from rx90_emulator.correction.path import CorrectablePath, Nominal
+from rx90_emulator.correction.path import CorrectablePath, TrajectoryPath
 from rx90_emulator.loop.setup import Setup
 
 _MOST_BYTES = 256 * 2**20  # of the offsets: more than an hour
@@ -78,7 +78,7 @@ CORRECTION = Group(
 """What the head of a correction file holds."""
 
 
-def identity_of(setup: Setup, path: CorrectablePath) -> dict[str, Any]:
+def identity_of(setup: Setup, path: TrajectoryPath) -> dict[str, Any]:
     """Return what a correction of a path on an arm is for: robot, arm, payload and path, as CORRECTION has them."""
     model, drives, controller = setup.robot.model, setup.drives, setup.controller
     digest = hashlib.sha256()
@@ -89,14 +89,14 @@ def identity_of(setup: Setup, path: CorrectablePath) -> dict[str, Any]:
     gains = (getattr(controller, name) for name in ("inertia", "kp", "kv", "ki"))
     for values in (drives.gear, drives.rotor_inertia, *gains):
         digest.update(np.asarray(values, dtype=np.float64).tobytes())
-    nominal, carried = Nominal.of(setup, path.points, path.counted), model.inertias[model.njoints - 1]
+    carried = model.inertias[model.njoints - 1]
     return {
         "robot": ET.fromstring(setup.robot.urdf).get("name", ""),
         "arm": digest.hexdigest()[:16],
         "payload": {"mass": float(carried.mass), "center_of_mass": [float(x) for x in carried.lever]},
         "path": {
             "identity": trajectory_identity(path.points),
-            "speed": float(np.linalg.norm(np.diff(nominal.tip, axis=0), axis=1).max()) / nominal.period,
+            "speed": float(np.linalg.norm(np.diff(path.tip, axis=0), axis=1).max()) / path.period,
             "duration": float(path.points.times[-1]),
             "start": path.points.position[0].tolist(),
         },
@@ -147,6 +147,16 @@ class CorrectionFile:
     distance: Array
 
     @property
+    def identity(self) -> dict[str, Any]:
+        """Return what it is for: robot, arm, payload and path."""
+        return {key: self.head[key] for key in ("robot", "arm", "payload", "path")}
+
+    @property
+    def method(self) -> str:
+        """Return how it was learned, in words."""
+        return str(self.head["method"])
+
+    @property
     def seen(self) -> tuple[str, ...]:
         """Return by what each trial was measured, and where, of SEEN."""
         return tuple(self.head["seen"])
@@ -172,15 +182,15 @@ class CorrectionFile:
         Raises:
             ConfigError: for another robot, arm, speed or path, with the numbers.
         """
-        here, period = identity_of(setup, path), setup.rates.position_period
+        asked, period = TrajectoryPath.of(setup, path.points, path.counted), setup.rates.position_period
+        here, counted = identity_of(setup, asked), int(asked.counts.sum())
         if not math.isclose(self.correction.period, period):
             raise ConfigError(
                 f"{plain(self.file)} has offsets every {self.correction.period:g} s, the controller a set-point every "
                 f"{period:g} s; accepted: the same"
             )
-        for refusal in _refusals(self.head, here):
+        for refusal in _refusals(self.identity, here):
             raise ConfigError(f"{plain(self.file)} {refusal}")
-        counted = int(Nominal.of(setup, path.points, path.counted).counts.sum())
         if go_on and self.distance.shape[1] != counted:
             raise ConfigError(
                 f"{plain(self.file)}: the path error counted on {self.distance.shape[1]} set-points, here on "
@@ -208,7 +218,7 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
         ConfigError: for a name that does not end with .yaml.
         Rx90Error: if it cannot be written.
     """
-    head, beside = correction_files(file)
+    (head, beside), of = correction_files(file), learned.path
     distance = np.array([trial.distance for trial in learned.trials])
     worst, seen = [trial.worst for trial in learned.trials], [learned.seen] * len(learned.trials)
     if earlier is not None:
@@ -219,7 +229,7 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
     options = asdict(learned.method)  # type: ignore[call-overload]
     options = (f"{key} {'none' if value is None else format(value, 'g')}" for key, value in options.items())
     content = {
-        **identity_of(learned.setup, learned.path),
+        **identity_of(learned.setup, TrajectoryPath.of(learned.setup, of.points, of.counted)),
         "period": learned.correction.period,
         "method": f"{type(learned.method).__name__}: {', '.join(options)}",
         "seen": seen,

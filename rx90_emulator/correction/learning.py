@@ -27,9 +27,9 @@ from rx90_common.base.errors import (
 from rx90_common.description.kinematics import tip_position
 from rx90_controller.lines.task import LineTask
 from rx90_controller.paths.path import Path
-from rx90_controller.trajectory.correction import Correction
+from rx90_controller.trajectory.correction import FADE, Correction
 from rx90_emulator.correction.methods import Method, NormOptimal
-from rx90_emulator.correction.path import CorrectablePath, Nominal
+from rx90_emulator.correction.path import CorrectablePath, TrajectoryPath
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.result import RunResult
@@ -45,6 +45,7 @@ _LONGEST = 600_000  # set-points: the feedback of norm-optimal takes 1.5 kB for 
 MOST_WORSE: Final = 4
 """Trials in a row that make the path worse, after which learning has failed: an eighth of a step that is still worse is
 not too long, but points the wrong way."""
+_SAME = 1e-7  # rad: of offsets, far below an encoder's count
 _HELD = 1.0  # s from the release of the brakes to where the path error counts: the integrators take some 0.1 s
 
 
@@ -59,10 +60,12 @@ class Measured:
     Attributes:
         joints: set-points less the joints by the encoders, rad, shape (n, j).
         tip: the tip where it should be less where it was measured, m, shape (n, 3); None where it was not.
+        played: offsets that were added, rad, shape (n, j); None where nothing tells.
     """
 
     joints: Array
     tip: Array | None = None
+    played: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +125,7 @@ class Learner:
         period = setup.rates.position_period
         if not path.points.times[-1] <= _LONGEST * period:
             raise ConfigError(f"a path of {path.points.times[-1]:g} s; accepted: up to {_LONGEST * period:g} s")
-        self.nominal = Nominal.of(setup, path.points, path.counted)
+        self.nominal = TrajectoryPath.of(setup, path.points, path.counted)
         shape = len(self.nominal.counts), len(setup.robot.joint_names)
         self.offsets = np.zeros(shape) if previous is None else np.array(previous, dtype=np.float64)
         if self.offsets.shape != shape:
@@ -170,7 +173,8 @@ class Learner:
         After a trial that is worse than the best one the next offsets lie in the middle between those of both.
 
         Raises:
-            ConfigError: if the tip is to be learned from and was not measured, or a number is not finite.
+            ConfigError: if the tip is to be learned from and was not measured, a number is not finite, or other offsets
+                were played.
             CorrectionError: if trial after trial has made it worse.
         """
         error = measured.tip if self.tip else measured.joints
@@ -181,6 +185,15 @@ class Learner:
                 f"errors of shape {error.shape}, finite: {bool(np.isfinite(error).all())}; accepted: finite numbers on "
                 f"{len(self.nominal.counts)} set-points"
             )
+        if measured.played is not None:
+            full = np.flatnonzero(self.nominal.counts)
+            full = full[full * self.nominal.period >= FADE]  # before, it may be on its way
+            apart = float(np.abs(measured.played - self.offsets)[full].max(initial=0.0))
+            if apart > _SAME:
+                raise ConfigError(
+                    f"the offsets that were played are up to {apart:.3g} rad from those that are learned from, up to "
+                    f"{np.abs(self.offsets).max():.3g} rad; accepted: a trial with this correction, --previous"
+                )
         distance = self.distance(measured)
         worst, rms = float(distance.max()), math.sqrt(float(np.mean(distance**2)))
         kept = worst <= self._least + self.noise
@@ -274,12 +287,12 @@ def learn(
 
 
 def run_corrected(
-    setup: Setup, path: CorrectablePath, correction: Correction | None = None, nominal: Nominal | None = None
+    setup: Setup, path: CorrectablePath, correction: Correction | None = None
 ) -> tuple[RunResult, Measured]:
     """Run a path through the closed loop, with a correction or without, and measure encoders and tip.
 
     The arm stands held before, so that its weight is taken up when the path error begins to count. What the path asks
-    for is a third of a trial's work, so whoever runs several gives it as `nominal`.
+    for is a third of a trial's work, so whoever runs several gives it as a TrajectoryPath.
 
     Raises:
         DivergenceError: naming joint and tick.
@@ -288,14 +301,13 @@ def run_corrected(
     """
     points, period = replace(path.points, correction=correction), setup.rates.position_period
     held = math.ceil(max(0.0, _HELD - path.counted[0]) / period)
-    if nominal is None:
-        nominal = Nominal.of(setup, path.points, path.counted)
-    count = len(nominal.counts)
+    asked = path if isinstance(path, TrajectoryPath) else TrajectoryPath.of(setup, path.points, path.counted)
+    count = len(asked.counts)
     run = simulate(setup, points, start_time=held * period, duration=(held + count) * period)
     rows = slice(held, held + count)
     offsets = run.slow.correction[rows] if len(run.slow.correction) else 0.0
     tip = tip_position(setup.robot.chain, run.slow.joint_states[rows, 0])
-    return run, Measured(run.slow.tracking_error[rows, 0] - offsets, nominal.tip - tip)
+    return run, Measured(run.slow.tracking_error[rows, 0] - offsets, asked.tip - tip)
 
 
 def learn_correction(
@@ -332,8 +344,8 @@ def learn_correction(
     planned = plan_path(setup, path) if isinstance(path, (LineTask, Path)) else path
     before = None if previous is None else previous.offsets
     learner = Learner(model or setup, planned, method, tip=tip, noise=noise, previous=before)
-    nominal = learner.nominal if model is None else Nominal.of(setup, planned.points, planned.counted)
-    return learn(learner, lambda played: run_corrected(setup, planned, played, nominal)[1], trials, ENGINE, told)
+    asked = learner.nominal if model is None else TrajectoryPath.of(setup, planned.points, planned.counted)
+    return learn(learner, lambda played: run_corrected(setup, asked, played)[1], trials, ENGINE, told)
 
 
 def summary(trials: Iterable[TrialRecord]) -> str:

@@ -24,7 +24,7 @@ from scipy.signal import butter, sosfiltfilt
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.kinematics import jacobian
-from rx90_emulator.correction.path import Nominal
+from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.correction.response import best_change, gains, response
 from rx90_emulator.loop.setup import Setup
 
@@ -41,7 +41,7 @@ the joints by the encoders, rad, (n, joints), or that of the tip, m, (n, 3)."""
 class Method(Protocol):
     """A way to learn; frozen, checked."""
 
-    def prepare(self, setup: Setup, nominal: Nominal, *, tip: bool) -> Update:
+    def prepare(self, setup: Setup, nominal: TrajectoryPath, *, tip: bool) -> Update:
         """Return how it learns along a motion, from the error of the tip or from those of the encoders."""
 
 
@@ -65,7 +65,7 @@ class Filtered:
     def __post_init__(self) -> None:
         _check(self, gain=(0.0, 2.0, ""), lead=(0.0, 1.0, " s"), cutoff=(0.0, 1e6, " Hz"))
 
-    def prepare(self, setup: Setup, nominal: Nominal, *, tip: bool) -> Update:
+    def prepare(self, setup: Setup, nominal: TrajectoryPath, *, tip: bool) -> Update:
         """Return how it learns."""
         lead = float(np.mean(1.0 / setup.controller.kp)) if self.lead is None else self.lead
         rows = np.minimum(np.arange(len(nominal.counts)) + round(lead / nominal.period), len(nominal.counts) - 1)
@@ -101,7 +101,7 @@ class NormOptimal:
     def __post_init__(self) -> None:
         _check(self, effort=(0.0, 1e3, " m/rad"), joints=(0.0, 1e3, " m/rad"), cutoff=(0.0, 1e6, " Hz"))
 
-    def prepare(self, setup: Setup, nominal: Nominal, *, tip: bool) -> Update:
+    def prepare(self, setup: Setup, nominal: TrajectoryPath, *, tip: bool) -> Update:
         """Return how it learns."""
         a, b, apart = response(setup, nominal.setpoints)
         slopes = jacobian(setup.robot.chain, nominal.setpoints[::apart, 0])
@@ -133,7 +133,7 @@ def method_named(name: str, **options: float) -> Filtered | NormOptimal:
     return replace(method, **options)  # type: ignore[arg-type]
 
 
-def lead_in(nominal: Nominal) -> Array:
+def lead_in(nominal: TrajectoryPath) -> Array:
     """Return by how much the errors of set-points count, 0 to 1, shape (n,)."""
     counts = nominal.counts.astype(np.float64)
     begin = int(np.argmax(nominal.counts))
@@ -154,7 +154,7 @@ def zero_phase(cutoff: float, period: float) -> Callable[[Array], Array]:
     return lambda rows: np.ascontiguousarray(sosfiltfilt(sections, rows, axis=0, padtype="constant"))
 
 
-def _to_joints(setup: Setup, nominal: Nominal) -> Array:
+def _to_joints(setup: Setup, nominal: TrajectoryPath) -> Array:
     """Return the damped pseudo-inverse of the tip's Jacobian along the motion, rad/m, shape (n, joints, 3)."""
     slopes = jacobian(setup.robot.chain, nominal.setpoints[:, 0])[:, :3]
     square = slopes @ np.swapaxes(slopes, 1, 2)

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rx90_common.description.kinematics import tip_position
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction, PlayedCorrection
 from rx90_emulator.correction.learning import run_corrected
 from rx90_emulator.correction.methods import zero_phase
-from rx90_emulator.correction.path import CorrectablePath, Nominal, TrajectoryPath
+from rx90_emulator.correction.path import CorrectablePath, TrajectoryPath
 from rx90_emulator.loop.setup import Setup
 
 CUTOFF = 5.0
@@ -60,7 +59,7 @@ def precompensate(
         ConfigError: for a cut-off that is not below half the rate of set-points.
         TrajectoryError: if the controller would refuse the trajectory; a lower cut-off makes it slower.
     """
-    nominal = Nominal.of(setup, path.points, path.counted)
+    nominal = TrajectoryPath.of(setup, path.points, path.counted)
     count, period = len(nominal.setpoints), nominal.period
     played = PlayedCorrection.started(correction, 0).at(np.arange(count))
     offsets = np.zeros_like(nominal.setpoints)
@@ -76,12 +75,10 @@ def precompensate(
     times = np.round(rows * period, 9).tolist()
     points = TrajectoryPoints.create(names, names, times, *(motion[:, k].tolist() for k in range(3)))
     begin, end = path.counted
-    travelled = TrajectoryPath(points, (begin, min(end, float(points.times[-1]))), nominal.tip[nominal.counts])
-    errors = []
-    of_travelled = Nominal.of(setup, travelled.points, travelled.counted)
-    for one, added, asked in ((path, None, nominal), (path, correction, nominal), (travelled, None, of_travelled)):
-        run, _ = run_corrected(setup, one, added, asked)
-        rows_of_path = len(run.slow.joint_states) - len(asked.counts)
-        tip = tip_position(setup.robot.chain, run.slow.joint_states[rows_of_path:, 0])
-        errors.append(float(path.distance(tip[: len(nominal.counts)][nominal.counts[: len(tip)]]).max()))
+    travelled, errors = TrajectoryPath.of(setup, points, (begin, min(end, float(points.times[-1])))), []
+    for one, added in ((nominal, None), (nominal, correction), (travelled, None)):
+        left = run_corrected(setup, one, added)[1].tip
+        assert left is not None
+        tip = (one.tip - left)[:count]
+        errors.append(float(path.distance(tip[nominal.counts[: len(tip)]]).max()))
     return Precompensation(points, *errors)

@@ -25,7 +25,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_emulator.correction.file import CorrectionFile
 from rx90_emulator.correction.learning import RECORD, LearnedCorrection, Learner, Measured
-from rx90_emulator.correction.path import Nominal
+from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.loop.drawing import UNITS, read_columns
 from rx90_emulator.loop.setup import Setup
 
@@ -114,10 +114,13 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
     return Laid(found, float(shift), apart)
 
 
-def joints_of_bag(bag: Path | str, setup: Setup, nominal: Nominal, topic: str = "joint_states") -> tuple[Array, str]:
-    """Return set-points less joints by the encoders, rad, shape (n, joints), and how they were found.
+def joints_of_bag(
+    bag: Path | str, setup: Setup, nominal: TrajectoryPath, topic: str = "joint_states"
+) -> tuple[Array, Array | None, str]:
+    """Return set-points less joints by the encoders, what a correction added, and how they were found.
 
-    From a bag of the nodes they are the controller's own, with what the correction had added taken off.
+    Both are in rad, of shape (n, joints). From a bag of the nodes they are the controller's own; other bags do not tell
+    the second, which is then None.
 
     Raises:
         BagError: for a bag that cannot be read, or without these joints.
@@ -131,23 +134,24 @@ def joints_of_bag(bag: Path | str, setup: Setup, nominal: Nominal, topic: str = 
         if series.position is None:
             raise BagError(f"{plain(bag)}: {topic} without positions; accepted: joint positions") from None
         laid = laid_under(series.time, series.position, wanted, nominal.period, nominal.counts, plain(bag))
-        return wanted - laid.values, f"{topic}, begun at {laid.shift:.6f} s of its time, {laid.apart:.2%} apart"
+        return wanted - laid.values, None, f"{topic}, begun at {laid.shift:.6f} s of its time, {laid.apart:.2%} apart"
     assert reference.position is not None
     assert tracking.position is not None
     laid = laid_under(reference.time, reference.position, wanted, nominal.period, nominal.counts, plain(bag))
-    error = tracking.position.copy()
+    added = np.zeros_like(tracking.position)
     with suppress(BagError):  # no such topic, or no message on it: no correction was played
         played = read_joint_states(bag, CORRECTION, names)
         assert played.position is not None
         both = align(tracking, played)
-        error[both.rows_a] -= played.position[both.rows_b]
+        added[both.rows_a] = played.position[both.rows_b]
     first = round(laid.shift / nominal.period)
     ticks = np.round(tracking.time / nominal.period).astype(np.int64)
     rows = np.clip(np.searchsorted(ticks, first + np.arange(len(wanted))), 0, len(ticks) - 1)
-    return error[rows], f"the controller's set-points, begun at {first * nominal.period:.6f} s"
+    said = f"the controller's set-points, begun at {first * nominal.period:.6f} s"
+    return (tracking.position - added)[rows], added[rows], said
 
 
-def tip_of_file(file: Path | str, nominal: Nominal, topic: str | None = None) -> tuple[Array, str]:
+def tip_of_file(file: Path | str, nominal: TrajectoryPath, topic: str | None = None) -> tuple[Array, str]:
     """Return the tip where it should be less where it was measured on a path's set-points, m, shape (n, 3).
 
     The file is a CSV table with a header: `time [s]`, and `x`, `y`, `z` of the tool centre point in the base frame,
@@ -189,7 +193,7 @@ def _table(file: Path) -> Array:
 
 def measured(
     setup: Setup,
-    nominal: Nominal,
+    nominal: TrajectoryPath,
     bag: Path | str | None,
     tip: Path | str | None,
     topic: str = "joint_states",
@@ -200,15 +204,15 @@ def measured(
     Raises:
         Rx90Error: as `joints_of_bag` and `tip_of_file`.
     """
-    joints, said = np.zeros((len(nominal.counts), len(setup.robot.joint_names))), []
+    joints, played, said = np.zeros((len(nominal.counts), len(setup.robot.joint_names))), None, []
     if bag is not None:
-        joints, text = joints_of_bag(bag, setup, nominal, topic)
+        joints, played, text = joints_of_bag(bag, setup, nominal, topic)
         said.append(text)
     error = None
     if tip is not None:
         error, text = tip_of_file(tip, nominal, tip_topic)
         said.append(text)
-    return Measured(joints, error), said
+    return Measured(joints, error, played), said
 
 
 def learn_from_record(

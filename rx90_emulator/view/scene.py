@@ -220,7 +220,7 @@ class LineScene:
                 continue
             asked = (way[first : last + 1] - way[first]) * (whole / travelled)
             error = self._task.error(tips[first : last + 1], asked)
-            if error.perpendicular.max() < _END_TOLERANCE and abs(error.along - asked).max() < _CHORDS * whole:
+            if error.perpendicular.max() < _END_TOLERANCE:
                 self._asked = np.stack([times[first : last + 1], error.along])
                 self._span = float(times[first]), float(times[last] + min(SETTLING, times[-1] - times[last]))
                 # The points at rest lie half a set-point before the motion and behind it.

@@ -18,7 +18,14 @@ from rx90_common.description.inverse import (
     solve_anywhere,
     solve_near,
 )
-from rx90_common.description.kinematics import bias_acceleration, decompose, forward, jacobian, path_error
+from rx90_common.description.kinematics import (
+    bias_acceleration,
+    decompose,
+    forward,
+    jacobian,
+    path_error,
+    polyline_error,
+)
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
@@ -192,6 +199,17 @@ def test_path_error_of_known_points() -> None:
     error = path_error(points, np.zeros(3), np.array([4.0, 0, 0]))
     np.testing.assert_allclose(error.along, [1, -2, 5, 2])
     np.testing.assert_allclose(error.perpendicular, [5, 0, 1, 0])
+
+
+def test_a_polyline_is_looked_for_from_where_the_tip_should_be() -> None:
+    """Where lines cross, each is found from places ahead of and behind it; beyond the ends they go on straight."""
+    corners = np.array([[x, 0.0, 0.0] for x in range(10)] + [[9.0, 5.0, 0.0], [4.5, 5.0, 0.0], [4.5, -5.0, 0.0]])
+    points = np.array([[4.5, 0.1, 0.0], [4.5, 0.1, 0.0], [4.4, 0.2, 0.0], [-2.0, 0.3, 0.4], [4.5, -9.0, 1.0]])
+    for near in ([1, 8, 12, 0, 12], [4, 5, 11, 6, 11]):
+        error = polyline_error(points, corners, np.array(near))
+        np.testing.assert_allclose(error.along, [4.5, 4.5, 9.0 + 5.0 + 4.5 + 4.8, -2.0, 9.0 + 5.0 + 4.5 + 14.0])
+        np.testing.assert_allclose(error.perpendicular, [0.1, 0.1, 0.1, 0.5, 1.0])
+    np.testing.assert_allclose(polyline_error(points, corners).perpendicular[[0, 3, 4]], [0.1, 0.5, 1.0])
 
 
 def test_path_error_does_not_depend_on_the_frame() -> None:

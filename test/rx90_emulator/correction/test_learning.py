@@ -20,7 +20,14 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.points import message_content
 from rx90_emulator.cli.frame import run
-from rx90_emulator.correction.learning import CorrectionError, Learner, Measured, run_corrected
+from rx90_emulator.correction.learning import (
+    ENGINE,
+    CorrectionError,
+    Learner,
+    Measured,
+    learn,
+    run_corrected,
+)
 from rx90_emulator.correction.methods import zero_phase
 from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.correction.recorded import joints_of_bag, laid_under, learn_from_record, tip_of_file
@@ -36,29 +43,31 @@ def task() -> rx.LineTask:
 
 
 def lifted(a: Array, b: Array, apart: int, count: int) -> Array:
-    """Return the matrix from all offsets to all joints, shape (6 count, 6 count), by running the states."""
-    matrix = np.zeros((6 * count, 6 * count))
+    """Return the matrix from all offsets to all joints, shape (n count, n count), by running the states."""
+    n = b.shape[2]
+    matrix = np.zeros((n * count, n * count))
     for j in range(count):
         state = b[min(j // apart, len(b) - 1)]
         for k in range(j + 1, count):
-            matrix[6 * k : 6 * k + 6, 6 * j : 6 * j + 6] = state[:6]
+            matrix[n * k : n * k + n, n * j : n * j + n] = state[:n]
             state = a[min(k // apart, len(a) - 1)] @ state
     return matrix
 
 
-def test_the_recursion_is_the_lifted_solution() -> None:
+@pytest.mark.parametrize("n", [6, 7])
+def test_the_recursion_is_the_lifted_solution(n: int) -> None:
     """On a short horizon of a random time-varying system the change is that of the explicit least-squares problem."""
     rng, apart, count, effort = np.random.default_rng(1), 7, 40, 0.7
-    a, b = 0.18 * rng.normal(size=(5, 24, 24)), rng.normal(size=(5, 24, 6))
-    root = rng.normal(size=(5, 6, 6))
-    weight, counted, error = root @ np.swapaxes(root, 1, 2), rng.uniform(0.0, 1.0, count), rng.normal(size=(count, 6))
+    a, b = 0.18 * rng.normal(size=(5, 4 * n, 4 * n)), rng.normal(size=(5, 4 * n, n))
+    root = rng.normal(size=(5, n, n))
+    weight, counted, error = root @ np.swapaxes(root, 1, 2), rng.uniform(0.0, 1.0, count), rng.normal(size=(count, n))
     at = np.minimum(np.arange(count) // apart, 4)
     weighted = counted[:, None] * np.einsum("nij,nj->ni", weight[at], error)
     change = best_change(a, b, apart, *gains(a, b, apart, weight, effort, counted), weighted)
-    matrix, wide = lifted(a, b, apart, count), np.zeros((6 * count, 6 * count))
+    matrix, wide = lifted(a, b, apart, count), np.zeros((n * count, n * count))
     for k in range(count):
-        wide[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = counted[k] * weight[at[k]]
-    expected = np.linalg.solve(matrix.T @ wide @ matrix + effort**2 * np.eye(6 * count), matrix.T @ weighted.ravel())
+        wide[n * k : n * k + n, n * k : n * k + n] = counted[k] * weight[at[k]]
+    expected = np.linalg.solve(matrix.T @ wide @ matrix + effort**2 * np.eye(n * count), matrix.T @ weighted.ravel())
     assert change.ravel() == pytest.approx(expected, abs=1e-10)
 
 
@@ -141,6 +150,11 @@ def test_what_makes_it_worse_is_not_kept_and_divergence_ends_it(shipped: Setup, 
         learner.take(Measured(5.0 * error))
     with pytest.raises(ConfigError, match="the tip was not measured"):
         Learner(shipped, plan, tip=True).take(Measured(error))
+    # A step beyond the limits of an offset ends it likewise, with what was kept.
+    learned = learn(Learner(shipped, plan, rx.Filtered()), lambda _: Measured(200.0 * error), 3, ENGINE, None)
+    assert len(learned.trials) == 1
+    assert not learned.correction.offsets.any()
+    assert "accepted: up to 0.01 rad" in learned.remark
 
 
 def test_a_bag_teaches_what_the_engine_does(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
@@ -155,14 +169,18 @@ def test_a_bag_teaches_what_the_engine_does(shipped: Setup, task: rx.LineTask, t
         run_, measured = run_corrected(shipped, plan, learner.correction)
         bag = tmp_path / f"trial_{number}"
         rx.write_bag(run_, bag)
-        joints, said = joints_of_bag(bag, shipped, learner.nominal)
+        joints, played, said = joints_of_bag(bag, shipped, learner.nominal)
         counts = learner.nominal.counts
         assert np.array_equal(joints[counts], measured.joints[counts])
         assert f"begun at {held:.6f} s" in said
-        learner.take(Measured(joints))
+        other = Learner(shipped, plan, previous=learner.offsets + 1e-5)  # which was not played
+        with pytest.raises(ConfigError, match=r"played are up to 1e-05 rad from those that are learned from"):
+            other.take(Measured(joints, played=played))
+        learner.take(Measured(joints, played=played))
     series = rx.read_joint_states(tmp_path / "trial_0", "joint_states", shipped.robot.joint_names)
     rx.write_joint_states(tmp_path / "arm", [series])
-    joints, said = joints_of_bag(tmp_path / "arm", shipped, learner.nominal)
+    joints, unknown, said = joints_of_bag(tmp_path / "arm", shipped, learner.nominal)
+    assert unknown is None
     assert abs(float(said.split("begun at ")[1].split(" s")[0]) - held) < 2e-3
     other = replace(task, end=(0.65, 0.05, 0.25))
     with pytest.raises(ConfigError, match="of the motion's range away from the path where they fit best"):
@@ -240,8 +258,7 @@ def test_an_arm_of_seven_joints_learns(tmp_path: Path) -> None:
 def test_a_path_beyond_the_memory_is_refused(shipped: Setup, task: rx.LineTask) -> None:
     """A path of more set-points than the method can hold is refused with its time, before anything is computed."""
     plan = plan_line(shipped, task)
-    points = replace(plan.points, times=plan.points.times * 1e4)
-    long = TrajectoryPath(points, plan.counted, np.zeros((0, 3)))
+    long = replace(plan, times=plan.times * 500.0)
     with pytest.raises(ConfigError, match=r"a path of .* s; accepted: up to 600 s"):
         Learner(shipped, long)
 
@@ -319,6 +336,11 @@ def test_a_file_says_where_it_belongs(shipped: Setup, task: rx.LineTask, tmp_pat
         found.fitting(softer, plan)
     with pytest.warns(Rx90Warning, match=r"learned with 3\.7 kg on the last joint, there are 5 kg"):
         found.fitting(rx.with_parameters(shipped, {"arm.link_6.mass": 5.0}), plan)
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace("period: 0.001", "period: 0.002"), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"has offsets every 0\.002 s, the controller a set-point every 0\.001 s"):
+        rx.load_correction(file).fitting(shipped, plan)
+    file.write_text(text, encoding="utf-8")
     beside = file.with_suffix(".npz")
     beside.write_bytes(beside.read_bytes()[:-1] + b"x")
     with pytest.raises(ConfigError, match=r"other offsets than .*line\.yaml has"):
@@ -352,6 +374,11 @@ def test_the_command_learns_shows_and_refuses(tmp_path: Path, capsys: pytest.Cap
     assert run("rx90_correct", ["show", str(output), "--plot", str(tmp_path / "line.png")]) == 0
     assert "path of 5.600 s, up to 100 mm/s" in capsys.readouterr().out
     assert (tmp_path / "line.png").stat().st_size > 10_000
+    mine = tmp_path / "mine.npz"
+    mine.write_bytes(b"mine")
+    assert run("rx90_correct", [*words[:-1], str(tmp_path / "mine.yaml")]) == 2
+    assert mine.read_bytes() == b"mine"
+    assert "mine.npz exists" in capsys.readouterr().err
     for more in (["--from-bag", "x", "--force"], ["--force", "--gain", "1"], [], ["--topic", "x", "--force"]):
         assert run("rx90_correct", [*words, *more]) == 2
         assert len(capsys.readouterr().err.splitlines()) == 1

@@ -221,6 +221,21 @@ def test_dxf_circles_layers_and_mirrored_arcs(tmp_path: File, drawing: Any) -> N
         _dxf(tmp_path, drawing, layer="none")
 
 
+def test_dxf_branches_and_gaps_are_refused(tmp_path: File, drawing: Any) -> None:
+    """Three ends in one place, or a gap of 0.1 mm, are refused with the place; ends 10 nm apart are one."""
+    space = drawing.modelspace()
+    space.add_line((0.0, 0.0), (50.0, 0.0))
+    follower = space.add_line((50.00001, 0.0), (90.0, 10.0))
+    assert len(_dxf(tmp_path, drawing).segments) == 2
+    branch = space.add_line((50.0, 0.0), (50.0, 40.0))
+    with pytest.raises(ConfigError, match=r"3 ends meet at \[50\.0.*; accepted: two, one path without branches"):
+        _dxf(tmp_path, drawing)
+    space.delete_entity(branch)
+    follower.dxf.start = (50.1, 0.0)
+    with pytest.raises(ConfigError, match=r"goes on nowhere from \[50\.0, 0\.0, 0\.0\], 1 entities are left"):
+        _dxf(tmp_path, drawing)
+
+
 def test_dxf_that_is_none_is_one_line(tmp_path: File) -> None:
     """Text that is no drawing is refused in one line."""
     pytest.importorskip("ezdxf")

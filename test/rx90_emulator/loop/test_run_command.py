@@ -80,7 +80,9 @@ def test_a_trajectory_of_a_file_runs_into_arrays_with_units(tmp_path: Path, caps
     file, arrays = tmp_path / "move.yaml", tmp_path / "run.npz"
     file.write_text(TRAJECTORY)
     assert run("rx90_run", ["--trajectory", str(file), "--arrays", str(arrays)]) == 0
-    assert "joint_6: worst tracking error" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "joint_6: worst tracking error" in said
+    assert "path error 0." in said
     with np.load(arrays) as stored:
         assert stored["joint names"].tolist() == [f"joint_{n}" for n in range(1, 7)]
         position = stored["joint_states position [rad]"]

@@ -81,7 +81,7 @@ def test_a_bag_of_the_suite_is_read_whole(shipped: Setup, monkeypatch: pytest.Mo
 def test_the_path_error_of_a_bag_is_that_of_the_run(shipped: Setup, capsys: pytest.CaptureFixture[str]) -> None:
     """Across and along the reference line, and of the tool, the page has what `rx90_run` gives for the same states.
 
-    `rx90_bag compare --path` says the same in words.
+    `rx90_bag compare --path-error` says the same in words.
     """
     recording = opened(REFERENCE, shipped)
     errors = path_errors(recording.arm, recording.reference, shipped.robot)
@@ -94,11 +94,11 @@ def test_the_path_error_of_a_bag_is_that_of_the_run(shipped: Setup, capsys: pyte
     assert found.worst() == [(np.nanmax(error), recording.arm.stamp_ns[np.nanargmax(error)])]
     for track, expected in ((errors.along, run_.worst_along_track), (errors.orientation, run_.worst_orientation)):
         assert np.nanmax(np.abs(track.fields["position"])) == pytest.approx(expected, rel=1e-5)
-    assert run("rx90_bag", ["compare", str(REFERENCE), str(REFERENCE), "--path"]) == 0
+    assert run("rx90_bag", ["compare", str(REFERENCE), str(REFERENCE), "--path-error"]) == 0
     lines = capsys.readouterr().out.splitlines()[-2:]
     assert lines == [f"{REFERENCE}: {run_.words}"] * 2
     assert run("rx90_bag", ["compare", str(REFERENCE), str(REFERENCE), "--robot", "rx90b"]) == 2
-    assert "--robot without --path" in capsys.readouterr().err
+    assert "--robot without --path-error" in capsys.readouterr().err
 
 
 def test_joint_states_of_others(tmp_path: Path, shipped: Setup) -> None:

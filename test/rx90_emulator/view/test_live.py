@@ -297,8 +297,9 @@ def test_the_largest_is_that_of_the_run(shipped: Setup, page: Page, of: str) -> 
     points = line.points
     at_rest = np.equal(points.velocity, 0.0).all(axis=1)
     tips = tip_position(shipped.robot.chain, points.position)
-    meter.follow(points.times, tips[::-1], at_rest[::-1])
-    assert np.isnan(meter.add(times[-1:], pose.position[-1:])).all()
+    back = LineScene(page, "/back", shipped.robot, task)
+    back.follow(points.times, tips[::-1], at_rest[::-1])
+    assert np.isnan(back.add(times, pose.position)).all()
     meter.follow(points.times, tips, at_rest)
     seen = add(range(LATE, len(times), 3))
     found = meter.run
