@@ -48,14 +48,18 @@ def config_path(relative: str) -> Path:
     return share_directory() / "config" / relative
 
 
-def resolve_config(name: str) -> Path:
+def resolve_config(name: str, folder: Path | None = None) -> Path:
     """Resolve what a user typed: a path of their own, or the name of a shipped file under config/.
+
+    Args:
+        name: what was typed.
+        folder: from which a relative path leads, the present one for None.
 
     Raises:
         ConfigError: if neither exists.
     """
     try:
-        own = Path(name).expanduser()
+        own = (folder or Path()) / Path(name).expanduser()
     except RuntimeError as error:
         raise ConfigError(f"no file {quoted(str(name))}: its home folder does not exist") from error
     shipped = config_path(name)

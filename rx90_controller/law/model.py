@@ -31,7 +31,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
 from rx90_common.base.quoting import plain
 from rx90_common.base.section import Section
-from rx90_common.base.share import config_path
+from rx90_common.base.share import resolve_config
 from rx90_common.description.coupling import ArmSize, to_motor_torque
 from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import load_robot
@@ -168,7 +168,12 @@ class ModelFiles:
         for role in ROLES:
             if role in named:
                 name = Text("").take(named, role)
-                found[role] = None if (role, name) == ("tool", NO_TOOL) else _resolved(named, role, name)
+                try:  # the same file from whatever folder a program is started
+                    none = (role, name) == ("tool", NO_TOOL)
+                    found[role] = None if none else resolve_config(name, root.file.parent)
+                except ConfigError:
+                    accepted = "a path from this file's folder or from config/, or an absolute one"
+                    named.refuse(role, name, f"a {DESCRIPTIONS[role]}: {accepted}")
             else:
                 beside = root.file.parent / FILES[role]
                 found[role] = None if role == "tool" and not beside.is_file() else beside
@@ -193,22 +198,6 @@ class ModelFiles:
         friction = load_friction(self.friction, drives.turning.element_names(robot.joint_names)).elements
         known = tuple(replace(element, scatter=None) for element in friction)
         return ArmModel(manipulator_record(robot.chain, drives), known, drives)
-
-
-def _resolved(named: Section, role: str, name: str) -> Path:
-    """Return a file that a controller file names: the same one from whatever folder a program is started."""
-    try:
-        own = Path(name).expanduser()
-        found = own if own.is_absolute() else named.file.parent / own
-        if not found.is_file() and not own.is_absolute():
-            found = config_path(name)
-        if found.is_file():
-            return found
-    except (OSError, RuntimeError, ConfigError):  # a name that the system does not take, a home that does not exist
-        pass
-    accepted = "a path from this file's folder or from config/, or an absolute one"
-    named.refuse(role, name, f"a {DESCRIPTIONS[role]}: {accepted}")
-    raise AssertionError
 
 
 @kernel

@@ -135,15 +135,13 @@ def declare_goal_parameters(node: Node, names: Sequence[str]) -> GoalParameters:
         name: declare(node, name, default, about, low=0.0, high=_LARGEST)
         for name, (default, about) in constraint_parameters(names).items()
     }
+    options = GoalOptions(**declare_options(node, GoalOptions))
+    own = declare_options(node, GoalParameters)
     about = "share of their own speed at which trajectories are followed, until ~/speed_scaling_input says otherwise"
-    return GoalParameters(
-        GoalOptions(**declare_options(node, GoalOptions)),
-        GoalTolerances.of_parameters(names, tolerances),
-        StreamOptions(**declare_options(node, StreamOptions, "stream.")),
-        _take_out(node, names),
-        declare(node, "speed_scaling.initial_scaling_factor", 1.0, about, low=0.0, high=1.0),
-        **declare_options(node, GoalParameters),
-    )
+    scaling = declare(node, "speed_scaling.initial_scaling_factor", 1.0, about, low=0.0, high=1.0)
+    streaming = StreamOptions(**declare_options(node, StreamOptions, "stream."))
+    held_to = GoalTolerances.of_parameters(names, tolerances)
+    return GoalParameters(options, held_to, streaming, _take_out(node, names), scaling, **own)
 
 
 def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:

@@ -95,7 +95,7 @@ def test_what_may_take_long_is_checked_while_ticks_run(
     """
     rig = ways.rig
     with mock.patch.object(points, "joint_table", wraps=points.joint_table) as table:
-        table.side_effect = lambda *_: ways.beside.append(not rig.loop.between_ticks.locked()) or mock.DEFAULT
+        table.side_effect = lambda *_, **__: ways.beside.append(not rig.loop.between_ticks.locked()) or mock.DEFAULT
         for _ in range(3):
             given = message(rig, count, last)
             rig.loop.receive(given) if offered == "topic" else goal(rig, given)
