@@ -515,7 +515,7 @@ def without_shocks(record: JointRecord, elements: Array) -> tuple[JointRecord, t
                 far[:, joint] |= rows & (distance[:, joint] > least)
     found: list[tuple[float, float]] = []
     texts, half = [], 0.5 * size / rate
-    for start, stop in stretches(far.any(axis=1)):
+    for start, stop in stretches(np.asarray(far.any(axis=1))):
         joint = int(np.argmax(np.where(far[start:stop], distance[start:stop], 0.0).max(axis=0)))
         begin, end = float(time[start, 0]) - half - _SHOCK_MARGIN, float(time[stop - 1, 0]) + half + _SHOCK_MARGIN
         if found and begin <= found[-1][1]:
