@@ -45,6 +45,7 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem, P
 from rx90_emulator.identification.excitation.result import base_parameters, simulated_elements
 from rx90_emulator.identification.output.robot_files import torque_constants
 from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.validation.verdict import run_torques
 from rx90_emulator.loop.setup import Setup
 
 FACTOR = np.array([1.12, 0.93])  # true over recorded torque
@@ -411,6 +412,14 @@ def test_elements_transmit_what_links_springs_and_payload_take(problem: Excitati
     for one, body, load in zip(problem.runs, problem.payloads, found, strict=True):
         expected = transmitted_of(rx.load_setup(), (one.position, one.velocity, one.acceleration), body)[1]
         assert load == pytest.approx(expected, abs=1e-8)
+
+
+def test_torques_that_are_shown_hold_those_of_the_payload(problem: ExcitationProblem) -> None:
+    """Where joints move they are those of the run, and the best prediction, known payloads left out, has no residual."""
+    for one, shown in zip(problem.runs, run_torques(problem, problem.torque), strict=True):
+        moves = shown.compared
+        np.testing.assert_allclose(shown.recorded[moves], one.parallel(one.torque)[moves], atol=1e-9)
+        np.testing.assert_allclose(shown.predicted[moves], shown.recorded[moves], atol=1e-9)
 
 
 @pytest.mark.parametrize("lead", [0.0, 0.45 / LOW_RATE])
