@@ -415,7 +415,7 @@ def test_elements_transmit_what_links_springs_and_payload_take(problem: Excitati
 
 
 def test_torques_that_are_shown_hold_those_of_the_payload(problem: ExcitationProblem) -> None:
-    """Where joints move they are those of the run, and the best prediction, known payloads left out, has no residual."""
+    """Where joints move they are those of the run, and a perfect prediction, without payloads, has no residual."""
     for one, shown in zip(problem.runs, run_torques(problem, problem.torque), strict=True):
         moves = shown.compared
         np.testing.assert_allclose(shown.recorded[moves], one.parallel(one.torque)[moves], atol=1e-9)
