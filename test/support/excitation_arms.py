@@ -54,10 +54,9 @@ def runs_of(
     return tuple(part for record, run in pairs for part in filter_record(record, chosen, run.reference))
 
 
-def all_columns(problem: ExcitationProblem) -> tuple[tuple[str, ...], Array]:
-    """Return names and columns of base parameters, Coulomb and viscous friction."""
-    names, columns = coulomb_viscous(problem)
-    return problem.names + names, np.hstack([problem.regressor, columns])
+def all_columns(problem: ExcitationProblem) -> Array:
+    """Return the columns of base parameters, Coulomb and viscous friction."""
+    return np.hstack([problem.regressor, coulomb_viscous(problem)])
 
 
 def truth(problem: ExcitationProblem, arm: SyntheticArm) -> Array:

@@ -181,7 +181,7 @@ def _best(residuals: Sequence[Array], compared: ExcitationProblem, rows: Index |
 
 def _left_out(problem: ExcitationProblem, compared: ExcitationProblem) -> Array:
     """Return residuals of the compared rows, each block of time by the parameters fitted without it, shape (r,)."""
-    own, other = (np.hstack([one.regressor, coulomb_viscous(one)[1]]) for one in (problem, compared))
+    own, other = (np.hstack([one.regressor, coulomb_viscous(one)]) for one in (problem, compared))
     fit = solve(problem, own)
     weighted = own * (fit.weights / fit.sigma[problem.joint] ** 2)[:, None]
     whole, right = weighted.T @ own, weighted.T @ problem.torque

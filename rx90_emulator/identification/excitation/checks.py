@@ -30,14 +30,13 @@ from rx90_emulator.identification.zeros import ROUNDS, SMALLEST, Left, ZeroCheck
 _NO_OPTIONS = RobotOptions()
 
 
-def coulomb_viscous(problem: ExcitationProblem) -> tuple[tuple[str, ...], Array]:
-    """Return names and columns, two for each element: sign(v) and v, the torques per tau_c and c2; shape (r, 2 n_el).
+def coulomb_viscous(problem: ExcitationProblem) -> Array:
+    """Return two columns for each element: sign(v) and v, the torques per tau_c and c2; shape (r, 2 n_el).
 
     The sign is of the filtered velocity at the full rate, where the torque was recorded, and is filtered with it.
     """
-    names = tuple(f"{name}.{part}" for name in problem.arm.element_names for part in ("tau_c", "c2"))
     columns = joint_columns(problem, [ElementShape()] * len(problem.arm.element_names))
-    return names, columns[:, :, [COULOMB, VISCOUS]].reshape(len(problem), -1)
+    return np.asarray(columns[:, :, [COULOMB, VISCOUS]].reshape(len(problem), -1))
 
 
 class WrongSign(NamedTuple):
@@ -165,7 +164,7 @@ class _Search:
     """Fits with other angles; the motion passes the parallel filter in place of each of its columns, which is cheap."""
 
     def __init__(self, problem: ExcitationProblem) -> None:
-        self._problem, self._friction = problem, coulomb_viscous(problem)[1]
+        self._problem, self._friction = problem, coulomb_viscous(problem)
         self._position, self._velocity, self._acceleration, self._torque = (
             np.concatenate([run.parallel(getattr(run, name)) for run in problem.runs])
             for name in ("position", "velocity", "acceleration", "torque")

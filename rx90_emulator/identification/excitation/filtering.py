@@ -24,7 +24,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 from scipy.signal import butter, firwin, kaiserord, sosfiltfilt, welch
 from scipy.sparse import csr_array
@@ -333,12 +333,8 @@ def _filtered(
     if not _is_even(stamps, even):
         samples = even[inner]
         first, last = np.searchsorted(stamps, samples[0], "right") - 1, np.searchsorted(stamps, samples[-1]) + 1
-        around = stamps[first:last]
-        before = np.clip(np.searchsorted(around, samples, "right") - 1, 0, len(around) - 2)
-        share = (samples - around[before]) / (around[before + 1] - around[before])
-        pairs = np.column_stack([1.0 - share, share]), np.column_stack([before, before + 1])
-        rows = np.arange(0, 2 * len(samples) + 1, 2)
-        resampling = csr_array((pairs[0].ravel(), pairs[1].ravel(), rows), (len(samples), len(around)))
+        around = stamps[max(int(first), 0) : last]
+        resampling = BSpline.design_matrix(samples, np.pad(around, 1, "edge"), 1, extrapolate=True)
         at_torque = TorqueStamps(np.asarray(curve(around - even[0], order)), resampling)
     return FilteredRun(
         source=record.bag,
@@ -515,7 +511,7 @@ def without_shocks(record: JointRecord, elements: Array) -> tuple[JointRecord, t
                 far[:, joint] |= rows & (distance[:, joint] > least)
     found: list[tuple[float, float]] = []
     texts, half = [], 0.5 * size / rate
-    for start, stop in stretches(far.any(axis=1)):
+    for start, stop in stretches(np.asarray(far.any(axis=1))):
         joint = int(np.argmax(np.where(far[start:stop], distance[start:stop], 0.0).max(axis=0)))
         begin, end = float(time[start, 0]) - half - _SHOCK_MARGIN, float(time[stop - 1, 0]) + half + _SHOCK_MARGIN
         if found and begin <= found[-1][1]:

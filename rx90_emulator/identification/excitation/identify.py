@@ -249,13 +249,11 @@ def _check_robot(robot: RobotOptions, *, rotors: bool) -> None:
         raise IdentificationError(f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears")
 
 
-def _gears(layout: BagLayout, robot: RecordedRobot) -> list[float] | None:
+def _gears(layout: BagLayout, robot: RecordedRobot) -> Sequence[float] | None:
     """Return the gear of each motor, given or this project's robot's; None where messages hold the joints' states."""
-    if layout.turns is None:
-        return None
-    largest = np.argmax(np.abs(robot.arm.coupling), axis=1)[:, None]
-    gears = (np.take_along_axis(values, largest, 1)[:, 0] for values in (layout.turns, robot.arm.coupling))
-    return (next(gears) / next(gears)).tolist()  # type: ignore[no-any-return]
+    if layout.turns is None or robot.options.gear is not None or robot.setup is None:
+        return robot.options.gear
+    return tuple(float(value) for value in robot.setup.drives.gear)
 
 
 @dataclass(frozen=True, eq=False)

@@ -141,7 +141,7 @@ def identify_gains(
     Raises:
         IdentificationError: where the payloads tell no gain.
     """
-    rough = drive_gains(problem, coulomb_viscous(problem)[1])
+    rough = drive_gains(problem, coulomb_viscous(problem))
     scaled = rough.applied(problem)
     friction = identify_friction_parts(scaled, parts, progress=progress, fixed=fixed)
     return drive_gains(scaled, linear_columns(friction, scaled)[1]).after(rough.factor)
@@ -344,7 +344,7 @@ def identify_load_parts(
         IdentificationError: for runs that all carry the same payload.
     """
     bodies = _bodies(problem, "load parts")
-    names, friction, regressor = problem.arm.element_names, coulomb_viscous(problem)[1], problem.regressor
+    names, friction, regressor = problem.arm.element_names, coulomb_viscous(problem), problem.regressor
     b, moving = regressor.shape[1], [e for e in range(len(names)) if friction[:, 2 * e].any()]
     # First values, beside Coulomb and viscous friction.
     base = solve(problem, np.hstack([regressor, friction])).value[:b]

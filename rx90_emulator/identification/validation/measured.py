@@ -14,8 +14,8 @@ import numpy as np
 from scipy.interpolate import BPoly, BSpline, make_interp_spline
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.mapping import LogMapping, is_table, mapping_of
-from rx90_common.bags.reading import BagReader, read_joint_states
+from rx90_common.bags.mapping import LogMapping
+from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array, Mask
@@ -42,6 +42,7 @@ from rx90_emulator.identification.robot import (
     JOINT_STATES,
     BagLayout,
     arm_layout,
+    message_names,
     recorded_topic,
     topic_names,
     with_signals,
@@ -92,16 +93,7 @@ def _bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
     joints = setup.robot.joint_names
     options, mapping = with_signals(options, [bag])
     topic = options.topic or recorded_topic(bag, (MOTOR_STATES, JOINT_STATES), mapping)
-    names: Sequence[str] = ()
-    if options.names is not None:
-        pass
-    elif is_table(bag):
-        names = next((t.names for one, t in mapping_of(bag, mapping).topics.items() if absolute(one) == topic), ())
-    else:
-        with BagReader(bag) as reader:
-            there = [one for one in reader.topics if one.name == absolute(topic) and one.is_joint_state]
-            if there and (first := next(reader.messages(there), None)):
-                names = [str(name) for name in reader.deserialize(first[0], first[2]).name]
+    names = message_names(bag, topic, mapping) if options.names is None else ()
     if names and not {*names} & {*joints, *motor_names(len(joints))}:
         raise IdentificationError(
             f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or --names; {_OTHER_ARMS}"

@@ -18,9 +18,12 @@ import rx90_emulator as rx
 from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO, IdentificationError, TrajectoryError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
+from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.output.report import check_page
 from rx90_emulator.identification.output.summary import check_summary
-from rx90_emulator.identification.validation.prediction import Validation
+from rx90_emulator.identification.records import read_record
+from rx90_emulator.identification.robot import RecordedRobot
+from rx90_emulator.identification.validation.prediction import Validation, filtered_runs
 from rx90_emulator.identification.validation.verdict import TorquePrediction
 from rx90_emulator.loop.setup import Setup
 
@@ -219,6 +222,20 @@ def test_set_points_of_another_rate_and_zero_are_followed(measured: Measured) ->
         assert not replace(result, tolerances=replace(result.tolerances, **{name: 1e-9})).passed
     with pytest.raises(IdentificationError, match="--bandwidth is 1000 Hz; accepted: above 0, up to 300 Hz"):
         rx.compare_measured(bag, measured.setup, rx.MeasuredLayout(zero=zero), bandwidth=1e3)
+
+
+def test_set_points_lose_the_zero_as_positions_do(measured: Measured) -> None:
+    """Of a simulated bag whose angles begin elsewhere, set-points lie beside the positions that a fit is given."""
+    zero = np.array([0.3, -1.0, 0.5, 2.0, 0.1, -0.2])
+    names = ("joint_states", "rx90_controller/reference")
+    recorded = (measured.run.series[name] for name in names)
+    series = [replace(one, position=np.asarray(one.position) + zero) for one in recorded]
+    bag = measured.write("zeroed", *series)
+    robot = RecordedRobot.load(rx.RobotOptions(zero=zero.tolist()), [bag])
+    record = read_record(bag, robot.layout(bag, fast=True))
+    (run,) = filtered_runs(record, robot, Bandwidths(100.0, 30.0))
+    assert run.reference is not None
+    np.testing.assert_allclose(run.reference, run.position, atol=0.02)
 
 
 @pytest.mark.parametrize("said", ["have gaps", "are of different times", "no joint moves"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,9 @@ import pinocchio as pin
 import pytest
 import yaml
 from excitation_arms import all_columns, plain_arm, rigid_arm, runs_of, truth
-from foreign_arms import Curve, drive_torque, urdf_text, write
+from foreign_arms import drive_torque, urdf_text, write
 from sine_motions import motion_of
+from two_joints import CURVES, NAMES, RATE, Bench, fourier
 
 import rx90_emulator as rx
 from benchmarks.excitation_runs import NOISE
@@ -22,11 +23,10 @@ from benchmarks.load_parts import MASS, Experiment, coefficients_of, payload_of,
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import DONE, REFUSED, ConfigError, IdentificationError
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.report import page
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import ElementEstimate, ParameterEstimate
-from rx90_emulator.identification.excitation import filtering, identify, instruments
+from rx90_emulator.identification.excitation import filtering, identify
 from rx90_emulator.identification.excitation.checks import coulomb_viscous
 from rx90_emulator.identification.excitation.choice import Scored
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
@@ -45,62 +45,34 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem, P
 from rx90_emulator.identification.excitation.result import base_parameters, simulated_elements
 from rx90_emulator.identification.output.robot_files import torque_constants
 from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.validation.verdict import run_torques
 from rx90_emulator.loop.setup import Setup
 
-RATE = 100.0
-NAMES = ["shoulder", "elbow"]
-CURVES = [Curve(8.0, 8.0, 8.0, 8.0, 0.1, 1.0, 5.0), Curve(3.0, 3.0, 3.0, 3.0, 0.1, 1.0, 2.0)]
 FACTOR = np.array([1.12, 0.93])  # true over recorded torque
 BODY = "{mass: 4.0, centre: [0.02, -0.03, 0.3], inertia: [0.03, 0.001, 0.0, 0.03, 0.0, 0.02]}"
 
 
-@pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out what other tests look at: simulations of the closed loop, and plots."""
-    monkeypatch.setattr(instruments, "_MAX_ROUNDS", 0)
-    for drawn in ("as_svg", "plot_json"):
-        monkeypatch.setattr(page, drawn, lambda *_: "")
-
-
-@dataclass
-class Scales:
-    """Two joints whose recorded torques are off by known factors, and their bags with and without a payload."""
-
-    folder: Path
-
-    def identify(self, *words: object) -> int:
-        """Run the command on the arm's bags `bare` and `loaded`."""
-        bags = [str(self.folder / name) for name in ("bare", "loaded")]
-        given = ["--urdf", self.folder / "arm.urdf", "--excitation", *bags, *words]
-        return run("rx90_identify", [str(word) for word in given])
-
-
 @pytest.fixture(scope="module")
-def scales(tmp_path_factory: pytest.TempPathFactory) -> Scales:
-    """Return the arm and two bags of the same motion, the second with a body of 4 kg."""
-    folder = tmp_path_factory.mktemp("scales")
-    text = urdf_text(NAMES, ["0 1 0", "0 1 0"], [5.0, 3.0])
-    (folder / "arm.urdf").write_text(text, encoding="utf-8")
-    (folder / "payload.yaml").write_text(f"loaded: {BODY}\n", encoding="utf-8")
+def scales(tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    """Return two joints whose recorded torques are off by known factors, and two bags, one with a body of 4 kg."""
+    bench = Bench.make(tmp_path_factory.mktemp("scales"))
+    (bench.folder / "payload.yaml").write_text(f"loaded: {BODY}\n", encoding="utf-8")
     inertia = np.array([[0.03, 1e-3, 0.0], [1e-3, 0.03, 0.0], [0.0, 0.0, 0.02]])
     body = pin.Inertia(4.0, np.array([0.02, -0.03, 0.3]), inertia)
-    time = np.arange(0.0, 14.0, 1.0 / RATE)[:, None]
-    for seed, name in enumerate(("bare", "loaded")):
-        model, rng = pin.buildModelFromXML(text), np.random.default_rng(seed)
-        if name == "loaded":
-            model.inertias[2] = model.inertias[2] + body
-        rate, phase = 2.0 * np.pi * 0.1 * np.arange(1.0, 6.0), rng.uniform(0.0, 2.0 * np.pi, (2, 5))
-        angle = time[:, :, None] * rate + phase
-        motion = (0.8 * np.sin(angle) / rate).sum(axis=2), 0.8 * np.cos(angle).sum(axis=2)
-        recorded = drive_torque(model, np.eye(2), CURVES, motion, RATE) / FACTOR
-        noise = 0.1 * rng.normal(size=recorded.shape)
-        write(folder / name, "/joint_states", NAMES, RATE, (*motion, recorded + noise))
-    return Scales(folder)
+    for seed, (name, carried) in enumerate({"bare": None, "loaded": body}.items()):
+        motion = fourier(seed, 14.0)
+        bench.write(name, motion, bench.torque(motion, body=carried) / FACTOR + bench.noise(motion, seed))
+    return bench
+
+
+def given(scales: Bench, *words: object) -> int:
+    """Run the command on the arm's bags `bare` and `loaded`."""
+    return scales.identify("--excitation", scales.folder / "bare", scales.folder / "loaded", *words)
 
 
 @pytest.mark.usefixtures("quick")
 def test_gains_are_told_by_a_known_payload(
-    scales: Scales, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    scales: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Gains off by 12 and 7 % come out within three deviations; friction and weight are then in true torques.
 
@@ -114,7 +86,7 @@ def test_gains_are_told_by_a_known_payload(
 
     monkeypatch.setattr("rx90_emulator.identification.job.identify_excitation", kept)
     folder = tmp_path / "arm"
-    assert scales.identify("--payload", scales.folder / "payload.yaml", "--output", folder) == 0
+    assert given(scales, "--payload", scales.folder / "payload.yaml", "--output", folder) == 0
     found = yaml.safe_load((folder / "parameters.yaml").read_text(encoding="utf-8"))
     for name, factor, curve in zip(NAMES, FACTOR, CURVES, strict=True):
         gain = found["drive_gains"][name]
@@ -141,20 +113,23 @@ def test_gains_are_told_by_a_known_payload(
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "words", "message"),
     [
-        (f"lost: {BODY}", "payload of 'lost': no such run; accepted: each of bare, loaded once"),
-        (f"loaded: {BODY}\nbare: {BODY}", "all runs carry the same payload"),
-        (f"loaded: {BODY}".replace("0.02]", "0.2]"), "payload's principal moments"),
-        (f"loaded: {BODY}".replace("0.3]", "-0.3]"), "drive gain of elbow: -"),
+        (f"lost: {BODY}", (), "payload of 'lost': no such run; accepted: each of bare, loaded once"),
+        (f"loaded: {BODY}\nbare: {BODY}", (), "drive gains: all runs carry the same payload"),
+        (f"loaded: {BODY}\nbare: {BODY}", ("--load-part",), "load parts: all runs carry the same payload"),
+        ("", ("--load-part",), "--load-part without --payload; accepted: with --payload FILE"),
+        (f"loaded: {BODY}".replace("0.02]", "0.2]"), (), "payload's principal moments"),
+        (f"loaded: {BODY}".replace("0.3]", "-0.3]"), (), "drive gain of elbow: -"),
     ],
 )
 def test_payloads_that_cannot_be_are_refused(
-    scales: Scales, text: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scales: Bench, text: str, words: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Names of no run, bodies that cannot be, and payloads that tell nothing are refused in one line."""
     (tmp_path / "payload.yaml").write_text(text, encoding="utf-8")
-    assert scales.identify("--payload", tmp_path / "payload.yaml", "--output", tmp_path / "arm") == REFUSED
+    file = ["--payload", tmp_path / "payload.yaml"] if text else []
+    assert given(scales, *file, *words, "--output", tmp_path / "arm") == REFUSED
     assert re.search(re.escape(message), capsys.readouterr().err.replace("\r", "\n").splitlines()[-1])
     assert not (tmp_path / "arm").exists()
 
@@ -195,7 +170,7 @@ def test_a_payload_that_no_body_is_is_refused(given: tuple[Any, ...], said: str)
 
 @pytest.mark.parametrize("words", [["--payload", "1"], ["--prior", "0.5"], ["--bristles"]], ids=" ".join)
 def test_options_of_excitation_runs_are_refused_without(
-    scales: Scales, words: list[str], capsys: pytest.CaptureFixture[str]
+    scales: Bench, words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What counts for excitation runs alone is refused with others, not ignored."""
     assert run("rx90_identify", ["--sliding", str(scales.folder / "bare"), "--output", "f.yaml", *words]) == REFUSED
@@ -242,7 +217,7 @@ def test_a_known_payload_tells_the_drive_gains(tmp_path: Path) -> None:
     torques = runs[0].torque, runs[1].torque + last @ payload.parameters()
     recorded = [replace(run, torque=torque @ scale) for run, torque in zip(runs, torques, strict=True)]
     problem = ExcitationProblem.of(rigid, recorded, carried)
-    friction = coulomb_viscous(problem)[1]
+    friction = coulomb_viscous(problem)
     gains = drive_gains(problem, friction)
     assert np.all(np.abs(gains.factor - factor) < 3.0 * gains.deviation)
     assert gains.deviation.max() < 0.01
@@ -256,7 +231,7 @@ def test_a_known_payload_tells_the_drive_gains(tmp_path: Path) -> None:
     assert scaled.deviation.max() > 0.1
     assert scaled.implausible.tolist() == scaled.told.tolist() == [0, 1, 2]
     corrected = gains.applied(problem)
-    columns = all_columns(corrected)[1]
+    columns = all_columns(corrected)
     fit = solve(corrected, columns)
     assert np.mean(np.abs(fit.value - truth(true, arm)) < 2.5 * fit.deviation) > 0.9
     # The gains' own deviations are in those of what scales with them, as where each gain is off by one of them.
@@ -283,7 +258,7 @@ def test_a_motor_whose_gain_is_lost_in_noise_keeps_it(tmp_path: Path) -> None:
         for run, more in zip(runs, (0.0, load), strict=True)
     ]
     problem = ExcitationProblem.of(rigid, recorded, [None, body])
-    gains = drive_gains(problem, coulomb_viscous(problem)[1])
+    gains = drive_gains(problem, coulomb_viscous(problem))
     assert gains.told.tolist() == [0]
     assert gains.factor == pytest.approx([1.1, 1.0], abs=3.0 * gains.deviation[0])
     assert gains.factor[1] == 1.0
@@ -350,7 +325,6 @@ def runs(tx40: Setup, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, A
     moments = np.asarray(body.inertia)[np.triu_indices(3)].tolist()
     known = f"mass: {body.mass}, centre: {body.centre}, inertia: {moments}"
     (folder / "payload.yaml").write_text(f"run_1: {{{known}}}\nrun_3: {{{known}}}\n", encoding="utf-8")
-    (folder / "same.yaml").write_text(f"run_1: {{{known}}}\n", encoding="utf-8")
     (folder / "tx40.urdf").write_text(tx40.robot.urdf, encoding="utf-8")
     return folder, coefficients
 
@@ -397,24 +371,6 @@ def test_no_load_part_is_found_where_there_is_none(tx40: Setup) -> None:
     assert arm.outcome(3, there=False).found.kept == ()
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("--load-part", "--load-part without --payload; accepted: with --payload FILE"),
-        ("--load-part --payload same.yaml", "load parts: all runs carry the same payload"),
-    ],
-)
-def test_load_parts_need_two_payloads(
-    words: str, message: str, runs: tuple[Path, Array], capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
-    """Without a payload, or with one and the same in all runs, the command refuses in one line."""
-    monkeypatch.chdir(runs[0])
-    arm = ["--urdf", "tx40.urdf", "--excitation", "run_1", "--output", "refused"]
-    assert run("rx90_identify", [*arm, *words.split()]) == REFUSED
-    assert message in capsys.readouterr().err
-
-
 LOW_RATE = 50.0
 COEFFICIENTS = coefficients_of(2)
 
@@ -456,6 +412,14 @@ def test_elements_transmit_what_links_springs_and_payload_take(problem: Excitati
     for one, body, load in zip(problem.runs, problem.payloads, found, strict=True):
         expected = transmitted_of(rx.load_setup(), (one.position, one.velocity, one.acceleration), body)[1]
         assert load == pytest.approx(expected, abs=1e-8)
+
+
+def test_torques_that_are_shown_hold_those_of_the_payload(problem: ExcitationProblem) -> None:
+    """Where joints move they are those of the run, and a perfect prediction, without payloads, has no residual."""
+    for one, shown in zip(problem.runs, run_torques(problem, problem.torque), strict=True):
+        moves = shown.compared
+        np.testing.assert_allclose(shown.recorded[moves], one.parallel(one.torque)[moves], atol=1e-9)
+        np.testing.assert_allclose(shown.predicted[moves], shown.recorded[moves], atol=1e-9)
 
 
 @pytest.mark.parametrize("lead", [0.0, 0.45 / LOW_RATE])

@@ -236,8 +236,8 @@ def test_bodies_predict_unseen_runs_better_than_least_squares(tmp_path: Path) ->
             ExcitationProblem.of(rigid, runs_of(arm, 500.0, worse, seeds=(k,), periods=1))
             for k, worse in ((0, Disturbances(coloured=0.05, ripple=0.05, load=0.2)), (7, Disturbances()))
         )
-        fit, count = solve(seen, all_columns(seen)[1]), len(seen.names)
-        estimate = BaseEstimate.of(seen, all_columns(seen)[1][:, count:], fit)
+        fit, count = solve(seen, all_columns(seen)), len(seen.names)
+        estimate = BaseEstimate.of(seen, all_columns(seen)[:, count:], fit)
         prior = InertialPrior.of_urdf(arm.urdf(0.5), arm.names, arm.rotor, arm.spring[arm.spring != 0.0])
         base = consistent_inertias(estimate, prior).base
         true, size = truth(seen, arm)[:count], np.linalg.norm(unseen.torque)
@@ -258,7 +258,7 @@ def few_instants(folder: Path, speed: tuple[float, float]) -> tuple[SyntheticArm
         record = measured(arm, motion, 100.0, seed, noise).record(arm)
         problems.append(ExcitationProblem.of(rigid, filter_record(record, Bandwidths(6.0, 2.0, "few"))))
     prior = InertialPrior.of_urdf(urdf, names, np.zeros(7), arm.spring[arm.spring != 0.0])
-    return arm, *problems, solve(problems[0], all_columns(problems[0])[1]), prior
+    return arm, *problems, solve(problems[0], all_columns(problems[0])), prior
 
 
 @pytest.mark.parametrize("speed", [(1.0, 2.0), (0.3, 0.7)], ids=["brisk", "slow"])
@@ -270,9 +270,9 @@ def test_few_instants_of_seven_joints_tell_plausible_bodies(tmp_path: Path, spee
     arm, seen, unseen, fit, prior = few_instants(tmp_path, speed)
     count = len(seen.names)
     assert np.linalg.matrix_rank(fit.covariance) < len(fit.value)
-    found = consistent_inertias(BaseEstimate.of(seen, all_columns(seen)[1][:, count:], fit), prior)
+    found = consistent_inertias(BaseEstimate.of(seen, all_columns(seen)[:, count:], fit), prior)
     errors = [
-        np.linalg.norm(unseen.torque - all_columns(unseen)[1] @ np.append(base, fit.value[count:]))
+        np.linalg.norm(unseen.torque - all_columns(unseen) @ np.append(base, fit.value[count:]))
         for base in (fit.value[:count], found.base)
     ]
     assert errors[1] < 1.1 * errors[0]
@@ -327,9 +327,9 @@ def test_a_model_without_rotors_has_none(tmp_path: Path) -> None:
     without = ExcitationProblem.of(rigid, runs, rotors=False)
     assert not any("Ia" in group for group in without.base.groups)
     assert any("Ia" in group for group in ExcitationProblem.of(rigid, runs).base.groups)
-    fit, count = solve(without, all_columns(without)[1]), len(without.names)
+    fit, count = solve(without, all_columns(without)), len(without.names)
     assert np.linalg.norm(fit.residual) < 5e-3 * np.linalg.norm(without.torque)
-    estimate = BaseEstimate.of(without, all_columns(without)[1][:, count:], fit)
+    estimate = BaseEstimate.of(without, all_columns(without)[:, count:], fit)
     prior = InertialPrior.of_urdf(arm.urdf(0.5), arm.names, None, arm.spring[arm.spring != 0.0])
     found = consistent_inertias(estimate, prior)
     assert not found.rotors.any()

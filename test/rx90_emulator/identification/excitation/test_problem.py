@@ -83,21 +83,6 @@ def test_a_step_of_the_velocitys_sign_is_resampled_as_that_of_the_torque(jitter:
     assert (run.stamps is None) == (jitter == lead == 0.0)
 
 
-def test_a_torque_that_acted_before_its_stamp_is_put_back() -> None:
-    """A ramp whose values are those of an instant 0.4 ms earlier comes out as that of its own time."""
-    given = record(1000.0, 6.0)
-    late = replace(given, torque=given.torque - 4e-4 * np.array([1.0, -1.0]))
-    (run,) = filter_record(late, Bandwidths(40.0, 20.0), torque_lead=4e-4)
-    assert run.parallel(run.torque)[:, 0] == pytest.approx(run.time[run.rows], abs=1e-6)
-
-
-def test_a_gap_begins_a_new_run() -> None:
-    """Where 0.3 s are missing, one run ends and another begins; neither times nor the rate go across."""
-    first, second = filter_record(record(200.0, 12.0, gap=0.3), Bandwidths(0.449 * 200.0, 20.0))
-    assert first.time[-1] < 5.85
-    assert second.time[0] > 6.15
-
-
 def test_bandwidths_follow_the_noise_of_the_positions() -> None:
     """The noisier the positions, the less is let pass; never less than ten times the motion, and the user reads why.
 
@@ -162,7 +147,7 @@ def test_exact_runs_give_back_every_base_parameter(seed: int, joints: int, coupl
     arm = plain_arm(seed, joints, coupled=coupled)
     runs = runs_of(arm, 400.0, NOTHING, Bandwidths(100.0, 20.0), periods=1)
     problem = ExcitationProblem.of(rigid_arm(arm, tmp_path), runs)
-    fit, expected = solve(problem, all_columns(problem)[1]), truth(problem, arm)
+    fit, expected = solve(problem, all_columns(problem)), truth(problem, arm)
     assert fit.determined.all()
     assert undetermined(problem, fit) == ()
     assert fit.value == pytest.approx(expected, abs=2e-3 * float(np.abs(expected).max()))
@@ -217,7 +202,7 @@ def test_rows_leave_out_pauses_and_keep_reversals(tmp_path: Path) -> None:
     problem = ExcitationProblem.of(rigid_arm(arm, tmp_path), [replace(run, time=time, velocity=velocity)])
     there = [problem.time[problem.joint == joint] for joint in (0, 1)]
     for times in there:
-        assert not np.any((times > 4.0) & (times < 6.0))
+        assert not np.any((times > 3.98) & (times < 6.02))  # as far as the low-pass of the torque reaches
     assert not np.any(there[0] > 8.0)
     assert np.any(there[1] > 8.5)
     turning = problem.time[problem.reversal & (problem.joint == 0) & (problem.time < 3.9)]
@@ -338,7 +323,7 @@ def test_a_motion_that_is_repeated_says_no_more_of_what_the_model_leaves_out(tmp
         problem = ExcitationProblem.of(
             rigid, [r for one in records for r in filter_record(one, Bandwidths(25.0, 10.0))]
         )
-        return solve(problem, np.hstack([problem.regressor, coulomb_viscous(problem)[1]])).deviation
+        return solve(problem, np.hstack([problem.regressor, coulomb_viscous(problem)])).deviation
 
     misfit, noise = replace(NOTHING, ripple=0.02, load=0.05), replace(NOTHING, white=0.3)
     assert deviation(misfit, [1, 1, 1, 1]) == pytest.approx(deviation(misfit, [1]), rel=0.05)
