@@ -18,7 +18,6 @@ import pinocchio as pin
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.robot import RobotModel
-from rx90_emulator.identification.estimates import digits
 
 _POSES: Final = 200
 _GEAR, _COUNTS, _OBSERVER_HZ = 100.0, 65536, 400.0
@@ -99,7 +98,8 @@ def _marked(content: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _six(values: Array) -> list[float]:
-    return [digits(value) for value in values]
+    """Return plain numbers of six digits."""
+    return [float(f"{value:.6g}") for value in values]
 
 
 def _inertia(robot: RobotModel, model: Any, turning: Coupling, rotors: Array) -> _Inertia:
