@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -18,7 +18,6 @@ import pinocchio as pin
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.robot import RobotModel
-from rx90_emulator.identification.estimates import digits
 
 _POSES: Final = 200
 _GEAR, _COUNTS, _OBSERVER_HZ = 100.0, 65536, 400.0
@@ -29,6 +28,15 @@ _HIGHEST_KV = 400.0  # 1/s
 FULL_SPEED_TIME: Final = 0.5
 """s, in which a joint gets to its speed limit with the acceleration that is taken where none is given."""
 _SOURCE = "nothing is known of it: chosen in proportion to the arm's inertia and to the efforts of its URDF"
+
+
+class _Inertia(NamedTuple):
+    """Of the motors, seen through their gears, kg m^2, shape (n,) each."""
+
+    mean: Array  # over poses, the others held
+    nominal: Array  # that the controller takes
+    least: Array  # in any pose, the others free
+    most: float  # how many times as large `nominal` is, at most, as what a motion of several motors takes
 
 
 def assumed_files(
@@ -50,22 +58,22 @@ def assumed_files(
             then give the same torques at the joints.
         acceleration: that the joints have been seen to do, rad/s^2, shape (n,), or 0.
     """
-    (mean, nominal, least, most), n = _inertia(robot, model, turning, rotors), len(rotors)
+    inertia, n = _inertia(robot, model, turning, rotors), len(rotors)
     effort = np.abs(turning.joint_turns.T) @ robot.max_effort
-    kv = min(_HIGHEST_KV, _FASTEST / most)
+    kv = min(_HIGHEST_KV, _FASTEST / inertia.most)
     gear, constant = (
         np.array(known[key].value if key in known else [usual] * n)
         for key, usual in ((("transmission", "gear"), _GEAR), (("motor", "torque_constant"), _TORQUE_CONSTANT))
     )
     current = effort / np.abs(gear * constant)
-    # A light link could be torn away at thousands of rad/s^2: what motions are planned with, or were seen to do, is enough.
+    # A light link could reach thousands of rad/s^2: what motions are planned with, or were seen to do, is enough.
     fastest = np.maximum(robot.max_velocity / FULL_SPEED_TIME, acceleration)
-    fastest = np.minimum(fastest, 0.5 * effort / mean)
+    fastest = np.minimum(fastest, 0.5 * effort / inertia.mean)
 
     def held(frequency: float) -> dict[str, list[float]]:
         pole = 2.0 * math.pi * frequency
-        damping = 2.0 * _HALF_CRITICAL * pole * least
-        return {"stiffness": _six(pole * pole * least), "damping": _six(damping)}
+        damping = 2.0 * _HALF_CRITICAL * pole * inertia.least
+        return {"stiffness": _six(pole * pole * inertia.least), "damping": _six(damping)}
 
     drives: dict[str, dict[str, Any]] = {
         "transmission": {
@@ -80,7 +88,7 @@ def assumed_files(
     }  # fmt: skip
     controller: dict[str, dict[str, Any]] = {
         "servo": {
-            "inertia": _six(nominal), "kp": _six(np.full(n, kv / 4.0)), "kv": _six(np.full(n, kv)),
+            "inertia": _six(inertia.nominal), "kp": _six(np.full(n, kv / 4.0)), "kv": _six(np.full(n, kv)),
             "ki": _six(np.full(n, kv**3 / 80.0)),
             "integrator_limit": _six(effort),
         },
@@ -101,15 +109,11 @@ def _marked(content: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _six(values: Array) -> list[float]:
-    return [digits(value) for value in values]
+    """Return plain numbers of six digits."""
+    return [float(f"{value:.6g}") for value in values]
 
 
-def _inertia(robot: RobotModel, model: Any, turning: Coupling, rotors: Array) -> tuple[Array, Array, Array, float]:
-    """Return what motors move, seen through their gears, kg m^2, shape (n,) each, and how different it is.
-
-    That is the mean over poses, the others held; what the controller takes; the least in any pose, the others free; and
-    how many times as large what the controller takes is, at most, as what a motion of several motors takes.
-    """
+def _inertia(robot: RobotModel, model: Any, turning: Coupling, rotors: Array) -> _Inertia:
     data, back = model.createData(), turning.joint_turns
     held, free, masses = [], [], []
     for share in np.random.default_rng(0).uniform(size=(_POSES, len(rotors))):
@@ -122,4 +126,4 @@ def _inertia(robot: RobotModel, model: Any, turning: Coupling, rotors: Array) ->
     nominal = np.sqrt(mean * least)
     root = np.sqrt(nominal)
     most = max(float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(mass) * root)[-1]) for mass in masses)
-    return mean, nominal, least, most
+    return _Inertia(mean, nominal, least, most)

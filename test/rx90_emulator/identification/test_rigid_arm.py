@@ -113,6 +113,15 @@ def test_what_does_not_fit_is_refused(urdf: Path, arguments: dict[str, object], 
         RigidArm.from_urdf(urdf, **({"joints": ["shoulder", "elbow"]} | arguments))  # type: ignore[arg-type]
 
 
+def test_a_file_that_is_no_urdf_is_refused(tmp_path: Path) -> None:
+    """Text that is no URDF is refused in one line with the path."""
+    path = tmp_path / "no.urdf"
+    path.write_text("<robot", encoding="utf-8")
+    with pytest.raises(IdentificationError, match=r"no\.urdf: no URDF") as caught:
+        RigidArm.from_urdf(path)
+    assert "\n" not in str(caught.value)
+
+
 def test_kinematics_of_a_urdf_without_inertials(urdf: Path, tmp_path: Path) -> None:
     """Where only kinematics are wanted, links need no <inertial>, and the regressor is the same without it."""
     bare = tmp_path / "bare.urdf"

@@ -18,7 +18,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.estimates import SLIDING, ElementEstimate, ParameterEstimate
+from rx90_emulator.identification.estimates import SLIDING, ElementEstimate, ParameterEstimate, cluster_variances
 from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, Poses, directions, make_plan
 from rx90_emulator.identification.identify import identify_records
 from rx90_emulator.identification.output.friction_file import friction_text
@@ -235,6 +235,24 @@ def test_what_tells_no_friction_is_refused(
     record, _ = sweeps([2], **program)
     with pytest.raises(IdentificationError, match=message):
         identify_sliding([some_rows(record, record.time < lasting)], arm)
+
+
+def test_clusters_of_residuals_give_the_jackknifes_variances_and_unbiased_ones() -> None:
+    """With all of the leverage taken off, they are the squared changes of fits without each cluster, by NumPy.
+
+    With the root of it they are right in the mean over white noise, of which each sample counts by itself.
+    """
+    rng = np.random.default_rng(2)
+    slope, cluster = rng.normal(size=(30, 3)), np.repeat(np.arange(6), [2, 3, 4, 5, 7, 9])
+    target = rng.normal(size=30)
+    covariance, hat = np.linalg.inv(slope.T @ slope), slope @ np.linalg.pinv(slope)
+    root, whole = np.linalg.cholesky(covariance), np.linalg.lstsq(slope, target, rcond=None)[0]
+    without = [np.linalg.lstsq(slope[cluster != k], target[cluster != k], rcond=None)[0] for k in range(6)]
+    found = cluster_variances(slope, target - hat @ target, cluster, root, 1.0, 1e-9)
+    np.testing.assert_allclose(found, np.sum((np.array(without) - whole) ** 2, axis=0), rtol=1e-9)
+    left = np.eye(30) - hat
+    mean = sum(cluster_variances(slope, left[:, k], cluster, root, 0.5, 1e-9) for k in range(30))
+    np.testing.assert_allclose(mean, np.diag(covariance), rtol=1e-9)
 
 
 @pytest.mark.parametrize(
