@@ -138,8 +138,8 @@ def export_robot(
     files, lost = files_of(arm, one, fits), _arm_lost(arm, one)
     if target == "mujoco-classic":
         (text,) = files.values()
-        fastest = max(creep(text, arm, fits))
-        lost.append(f"rest: under half of its friction a joint creeps by up to {fastest:.2g} rad/s, measured in MuJoCo")
+        most = f"{creep(text, arm, fits):.2g} rad/s"
+        lost.append(f"rest: under half of its friction a joint creeps by up to {most}, measured in MuJoCo")
     return Export(one, tuple(fits), files, tuple(lost), words)
 
 
