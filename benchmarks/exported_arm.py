@@ -1,6 +1,6 @@
 """The reference line on the engine and on the exported MJCF in MuJoCo, under the same control law: path error and time.
 
-    python -m benchmarks.exported_arm [--robot tx40] [--tune]
+    python -m benchmarks.exported_arm [--robot tx40] [--factor 2] [--steps 16 | --tune]
 
 The law is the controller itself, called from Python in each tick, behind encoders like those of the engine. With --tune
 its gains are chosen in MuJoCo, for the least path error, and taken here.
@@ -80,7 +80,7 @@ def run_exported(setup: Setup, task: LineTask, target: str, steps: int = 1) -> E
     return ExportedRun(position, (time.process_time() - began) / (len(position) * ratio))
 
 
-def compare(setup: Setup, task: LineTask) -> dict[str, tuple[float, float, float, float]]:
+def compare(setup: Setup, task: LineTask, steps: int = 1) -> dict[str, tuple[float, float, float, float]]:
     """Return for here and each target: s per tick, path error, its RMS, m, and how far the joints are apart, rad."""
     ours = run_line(setup, task)
     began = time.process_time()
@@ -88,7 +88,7 @@ def compare(setup: Setup, task: LineTask) -> dict[str, tuple[float, float, float
     seconds = (time.process_time() - began) / (len(ours.times) * setup.rates.ratio)
     found = {"here": (seconds, ours.path_accuracy.worst, ours.path_accuracy.rms, 0.0)}
     for target in TARGETS:
-        run = run_exported(setup, task, target)
+        run = run_exported(setup, task, target, steps)
         count = min(len(run.position), len(ours.times))
         path = path_accuracy(setup.robot, task, ours.times[:count], run.position[:count])
         apart = float(np.abs(run.position[:count] - ours.slow.joint_states[:count, 0]).max())
@@ -96,14 +96,19 @@ def compare(setup: Setup, task: LineTask) -> dict[str, tuple[float, float, float
     return found
 
 
+def with_gains(setup: Setup, factor: float) -> Setup:
+    """Return the setup with kv and ki times a factor."""
+    given = setup.controller
+    return dataclasses.replace(setup, controller=dataclasses.replace(given, kv=factor * given.kv, ki=factor * given.ki))
+
+
 def tune(setup: Setup, task: LineTask) -> list[tuple[str, ...]]:
     """Return for each target the factor on kv and ki that is best there, path errors with it there and here, in mm."""
-    rows, given = [], setup.controller
+    rows = []
     for target in (None, *TARGETS):
         found = []
         for factor in FACTORS:
-            controller = dataclasses.replace(given, kv=factor * given.kv, ki=factor * given.ki)
-            tuned = dataclasses.replace(setup, controller=controller)
+            tuned = with_gains(setup, factor)
             try:
                 here = run_line(tuned, task)
             except FailureError:  # unstable, or cut off by the supervision
@@ -123,6 +128,8 @@ def main() -> int:
     options = arguments(
         __doc__,
         ("--robot", DEFAULT_ROBOT, "robot whose arm, law and line are taken"),
+        ("--factor", 1.0, "on kv and ki"),
+        ("--steps", 1, "of MuJoCo in a tick"),
         ("--tune", False, "choose the gains in MuJoCo, and take them here"),
     )
     files = RobotFiles.named(options.robot)
@@ -130,13 +137,13 @@ def main() -> int:
     if options.tune:
         print_table(("tuned in", "factor on kv, ki", "path error there mm", "here mm"), tune(setup, task))
         return 0
-    found = compare(setup, task)
+    found = compare(with_gains(setup, options.factor), task, options.steps)
     rows = [
         (name, f"{seconds * 1e6:.1f}", f"{worst * 1e3:.4f}", f"{rms * 1e3:.4f}", f"{apart:.1e}")
         for name, (seconds, worst, rms, apart) in found.items()
     ]
     print_table(("", "us per tick", "path error mm", "RMS mm", "joints apart rad"), rows)
-    if options.robot == DEFAULT_ROBOT:
+    if (options.robot, options.factor, options.steps) == (DEFAULT_ROBOT, 1.0, 1):
         here, lugre, classic = (found[name] for name in ("here", *TARGETS))
         merge(
             {

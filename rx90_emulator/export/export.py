@@ -137,8 +137,9 @@ def export_robot(
         fits.append(fit if one.coupled else _with_coupling(fit, arm, k))
     files, lost = files_of(arm, one, fits), _arm_lost(arm, one)
     if target == "mujoco-classic":
-        fastest = max(creep(*files.values(), arm, fits))
-        lost.append(f"rest: under half of its friction a joint creeps by up to {fastest:.2g} rad/s, measured in MuJoCo")
+        (text,) = files.values()
+        most = f"{creep(text, arm, fits):.2g} rad/s"
+        lost.append(f"rest: under half of its friction a joint creeps by up to {most}, measured in MuJoCo")
     return Export(one, tuple(fits), files, tuple(lost), words)
 
 
@@ -284,7 +285,8 @@ def _band(friction: FrictionFile, fit: FrictionFit, speed: Array) -> Array | Non
 
     def curve(name: str, value: float) -> Array:
         tau_c, tau_s, omega_s, delta, c2, alpha = (here | {name: value}).values()
-        return tau_c + (tau_s - tau_c) * stribeck_decay(speed, omega_s, delta) + viscous_torque(speed, c2, alpha)
+        rise = (tau_s - tau_c) * stribeck_decay(speed, omega_s, delta)
+        return np.asarray(tau_c + rise + viscous_torque(speed, c2, alpha))
 
     intervals = {name: found[name]["interval"] for name in _OF_CURVE if "interval" in found.get(name, {})}
     halves = [0.5 * (curve(name, high) - curve(name, low)) for name, (low, high) in intervals.items()]

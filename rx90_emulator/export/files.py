@@ -190,8 +190,8 @@ def _urdf(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> str:
     return _indented(root)
 
 
-def creep(text: str, arm: Arm, fits: Sequence[FrictionFit]) -> list[float]:
-    """Return how fast each joint creeps under half of the friction that holds it, rad/s: measured in MuJoCo.
+def creep(text: str, arm: Arm, fits: Sequence[FrictionFit]) -> float:
+    """Return how fast a joint creeps at most under half of the friction that holds it, rad/s: measured in MuJoCo.
 
     Args:
         text: MJCF, with friction as frictionloss.
@@ -204,11 +204,11 @@ def creep(text: str, arm: Arm, fits: Sequence[FrictionFit]) -> list[float]:
     model.opt.gravity[:] = 0.0
     model.tendon_stiffness[:] = 0.0
     coulomb = np.array([fit.law.tau_c for fit in fits]) @ np.abs(arm.drives.turning.element_matrix)
-    speeds = []
+    fastest = 0.0
     for i, name in enumerate(arm.robot.joint_names):
         data = mujoco.MjData(model)
         at = model.joint(name).dofadr[0]
         data.qfrc_applied[at] = 0.5 * coulomb[i]
         mujoco.mj_step(model, data, nstep=round(_CREEP_TIME / model.opt.timestep))
-        speeds.append(float(abs(data.qvel[at])))
-    return speeds
+        fastest = max(fastest, float(abs(data.qvel[at])))
+    return fastest

@@ -237,7 +237,8 @@ def _law(target: Target, elements: Sequence[FrictionElement], speeds: Array, tor
         c1=sum(one.c1 for one in elements) if target.bristles else 0.0,
         load=_load(first) if target.loaded else (0.0, 0.0),
     )
-    if target.everything or _agrees(copied, speeds, torque):
+    off = float(np.abs(copied.torque(speeds) - torque).max())
+    if target.everything or off <= _EXACT * float(np.abs(torque).max()):
         return copied
     return _fitted(copied, target, curved, speeds, torque)
 
@@ -248,10 +249,6 @@ def _load(element: FrictionElement) -> tuple[float, float]:
     if load is None:
         return 0.0, 0.0
     return 0.5 * (load.driving + load.driven), 0.5 * (load.stribeck_driving + load.stribeck_driven)
-
-
-def _agrees(law: SimulatorLaw, speeds: Array, torque: Array) -> bool:
-    return bool(np.abs(law.torque(speeds) - torque).max() <= _EXACT * np.abs(torque).max())
 
 
 def _fitted(law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torque: Array) -> SimulatorLaw:

@@ -342,7 +342,7 @@ class _Mjcf:
                 self.refuse(f"the springs of {names[int(np.argmax(off))]}", "torques of -k sin(q), k >= 0")
         if model.body_gravcomp.any() or model.opt.gravity.tolist() != [0.0, 0.0, -9.81]:
             self.refuse(f"gravity {model.opt.gravity.tolist()}, or gravcomp", "0 0 -9.81, none")
-        return k.tolist()
+        return [float(each) for each in k]
 
     def turns(self, names: Sequence[str]) -> tuple[Array, dict[int, str]]:
         """Return motor turns for joint turns, shape (n, n), and the tendons of motors with several by their numbers."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,29 @@ def test_verdict_and_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert run("rx90_export", [*words, "--output", str(tmp_path / "c"), "--speeds", "2", "1"]) == REFUSED
     assert "speeds from 2 to 1 rad/s; accepted" in capsys.readouterr().err
     assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize(("words", "reason"), [
+    (["mujocco"], "invalid choice: 'mujocco'"),
+    (["bam", "--friction", "nan.yaml"], "nan.yaml: elements.joint_1.tau_c is nan; accepted: a finite number > 0"),
+    (["bam", "--bag", "other.csv"], "other.csv: /joint_states: no joint 'joint_1'; there are panda_1, panda_2"),
+])  # fmt: skip
+def test_bad_input_is_one_line(
+    words: list[str], reason: str, shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """A target's name misspelt, NaN in the friction file, a bag of other joints: refused, and nothing is written."""
+    monkeypatch.chdir(tmp_path)
+    assert shipped.friction.file is not None
+    text = Path(shipped.friction.file).read_text(encoding="utf-8")
+    Path("nan.yaml").write_text(re.sub(r"tau_c: [\d.]+", "tau_c: .nan", text), encoding="utf-8")
+    Path("other.csv").write_text("t,a,b\n" + "".join(f"{k},{k},{k}\n" for k in range(30)), encoding="utf-8")
+    position = {"columns": ["a", "b"], "unit": "rad"}
+    mapping = {"time": {"column": "t", "unit": "s"}, "names": ["panda_1", "panda_2"], "position": position}
+    Path("other.yaml").write_text(yaml.safe_dump(mapping), encoding="utf-8")
+    assert run("rx90_export", [*words, "--output", "out"]) == REFUSED
+    assert reason in capsys.readouterr().err.splitlines()[-1]
+    assert not Path("out").exists()
 
 
 def test_no_controller_is_needed(tmp_path: Path) -> None:

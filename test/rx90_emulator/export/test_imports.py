@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
+import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import mujoco
@@ -83,15 +84,6 @@ def test_friction_behind_a_gear_is_mujoco_s(tmp_path: Path) -> None:
         assert torque == pytest.approx(float(element.steady_torque(speed)), rel=1e-6)
 
 
-def test_out_to_mujoco_and_back(shipped: Setup, tmp_path: Path) -> None:
-    """Elements that MuJoCo can hold come back to the last bit."""
-    elements = [dataclasses.replace(e, delta=2.0, omega_d=math.inf) for e in shipped.friction.elements]
-    setup = dataclasses.replace(shipped, friction=dataclasses.replace(shipped.friction, elements=tuple(elements)))
-    rx.write_export(rx.export_robot(setup, "mujoco"), tmp_path / "out")
-    back = rx.import_mjcf_friction(tmp_path / "out" / "rx90b.xml")
-    assert back.select(setup.friction.names) == tuple(elements)
-
-
 def test_bam_s_file_of_the_erob80(tmp_path: Path) -> None:
     """Rhoban/bam, params/erob80_50/m2.json: the element is that of the shipped file, whose values come from it, too."""
     file = tmp_path / "m2.json"
@@ -113,10 +105,19 @@ def test_bam_s_file_of_the_erob80(tmp_path: Path) -> None:
 COUPLING = [*np.eye(7)[:6].tolist(), [0, 0, 0, 0, 1, -1, 1]]
 
 
-def test_an_arm_out_to_mujoco_and_back_runs(tmp_path: Path) -> None:
-    """Seven joints, a motor that turns with three: coupling, rotors, spring and friction come back, and it runs.
+def dynamics(setup: Setup, q: np.ndarray) -> list[np.ndarray]:
+    """Return mass matrix, gravity and Coriolis torques at velocities of -q, and the tool centre point."""
+    robot, model = setup.robot, setup.robot.model
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    tcp = data.oMf[model.getFrameId(robot.tcp_frame)]
+    return [np.triu(pin.crba(model, data, q)), pin.nonLinearEffects(model, data, q, -q), tcp.translation, tcp.rotation]
 
-    What MJCF does not say is marked as assumed.
+
+def test_an_arm_out_to_mujoco_and_back_runs(tmp_path: Path) -> None:
+    """Seven joints, a motor that turns with three: coupling, rotors, spring, links and friction come back exactly.
+
+    It runs; what MJCF does not say is marked as assumed.
     """
     setup = rx.load_setup(robot=write_arm(tmp_path / "arm", 7, COUPLING))
     rx.write_export(rx.export_robot(setup, "mujoco"), tmp_path / "out")
@@ -127,18 +128,88 @@ def test_an_arm_out_to_mujoco_and_back_runs(tmp_path: Path) -> None:
     assert back.drives.turning.turns.tolist() == COUPLING
     for name, fit in zip(back.friction.names, rx.export_robot(setup, "mujoco").fits, strict=True):
         law, one = fit.law, back.friction[name]
-        assert (one.tau_c_positive, one.tau_s_negative, one.c0) == pytest.approx((law.tau_c, law.tau_s, law.c0))
-    assert back.drives.rotor_inertia == pytest.approx(setup.drives.rotor_inertia, rel=1e-12)
-    assert back.drives.spring_torque == pytest.approx(setup.drives.spring_torque, rel=1e-5)
+        got = (one.tau_c_positive, one.tau_s_negative, one.omega_s, one.c0, one.c1, one.c2)
+        assert got == (law.tau_c, law.tau_s, law.omega_s, law.c0, law.c1, law.viscous[0])
+    assert back.drives.rotor_inertia.tolist() == setup.drives.rotor_inertia.tolist()
+    assert back.drives.spring_torque == pytest.approx(setup.drives.spring_torque, rel=1e-12)
+    assert (back.robot.lower.tolist(), back.robot.upper.tolist()) == (
+        setup.robot.lower.tolist(),
+        setup.robot.upper.tolist(),
+    )
     q = np.linspace(-0.8, 1.1, 7)
-    masses = [pin.crba(one.robot.model, one.robot.model.createData(), q) for one in (back, setup)]
-    assert masses[0] == pytest.approx(masses[1], abs=1e-9)
+    for ours, theirs in zip(dynamics(back, q), dynamics(setup, q), strict=True):
+        assert ours == pytest.approx(theirs, rel=1e-12, abs=1e-12)
     for name in ("drives.yaml", "controller.yaml"):
         assert "provenance: assumed" in (tmp_path / "back" / name).read_text(encoding="utf-8")
     points = rx.TrajectoryPoints(
         np.array([0.0, 1.0]), np.array([0.0 * q, 0.2 + 0.0 * q]), np.zeros((2, 7)), np.zeros((2, 7))
     )
     assert np.abs(rx.simulate(back, points).slow.joint_states[-1, 0] - 0.2).max() < 2e-3
+
+
+# As in public collections: classes, shapes whose files are elsewhere, a joint and a body without names, position
+# servos, a gripper of coupled slides, a link called like our base, a site for the flange.
+PUBLIC = """<mujoco><compiler angle="radian" meshdir="assets" autolimits="true"/>
+<default><default class="arm"><joint axis="0 0 1" armature="0.1" damping="2" range="-2 2"/>
+<position kp="900" forcerange="-40 40"/>
+<default class="finger"><joint type="slide" axis="0 1 0" range="0 0.04"/></default>
+<geom type="mesh" group="2"/></default></default>
+<asset><texture name="grid" type="2d" file="grid.png"/><material name="grey" texture="grid"/><mesh file="base.stl"/>
+<mesh name="upper" file="upper.obj"/></asset>
+<worldbody><geom type="plane" size="1 1 1" material="grey"/><body name="base_link" childclass="arm">
+<inertial mass="2" pos="0 0 0" diaginertia="0.1 0.1 0.1"/><geom mesh="base"/>
+<body name="upper" pos="0 0 0.3"><inertial mass="3" pos="0 0.1 0.1" fullinertia="0.04 0.03 0.02 0.001 0.002 0.003"/>
+<joint name="shoulder"/><geom mesh="upper" material="grey"/>
+<body pos="0.2 0 0.1" quat="1 -1 0 0"><inertial mass="1" pos="0 0 0.1" diaginertia="0.01 0.01 0.005"/><joint/>
+<body name="flange" pos="0 0 0.2"><site name="attachment_site" pos="0 0 0.05" quat="1 0 0 1"/>
+<body name="left"><inertial mass="0.1" pos="0 0.02 0" diaginertia="1e-5 1e-5 1e-5"/>
+<joint name="l" class="finger"/></body>
+<body name="right"><inertial mass="0.1" pos="0 0 0" diaginertia="1e-5 1e-5 1e-5"/>
+<joint name="r" class="finger"/></body>
+</body></body></body></body></worldbody>
+<tendon><fixed name="split"><joint joint="l" coef="0.5"/><joint joint="r" coef="0.5"/></fixed></tendon>
+<equality><joint joint1="l" joint2="r"/></equality>
+<actuator><position class="arm" joint="shoulder"/><general tendon="split" gainprm="1"/></actuator>
+<sensor><jointpos joint="shoulder"/></sensor></mujoco>"""
+
+
+def test_an_arm_as_public_collections_have_them(tmp_path: Path) -> None:
+    """It is taken without its shapes, its fingers where they start; dynamics are MuJoCo's with these held."""
+    file = tmp_path / "public--arm.xml"
+    file.write_text(PUBLIC, encoding="utf-8")
+    assert run("rx90_import", [str(file), "--output", str(tmp_path / "robot")]) == DONE
+    robot = load_robot(tmp_path / "robot" / "robot.urdf")
+    assert robot.joint_names == ("shoulder", "joint_2")
+    assert robot.max_effort.tolist() == [40.0, 1000.0]
+    assert robot.tcp_frame == "tool0"
+    shapeless = re.sub(r"<geom[^>]*>|<asset>.*</asset>", "", PUBLIC, flags=re.DOTALL)
+    model = mujoco.MjModel.from_xml_string(shapeless)
+    model.dof_armature[:] = 0.0
+    data, mass, q = mujoco.MjData(model), np.empty((4, 4)), np.array([0.4, -0.7])
+    data.qpos[:2] = q
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, mass)
+    ours, place = robot.model.createData(), data.site("attachment_site")
+    assert np.triu(pin.crba(robot.model, ours, q)) == pytest.approx(np.triu(mass[:2, :2]), abs=1e-12)
+    assert pin.computeGeneralizedGravity(robot.model, ours, q) == pytest.approx(data.qfrc_bias[:2], abs=1e-12)
+    pin.framesForwardKinematics(robot.model, ours, q)
+    flange = ours.oMf[robot.model.getFrameId("tool0")]
+    assert flange.translation == pytest.approx(place.xpos, abs=1e-12)
+    assert flange.rotation.ravel() == pytest.approx(place.xmat, abs=1e-12)
+    friction = rx.FrictionFile.read(tmp_path / "robot" / "friction.yaml").elements
+    assert [(name, one.c2) for name, one in friction.items()] == [("shoulder", 2.0), ("joint_2", 2.0)]
+
+
+def test_inertias_of_shapes_are_kept(tmp_path: Path) -> None:
+    """A body without an inertia of its own has that of its geoms."""
+    file = tmp_path / "arm.xml"
+    file.write_text(
+        '<mujoco><worldbody><body name="link"><joint name="j" axis="1 0 0"/><geom type="box" size=".1 .2 .3" mass="5"/>'
+        "</body></worldbody></mujoco>", encoding="utf-8")  # fmt: skip
+    link = ET.fromstring(rx.import_arm(file)["robot.urdf"]).find("link[@name='link']/inertial")
+    assert link is not None
+    assert float(link.find("mass").get("value")) == 5.0  # type: ignore[union-attr, arg-type]
+    assert float(link.find("inertia").get("ixx")) == pytest.approx(5.0 / 3.0 * (0.2**2 + 0.3**2))  # type: ignore[union-attr, arg-type]
 
 
 @pytest.mark.parametrize(("old", "new", "reason"), [

@@ -164,6 +164,7 @@ def test_cogging_and_windings_are_the_engine_s(shipped: Setup) -> None:
     cogging = Cogging(np.array([4.0, 12.0]), np.array([0.03 * full, 0.01 * full]), np.array([0.2 * full, 0.7 * full]))
     winding = Windings(0.4 * full, 2.0 * full, 30.0 * full, derating=150.0, limit=180.0)
     setup = dataclasses.replace(shipped, drives=dataclasses.replace(shipped.drives, cogging=cogging, winding=winding))
+    assert "dcmotor" not in next(iter(export_robot(setup, "mujoco-classic").files.values()))  # which it cannot read
     model = mujoco.MjModel.from_xml_string(next(iter(export_robot(setup, "mujoco").files.values())))
     data = mujoco.MjData(model)
     data.qpos[:] = START

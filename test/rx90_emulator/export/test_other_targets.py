@@ -8,6 +8,7 @@ import math
 import re
 import sys
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -32,20 +33,35 @@ def one_file(setup: Setup, target: str, suffix: str = "") -> str:
     return text
 
 
-def test_pinocchio_reads_friction_from_the_urdf(shipped: Setup) -> None:
+@pytest.fixture(scope="module", params=["rx90b", "panda"])
+def robot(request: pytest.FixtureRequest) -> Setup:
+    """Return arms of six joints, two of which share an element, and of seven."""
+    return rx.load_setup(robot=request.param)
+
+
+def test_pinocchio_reads_friction_from_the_urdf(robot: Setup) -> None:
     """Its damping and friction are those of the fit, its arm that of the setup."""
-    export = rx.export_robot(shipped, "urdf")
-    model = pin.buildModelFromXML(one_file(shipped, "urdf"))
+    export = rx.export_robot(robot, "urdf")
+    model = pin.buildModelFromXML(one_file(robot, "urdf"))
     assert model.damping == pytest.approx([fit.law.viscous[0] for fit in export.fits], rel=1e-12)
     assert model.friction == pytest.approx([fit.law.tau_c for fit in export.fits], rel=1e-12)
-    q = np.linspace(-0.8, 1.1, 6)
-    ours = shipped.robot.model
+    ours = robot.robot.model
+    q = np.linspace(-0.8, 1.1, ours.nq)
     assert pin.crba(model, model.createData(), q) == pytest.approx(pin.crba(ours, ours.createData(), q))
 
 
-def test_sdf_has_the_same_chain(shipped: Setup) -> None:
+def placed_frame(model: ET.Element, placed: Callable[[str], pin.SE3], name: str) -> pin.SE3:
+    """Return where a frame is that is attached to a link or to another frame."""
+    frame = next((one for one in model.findall("frame") if one.get("name") == name), None)
+    if frame is None:
+        return placed(name)
+    x = np.array([float(word) for word in frame.findtext("pose", "").split()])
+    return placed_frame(model, placed, frame.get("attached_to", "")) * pin.SE3(pin.rpy.rpyToMatrix(x[3:]), x[:3])
+
+
+def test_sdf_has_the_same_chain(robot: Setup) -> None:
     """Poses composed as SDF says, relative to what they name, put links and axes where Pinocchio has them."""
-    model = ET.fromstring(one_file(shipped, "sdf"))[0]
+    model = ET.fromstring(one_file(robot, "sdf"))[0]
     poses = {one.get("name", ""): one.find("pose") for one in model if one.get("name")}
 
     def placed(name: str) -> pin.SE3:
@@ -56,21 +72,25 @@ def test_sdf_has_the_same_chain(shipped: Setup) -> None:
         above = placed(pose.get("relative_to", ""))
         return above * pin.SE3(pin.rpy.rpyToMatrix(x[3:]), x[:3])
 
-    ours = shipped.robot.model
+    ours = robot.robot.model
     data = ours.createData()
-    pin.forwardKinematics(ours, data, np.zeros(6))
-    for k, name in enumerate(shipped.robot.joint_names):
+    pin.framesForwardKinematics(ours, data, np.zeros(ours.nq))
+    for k, name in enumerate(robot.robot.joint_names):
         joint = next(one for one in model.findall("joint") if one.get("name") == name)
         assert placed(joint.findtext("child", "")).translation == pytest.approx(data.oMi[k + 1].translation)
         axis = placed(name).rotation @ [float(word) for word in joint.findtext("axis/xyz", "").split()]
-        assert axis == pytest.approx(shipped.robot.chain.axis[k])
+        assert axis == pytest.approx(robot.robot.chain.axis[k])
+    tcp = robot.robot.tcp_frame
+    there = data.oMf[ours.getFrameId(tcp)].homogeneous
+    assert placed_frame(model, placed, tcp).homogeneous == pytest.approx(there, abs=1e-12)
     mass = sum(float(one.text or 0) for one in model.iter("mass"))
     assert mass == pytest.approx(pin.computeTotalMass(ours) + ours.inertias[0].mass)
 
 
-def test_usd_core_reads_joints_and_friction() -> None:
+@pytest.mark.parametrize("name", ["tx40", "panda"])
+def test_usd_core_reads_joints_and_friction(name: str) -> None:
     """The frames of a joint on both of its bodies coincide, and what is per degree comes back to SI units."""
-    setup = rx.load_setup(robot="tx40")
+    setup = rx.load_setup(robot=name)
     export = rx.export_robot(setup, "usd")
     (text,) = export.files.values()
     stage = Usd.Stage.CreateInMemory()
@@ -101,7 +121,7 @@ def test_usd_core_reads_joints_and_friction() -> None:
         )
         assert joint.GetUpperLimitAttr().Get() == pytest.approx(math.degrees(setup.robot.upper[seen]))
         seen += 1
-    assert seen == 6
+    assert seen == len(export.fits)
 
 
 def test_bam_s_formula_gives_the_elements_curve(shipped: Setup) -> None:
