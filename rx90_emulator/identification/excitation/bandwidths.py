@@ -9,8 +9,9 @@ All are compared on the same rows, those of the narrowest: its torque is what is
 bandwidth is no better for the torque that it smooths away, for all predict the same; noise of the accelerations that
 only the wider ones let pass does not count, but what it did to their parameters does. Fitted to the very band that is
 compared in, the narrowest has a small advantage where the model is not quite right, and a wider one tells more of
-reversals. So the widest is taken whose error is not clearly larger than the least: by no more than a tenth, or by no
-more than two standard errors of the paired differences over blocks of time.
+reversals. So the widest is taken whose error is not clearly larger than the least: by no more than 4 %, which is more
+than that advantage is on simulated arms, or by no more than one standard error of the paired differences over blocks of
+time, the one-standard-error rule of cross-validation.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ Equations = Callable[[Sequence[JointRecord], Bandwidths], ExcitationProblem]
 _NARROWER = 3  # bandwidths that are tried beside the widest, at most
 _LEAST_RATIO = 2.0  # between two of them
 _ROWS_PER_PARAMETER = 2.0  # of the narrowest, at least: fewer predict nothing
-_ACCEPTED_RATIO, _ACCEPTED_SE = 1.1, 2.0  # over the least error; standard errors beyond it
+_ACCEPTED_RATIO, _ACCEPTED_SE = 1.04, 1.0  # over the least error; standard errors beyond it
 _SINGULAR = 1e-10  # relative: directions that the remaining rows do not determine stay 0
 
 

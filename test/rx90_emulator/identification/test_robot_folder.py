@@ -48,6 +48,7 @@ from rx90_emulator.loop.setup import Setup, load_setup
 
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(5)
+SEEN = 12.0  # rad/s^2, of the second joint in the runs
 FIXED = """<link name="tool"><inertial><origin xyz="0 0 0.1"/><mass value="1.5"/>
 <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
 <visual><geometry><mesh filename="package://arm/meshes/a>b.stl"/></geometry></visual>
@@ -83,7 +84,9 @@ def identified(
     source: BagSource, fallback: str | None = None,
 ) -> Any:  # fmt: skip
     """Return as much of an identification as the robot's files hold."""
-    runs = (SimpleNamespace(bandwidths=Bandwidths(30.0, 10.0, "")),)
+    done = np.zeros((2, len(arm.names)))
+    done[1, 1] = -SEEN
+    runs = (SimpleNamespace(bandwidths=Bandwidths(30.0, 10.0, ""), acceleration=done),)
     problem = SimpleNamespace(arm=arm, columns=columns, runs=runs)
     robot = SimpleNamespace(fallback_name=fallback, setup=None)
     consistency, bags = SimpleNamespace(inertias=inertias), (("excitation", source),)
@@ -285,6 +288,7 @@ def test_folder_of_an_arm_with_a_differential_runs(tmp_path: Path, source: BagSo
     motion = RNG.uniform(-2.0, 2.0, (3, 10, 3))
     written = RigidArm.from_setup(setup).torque(*motion)
     np.testing.assert_allclose(written, columns.torque(*motion) @ inertias.parameters, rtol=0.0, atol=1e-8)
+    assert setup.controller.max_acceleration == pytest.approx(np.maximum(setup.robot.max_velocity / 0.5, [0, SEEN, 0]))
     rest = np.zeros((2, 3))
     points = TrajectoryPoints(np.array([0.0, 1.0]), np.stack([rest[0], rest[0] + 0.3]), rest, rest)
     tracking = simulate(setup, points).slow.tracking_error[:, 0]
