@@ -57,16 +57,23 @@ class ClientNode:
         self.executor.spin_once(timeout_sec=longest)
         self.check_interrupt()
 
-    def wait(self, ready: Callable[[], bool], what: str) -> None:
+    def wait(self, ready: Callable[[], bool], what: str, more: Callable[[], float] = float) -> None:
         """Spin until `ready`; say once that `what` is waited for.
+
+        Args:
+            ready: whether it is there.
+            what: in words.
+            more: asked once, after the timeout: returns how long to go on, s.
 
         Raises:
             ExchangeError: after the timeout.
         """
-        deadline = time.monotonic() + self.timeout
+        deadline, asked = time.monotonic() + self.timeout, False
         if not ready():
             self.say(f"waiting for {what}")
         while not ready():
+            if not asked and time.monotonic() >= deadline:
+                deadline, asked = deadline + more(), True
             if time.monotonic() >= deadline:
                 raise ExchangeError(f"found no {what.removeprefix('a ')} within {self.timeout:g} s")
             self.spin()

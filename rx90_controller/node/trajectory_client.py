@@ -84,8 +84,11 @@ class TrajectoryClient:
         self._corrections = client.node.create_publisher(JointTrajectory, corrections, 1)
         self._arm: NewestPositions | None = None
 
-    def wait_for_controller(self) -> None:
+    def wait_for_controller(self, starting: float = 0.0) -> None:
         """Wait until the controller will get what is sent.
+
+        Args:
+            starting: how much longer to wait, s, for a node that is there and still without its topics.
 
         Raises:
             ExchangeError: if there is no controller within the client's timeout.
@@ -97,7 +100,16 @@ class TrajectoryClient:
             there = any(info.node_name == name for info in subscribers)
             return there and self._publisher.get_subscription_count() > 0
 
-        self._client.wait(matched, f"a controller on {self.topic}")
+        def more() -> float:
+            if not starting or name not in self._client.node.get_node_names():
+                return 0.0
+            self._client.say(
+                f"{name} is there, without its topics: the first start with an arm of another size compiles code; "
+                f"waiting {starting:g} s more"
+            )
+            return starting
+
+        self._client.wait(matched, f"a controller on {self.topic}", more)
 
     def _settle(self) -> None:
         """Wait until all that the graph shows to listen, a recorder for example, are matched, and no more come.
@@ -227,6 +239,7 @@ class Delivery:
         set_point_period: the controller's, s.
         approach: the move to the start of the line, None where the arm already stands there.
         correction: of the line, None for none.
+        starting: how much longer than the timeout a controller that is just being started is waited for, s.
     """
 
     controller: str
@@ -235,6 +248,7 @@ class Delivery:
     set_point_period: float
     approach: Approach | None
     correction: Correction | None = None
+    starting: float = 0.0
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.start_time) and 0.0 <= self.start_time < 2.0**31):
@@ -250,7 +264,7 @@ def deliver(client: ClientNode, plan: LinePlan, delivery: Delivery) -> None:
         LineError: if the arm stands elsewhere without an approach, or the controller would refuse the approach.
     """
     trajectory = TrajectoryClient(client, delivery.controller)
-    trajectory.wait_for_controller()
+    trajectory.wait_for_controller(delivery.starting)
     here = plan.start_pose
     if delivery.approach is not None or delivery.start_time <= 0.0:
         here = trajectory.joint_positions(plan.joint_names)

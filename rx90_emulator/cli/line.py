@@ -33,7 +33,7 @@ _EPILOG = """\
 Positions are those of the tool centre point in base_link; the tool's z axis is the beam, and rpy 0 180 0
 points it down. example: rx90_line --start 0.6 -0.2 0.2 --end 0.6 0.2 0.2 --speed 0.1 --approach
 """
-_TIMEOUT = 30.0  # s
+_TIMEOUT, _STARTING = 30.0, 120.0  # s, without --timeout: for nodes, and more for one that compiles when it starts
 _PLAIN_OPTIONS = ("start", "end", "speed", "acceleration", "rest_before", "rest_after", "singularity_margin",
                   "start_posture")  # fmt: skip
 """Options that go into the task as they are."""
@@ -180,8 +180,9 @@ def _send(plan: LinePlan, limits: JointLimits, correction: Correction | None, op
     given = {name: value for name, value in asked.items() if value is not None}
     approach = Approach(**given) if options.approach else None
     delivery = Delivery(
-        node_of(options), options.start_time, limits, 1.0 / options.set_point_rate, approach, correction
-    )
+        node_of(options), options.start_time, limits, 1.0 / options.set_point_rate, approach, correction,
+        starting=0.0 if options.timeout else _STARTING,
+    )  # fmt: skip
     with client_node(options.program, options.timeout or _TIMEOUT, _say, options.ros_args) as client:
         deliver(client, plan, delivery)
 

@@ -105,9 +105,10 @@ class DeclaredParameters:
 
 def _declare_simulation(node: Any) -> None:
     declare_autostart(node)
-    read_parameters(node)
-    declare_robot_files(node, *SIMULATION_FILES)
+    parameters = read_parameters(node)
+    files = declare_robot_files(node, *SIMULATION_FILES)
     declare_step_ticks(node)
+    parameters.start(load_robot(files.urdf, files.tool))
 
 
 def _declare_controller(node: Any) -> None:

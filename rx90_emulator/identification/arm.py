@@ -303,7 +303,10 @@ def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
         # Written anew: the XML parser of Pinocchio 2 takes no document type, and this one fetches nothing.
         root = ET.fromstring(urdf.read_text(encoding="utf-8"))
         with _caught_stderr(lines):
-            return pin.buildModelFromXML(ET.tostring(root, encoding="unicode")), root
+            model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
+        if any(line.startswith("Error:") for line in lines):  # an inertial that cannot be read is left out
+            raise ValueError
+        return model, root
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", error)
         raise IdentificationError(f"{plain(urdf)}: cannot be read ({reason}); accepted: a URDF file") from error

@@ -13,8 +13,10 @@ from tqdm import tqdm
 
 from rx90_common.base.errors import IdentificationError, check_place, check_replaced, write_error
 from rx90_common.base.sources import versions
+from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, MODEL_FILES, RobotFiles
 from rx90_common.process.files import write_all, write_text
+from rx90_controller.law.parameters import load_controller
 from rx90_emulator.identification.excitation.identify import count_steps, identify_excitation
 from rx90_emulator.identification.excitation.problem import read_payloads
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
@@ -27,6 +29,7 @@ from rx90_emulator.identification.options import (
     MeasuredTolerances,
     RobotOptions,
 )
+from rx90_emulator.identification.output.assumed_files import weight_warning
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.report import check_page, excitation_page, measured_page, report_page
 from rx90_emulator.identification.output.robot_files import folder_base, parameters_text, robot_files
@@ -235,7 +238,12 @@ def run_excitation(
     folder = write_excitation(result, output, force=force)
     print(f"{excitation_summary(result)}\n{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
     if result.robot.setup is None:
-        print(f"{folder}: {folder_base(result.problem.arm, Path(str(result.options.urdf)))[1]}")
+        base, note = folder_base(result.problem.arm, Path(str(result.options.urdf)))
+        print(f"{folder}: {note}")
+        if base is not None:
+            robot, law = load_robot(folder / FILES["urdf"]), load_controller(folder / FILES["controller"])
+            if lost := weight_warning(robot, base.turning, law):
+                print(f"warning: {folder}: {lost}")
     return result.confirmed
 
 

@@ -20,8 +20,9 @@ from schema_faults import schema_faults
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from rx90_common.base.errors import ConfigError, LineError
+from rx90_common.base.errors import ConfigError, ExchangeError, LineError
 from rx90_common.base.share import config_path
+from rx90_common.exchange.client_node import ClientNode
 from rx90_common.process.children import executable
 from rx90_controller.lines.plan import Approach, approached, plan_line
 from rx90_controller.lines.task import load_task
@@ -248,6 +249,32 @@ def test_no_controller_within_the_timeout(start_line: Callable[..., subprocess.P
     _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 3
     assert err == "rx90_line: found no controller on /rx90_controller/joint_trajectory within 1 s\n"
+
+
+@pytest.mark.ros
+def test_a_controller_that_is_being_started_is_waited_for(ros_domain: int) -> None:
+    """A node of that name without its topic yet gets more time than the timeout, which is said; none gets no more."""
+    context = Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    node, starting = (rclpy.create_node(name, context=context) for name in ("asks", "rx90_controller"))
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    said: list[str] = []
+
+    def say(text: str) -> None:
+        said.append(text)
+        if "is there, without its topics" in text:
+            starting.create_subscription(JointTrajectory, "~/joint_trajectory", lambda _: None, 10)
+
+    try:
+        asks = ClientNode(node, executor, 0.3, say, lambda: None)
+        TrajectoryClient(asks, "rx90_controller").wait_for_controller(PATIENCE)
+        assert len(said) == 2
+        with pytest.raises(ExchangeError, match=r"found no controller .* within 0\.3 s"):
+            TrajectoryClient(asks, "another").wait_for_controller(PATIENCE)
+    finally:
+        executor.shutdown()
+        context.try_shutdown()
 
 
 def test_an_empty_controller_name_is_refused() -> None:

@@ -303,6 +303,7 @@ def robot_of_urdf(urdf: Path, joints: Sequence[str] | None = None, tool: Path | 
         tip = TCP_LINK
     text = ET.tostring(root, encoding="unicode")
     model = pin.buildModelFromXML(text)
+    _check_bodies(model, urdf)
     values = model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit, model.effortLimit
     lower, upper, velocity, effort = (np.array(each, dtype=np.float64) for each in values)
     for name, low, high, fastest, most in zip(names, lower, upper, velocity, effort, strict=True):
@@ -312,6 +313,17 @@ def robot_of_urdf(urdf: Path, joints: Sequence[str] | None = None, tool: Path | 
                 f"effort {most:g}; accepted: lower < upper, velocity and effort > 0"
             )
     return RobotModel(tuple(names), text, model, lower, upper, velocity, effort, _chain(model, tip), tip, ())
+
+
+def _check_bodies(model: Any, urdf: Path) -> None:
+    """Refuse negative masses and moments of inertia; that these fit together is not asked of other robots' files."""
+    for name, body in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
+        least = float(np.linalg.eigvalsh(body.inertia)[0])
+        if body.mass < 0.0 or least < -1e-9:  # rounding
+            raise IdentificationError(
+                f"{plain(urdf)}: what joint {quoted(str(name))} moves has {body.mass:g} kg and a principal moment of "
+                f"inertia of {least:g} kg m^2; accepted: none below 0"
+            )
 
 
 def _chain(model: Any, tip: str) -> RigidChain:

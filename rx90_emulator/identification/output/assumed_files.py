@@ -16,8 +16,10 @@ import numpy as np
 import pinocchio as pin
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.quoting import listed
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.robot import RobotModel
+from rx90_controller.law.parameters import CS7BParameters
 
 _POSES: Final = 200
 _GEAR, _COUNTS, _OBSERVER_HZ = 100.0, 65536, 400.0
@@ -102,6 +104,24 @@ def assumed_files(
         "trajectory": {"start_tolerance": 1e-3, "max_acceleration": _six(fastest)},
     }  # fmt: skip
     return _marked(drives), _marked(controller)
+
+
+def weight_warning(robot: RobotModel, turning: Coupling, law: CS7BParameters) -> str:
+    """Return whose weight a controller does not hold without the feed-forward, or nothing.
+
+    Before the integrator has taken it over, a weight g deflects a motor by up to g / (inertia kv kp).
+    """
+    data, back = robot.model.createData(), turning.joint_turns.T
+    shares = np.random.default_rng(0).uniform(size=(_POSES, len(robot.lower)))
+    poses = robot.lower + shares * (robot.upper - robot.lower)
+    weight = np.max([np.abs(back @ pin.computeGeneralizedGravity(robot.model, data, pose)) for pose in poses], axis=0)
+    sag = weight / np.maximum(law.inertia * law.kv * law.kp, 1e-300)
+    lost = [
+        f"{name} by {away:.2g} rad (power is cut at {limit:g})"
+        for name, away, limit in zip(robot.joint_names, sag, law.following_error, strict=True)
+        if away > limit
+    ]
+    return f"without feed-forward the weight deflects {listed(lost)}: keep inverse_dynamics on" if lost else ""
 
 
 def _marked(content: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

@@ -218,10 +218,6 @@ def folder_base(arm: RigidArm, urdf: Path) -> tuple[FolderBase | None, str]:
     except ConfigError as error:
         return None, f"{alone}{error}"
     fixed = f"; {listed(held)} fixed at 0, as in the identification" if held else ""
-    if turning.size.wrist:
-        files = RobotFiles(urdf=urdf, tool=None, task=None, poses=None)
-        begun = f"drives and controller are those of {files.drives.parent.name} but for what was identified or given"
-        return FolderBase(robot, turning, files, held), begun + fixed
     begun = "what of drives and controller was not identified or given is assumed, in proportion to the arm"
     return FolderBase(robot, turning, None, held), begun + fixed
 
@@ -297,7 +293,8 @@ def robot_texts(
     if base is None:
         return texts
     texts[FILES["urdf"]] = written = with_fixed(texts[FILES["urdf"]], base.held)
-    drives, controller = _begun(base, written, np.asarray(inertias.rotors), new)
+    seen = np.max([np.abs(run.acceleration).max(axis=0) for run in result.problem.runs], axis=0)
+    drives, controller = _begun(base, written, np.asarray(inertias.rotors), new, seen)
     for block in dict.fromkeys(block for block, _ in new):
         drives[block] = marked(drives[block], {key: one for (there, key), one in new.items() if there == block})
     feed_forward = _compensation(result.elements, elements, base)
@@ -332,11 +329,11 @@ def _compensation(
 
 
 def _begun(
-    base: FolderBase, urdf: str, rotors: Array, new: Mapping[tuple[str, str], Identified]
+    base: FolderBase, urdf: str, rotors: Array, new: Mapping[tuple[str, str], Identified], seen: Array
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the contents of drives and controller file that a folder begins with."""
+    """Return the contents of drives and controller file that a folder begins with; accelerations as in the runs."""
     if base.files is None:
-        return assumed_files(base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new)
+        return assumed_files(base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new, seen)
     # Its model, for the feed-forward by one, is the folder's own arm: not the one that the base names.
     controller = {key: value for key, value in load_yaml(base.files.controller).content.items() if key != "model"}
     return dict(load_yaml(base.files.drives).content), controller

@@ -167,9 +167,14 @@ def test_a_parameter_file_of_the_nodes_is_checked(tmp_path: Path, capsys: Captur
         f"{file}:7: rx90_controller.ros__parameters.servo.kp is [1, 2, 3, 4, 5, 6, 7, 8]; accepted: 1 to "
     )
     assert f"{file}:8: rx90_controller.ros__parameters.feed_forward.columb is unknown to rx90_controller" in said[2]
-    file.write_text("rx90_sim: {ros__parameters: {paused: {}}}\n", encoding="utf-8")
-    assert run("rx90_config", ["check", str(file)]) == 1
-    assert ":1: rx90_sim.ros__parameters.paused is {}; accepted: true or false" in capsys.readouterr().out
+    for node, parameter, fault in (
+        ("rx90_sim", "paused: {}", "paused is {}; accepted: true or false"),
+        ("rx90_sim", "initial_position: [0, 0, 0, 0, 0]", "initial_position has 5 numbers; accepted: 6, one for each"),
+        ("rx90_controller", "servo.kp: [1, 2, 3, 4, 5]", "servo.kp is [1.0, 2.0, 3.0, 4.0, 5.0]; accepted: 6 numbers"),
+    ):
+        file.write_text(f"{node}: {{ros__parameters: {{{parameter}}}}}\n", encoding="utf-8")
+        assert run("rx90_config", ["check", str(file)]) == 1
+        assert f":1: {node}.ros__parameters.{fault}" in capsys.readouterr().out
 
 
 def leaves(content: dict[str, object], before: str, *around: object) -> Iterator[tuple[str, object, list[object]]]:

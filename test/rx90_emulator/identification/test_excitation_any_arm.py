@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,10 @@ from grip_arm import JOINTS, write_urdf
 from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
-from rx90_common.base.errors import DONE, REFUSED
+from rx90_common.base.errors import DONE, REFUSED, IdentificationError
 from rx90_common.base.share import config_path
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.experiments.arms import robot_of_urdf
+from rx90_emulator.identification.experiments.arms import PlannedArm, robot_of_urdf
 from rx90_emulator.identification.experiments.workspace import Workspace
 from rx90_emulator.identification.options import Wall
 
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 ARM = ["--joints", *JOINTS]
 SHORT = ["--runs", "1", "--harmonics", "5", "--period", "6", "--periods", "1", "--steps", "8"]
 SHARE = 0.8
+_LAST_MASS = '<link name="link_7"><inertial><origin xyz="0.01 0.03 -0.05"/><mass value="'
 
 
 def _plan(*words: str) -> int:
@@ -175,3 +177,24 @@ def test_a_run_needs_a_robot_of_this_project(urdf: Path, tmp_path: Path, capsys:
     assert run("rx90_experiment", words) == REFUSED
     assert "without --robot; accepted: plan" in capsys.readouterr().err
     assert not folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('effort="90"', 'effort="0"', "joint 'arm_1' limit has lower -2.9, upper 2.9, velocity 2.2, effort 0"),
+        ('velocity="2.3"', 'velocity="0"', "joint 'arm_2' limit has"),
+        ('<limit velocity="2.8" effort="24"/>', "", "joint 'arm_7' limit is missing"),
+        (_LAST_MASS, f"{_LAST_MASS}-9", "what joint 'arm_7' moves has -9"),
+    ],
+)
+def test_limits_and_bodies_that_plan_nothing_are_refused(
+    urdf: Path, tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    """Joints without effort, speed or limits, or with a negative mass, are named with what they have."""
+    text = urdf.read_text()
+    assert text.count(old) == 1
+    file = tmp_path / "arm.urdf"
+    file.write_text(text.replace(old, new))
+    with pytest.raises(IdentificationError, match=re.escape(said)):
+        PlannedArm.from_urdf(file, JOINTS)

@@ -113,13 +113,24 @@ def test_what_does_not_fit_is_refused(urdf: Path, arguments: dict[str, object], 
         RigidArm.from_urdf(urdf, **({"joints": ["shoulder", "elbow"]} | arguments))  # type: ignore[arg-type]
 
 
-def test_a_file_that_is_no_urdf_is_refused(tmp_path: Path) -> None:
-    """Text that is no URDF is refused in one line with the path."""
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("</robot>", "", "no URDF that Pinocchio can read"),
+        # The parser below Pinocchio drops such a body, says so on stderr, and goes on without it.
+        ('mass value="', 'mass value="nan', r"no URDF that Pinocchio can read \(Inertial: mass \[nan"),
+    ],
+)
+def test_a_file_that_is_no_urdf_is_refused(
+    urdf: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], old: str, new: str, said: str
+) -> None:
+    """Text that is no URDF, or holds a body of no number, is refused in one line with the path, and nothing else."""
     path = tmp_path / "no.urdf"
-    path.write_text("<robot", encoding="utf-8")
-    with pytest.raises(IdentificationError, match=r"no\.urdf: no URDF") as caught:
+    path.write_text(urdf.read_text().replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(IdentificationError, match=rf"no\.urdf: {said}") as caught:
         RigidArm.from_urdf(path)
     assert "\n" not in str(caught.value)
+    assert capfd.readouterr().err == ""
 
 
 def test_kinematics_of_a_urdf_without_inertials(urdf: Path, tmp_path: Path) -> None:

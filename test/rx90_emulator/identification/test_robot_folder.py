@@ -36,6 +36,7 @@ from rx90_emulator.identification.excitation.bodies import (
 )
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
+from rx90_emulator.identification.output.assumed_files import weight_warning
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot_files import (
     FolderBase,
@@ -52,6 +53,7 @@ from rx90_emulator.loop.setup import Setup, load_setup
 
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(5)
+SEEN = 12.0  # rad/s^2, of the second joint in the runs
 FIXED = """<link name="tool"><inertial><origin xyz="0 0 0.1"/><mass value="1.5"/>
 <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
 <visual><geometry><mesh filename="package://arm/meshes/a>b.stl"/></geometry></visual>
@@ -87,7 +89,9 @@ def identified(
     source: BagSource, fallback: str | None = None,
 ) -> Any:  # fmt: skip
     """Return as much of an identification as the robot's files hold."""
-    runs = (SimpleNamespace(bandwidths=Bandwidths(30.0, 10.0, "")),)
+    done = np.zeros((2, len(arm.names)))
+    done[1, 1] = -SEEN
+    runs = (SimpleNamespace(bandwidths=Bandwidths(30.0, 10.0, ""), acceleration=done),)
     problem = SimpleNamespace(arm=arm, columns=columns, runs=runs)
     robot = SimpleNamespace(fallback_name=fallback, setup=None)
     consistency, bags = SimpleNamespace(inertias=inertias), (("excitation", source),)
@@ -289,10 +293,21 @@ def test_folder_of_an_arm_with_a_differential_runs(tmp_path: Path, source: BagSo
     motion = RNG.uniform(-2.0, 2.0, (3, 10, 3))
     written = RigidArm.from_setup(setup).torque(*motion)
     np.testing.assert_allclose(written, columns.torque(*motion) @ inertias.parameters, rtol=0.0, atol=1e-8)
+    assert setup.controller.max_acceleration == pytest.approx(np.maximum(setup.robot.max_velocity / 0.5, [0, SEEN, 0]))
     rest = np.zeros((2, 3))
     points = TrajectoryPoints(np.array([0.0, 1.0]), np.stack([rest[0], rest[0] + 0.3]), rest, rest)
     tracking = simulate(setup, points).slow.tracking_error[:, 0]
     assert np.abs(tracking).max() < 2e-3
+
+
+def test_gains_that_do_not_hold_the_weight_are_told() -> None:
+    """The shipped panda's hold it; with kv and kp 2.5 times lower the engine trips at joints 3, 5 and 6 (by hand)."""
+    setup = Setup.load(RobotFiles.named("panda"))
+    turning, law = setup.drives.turning, setup.controller
+    assert weight_warning(setup.robot, turning, law) == ""
+    low = replace(law, kv=law.kv / 2.5, kp=law.kp / 2.5)
+    named = re.findall(r"panda_joint(\d) by", weight_warning(setup.robot, turning, low))
+    assert named == ["3", "5", "6"]
 
 
 def rest_of(urdf: str) -> str:
