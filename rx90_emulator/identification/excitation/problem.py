@@ -338,7 +338,6 @@ class ExcitationProblem:
         payloads: Sequence[Payload | None] | None = None,
         *,
         rotors: bool = True,
-        regressor: bool = True,
     ) -> ExcitationProblem:
         """Stack the equations of runs.
 
@@ -347,10 +346,27 @@ class ExcitationProblem:
             runs: of this arm.
             payloads: of each run; by default none.
             rotors: as in `StandardColumns`.
-            regressor: whether columns are computed; without, payloads stay in the torque.
 
         Raises:
             IdentificationError: for runs of other joints, and if no joint moves.
+        """
+        bare = cls.without_columns(arm, runs, payloads, rotors=rotors)
+        regressor, payload = bare.through(np.eye(len(arm.names)))
+        return replace(bare, torque=bare.torque - payload, payload=payload, regressor=regressor)
+
+    @classmethod
+    def without_columns(
+        cls,
+        arm: RigidArm,
+        runs: Sequence[FilteredRun],
+        payloads: Sequence[Payload | None] | None = None,
+        *,
+        rotors: bool = True,
+    ) -> ExcitationProblem:
+        """Return the rows of runs with their torque, payloads included, and no regressor; arguments as in `of`.
+
+        Raises:
+            IdentificationError: as `of`.
         """
         for one in runs:
             if one.names != arm.names:
@@ -371,11 +387,7 @@ class ExcitationProblem:
         empty = np.empty((len(run), 0))
         bare = cls(arm, tuple(runs), columns, BaseGroups.of(columns), run, joint, place, time, reversal,
                    carried, np.zeros(len(run)), empty, empty, empty)  # fmt: skip
-        bare = replace(bare, torque=bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0])
-        if not regressor:
-            return bare
-        columns_of_base, payload = bare.through(np.eye(len(arm.names)))
-        return replace(bare, torque=bare.torque - payload, payload=payload, regressor=columns_of_base)
+        return replace(bare, torque=bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0])
 
     def __len__(self) -> int:
         return len(self.run)

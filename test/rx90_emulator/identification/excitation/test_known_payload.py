@@ -15,7 +15,7 @@ import yaml
 from excitation_arms import all_columns, plain_arm, rigid_arm, runs_of, truth
 from foreign_arms import drive_torque, urdf_text, write
 from sine_motions import motion_of
-from two_joints import CURVES, NAMES, RATE, Bench, fourier
+from two_joints import CURVES, NAMES, RATE, Bench
 
 import rx90_emulator as rx
 from benchmarks.excitation_runs import NOISE
@@ -59,9 +59,13 @@ def scales(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     (bench.folder / "payload.yaml").write_text(f"loaded: {BODY}\n", encoding="utf-8")
     inertia = np.array([[0.03, 1e-3, 0.0], [1e-3, 0.03, 0.0], [0.0, 0.0, 0.02]])
     body = pin.Inertia(4.0, np.array([0.02, -0.03, 0.3]), inertia)
+    time, rate = np.arange(0.0, 14.0, 1.0 / RATE)[:, None], 2.0 * np.pi * 0.1 * np.arange(1.0, 6.0)
     for seed, (name, carried) in enumerate({"bare": None, "loaded": body}.items()):
-        motion = fourier(seed, 14.0)
-        bench.write(name, motion, bench.torque(motion, body=carried) / FACTOR + bench.noise(motion, seed))
+        rng = np.random.default_rng(seed)
+        angle = time[:, :, None] * rate + rng.uniform(0.0, 2.0 * np.pi, (2, 5))
+        motion = (0.8 * np.sin(angle) / rate).sum(axis=2), 0.8 * np.cos(angle).sum(axis=2)
+        torque = bench.torque(motion, body=carried) / FACTOR
+        bench.write(name, motion, torque + 0.1 * rng.normal(size=torque.shape))
     return bench
 
 
