@@ -7,7 +7,7 @@ import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 from pprint import pformat
 from typing import Any
 
@@ -38,7 +38,12 @@ def _environment() -> Environment:
         loader=PackageLoader("rx90_emulator.export"), autoescape=select_autoescape(("xml",)), undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
     )  # fmt: skip
-    environment.filters |= {"numbers": numbers, "quoted": json.dumps, "word": _word, "python": _python}
+    environment.filters |= {
+        "numbers": _numbers,
+        "quoted": partial(json.dumps, ensure_ascii=False),
+        "word": _word,
+        "python": _python,
+    }
     environment.filters |= {"modelica": _identifier, "pattern": re.escape, "degrees": math.degrees, "turn": _quaternion}
     environment.filters |= {"per_degree": math.radians}
     return environment
@@ -56,7 +61,7 @@ def _indented(root: ET.Element) -> str:
     return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def numbers(values: Any, between: str = " ") -> str:
+def _numbers(values: Any, between: str = " ") -> str:
     """Return a number, or an array of them, with all digits, and none as -0.0."""
     return between.join(map(repr, (np.ravel(values) + 0.0).tolist()))
 
@@ -85,20 +90,20 @@ def files_of(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> dict[str,
         target: the simulator.
         fits: the friction of each element, or of each joint where the target has no others.
     """
-    name, links = str(arm.robot.model.name), _links(arm)
-    rows = [_place(arm, row) for row in arm.drives.turning.turns]
+    robot, drives, turning = arm.robot, arm.drives, arm.drives.turning
+    name, motors = str(robot.model.name), [_place(arm, row) for row in turning.turns]
     values = {
-        "name": name, "target": target, "arm": arm, "robot": arm.robot, "drives": arm.drives, "fits": fits,
-        "links": links, "fixed": [one for one in arm.robot.placements if one.name not in arm.robot.joint_names],
-        "base": _body(arm.robot.model.inertias[0]) | {"name": arm.robot.placements[0].parent},
-        "tcp": arm.robot.model.frames[arm.robot.model.getFrameId(arm.robot.tcp_frame, pin.BODY)].placement,
-        "rotors": arm.drives.rotor_inertia @ arm.drives.turning.turns**2,
-        "efforts": np.abs(arm.drives.turning.turns).T @ np.abs(arm.drives.gear * arm.drives.peak_torque),
-        "motors": rows, "armature": dict(zip(rows, arm.drives.rotor_inertia, strict=True)),
-        "elements": [_place(arm, row) for row in arm.drives.turning.element_matrix],
-        "element_turns": dict(zip(arm.friction.names, arm.drives.turning.element_matrix, strict=True)),
+        "name": name, "target": target, "robot": robot, "drives": drives, "fits": fits, "links": _links(arm),
+        "fixed": [one for one in robot.placements if one.name not in robot.joint_names],
+        "base": _body(robot.model.inertias[0]) | {"name": robot.placements[0].parent},
+        "tcp": robot.model.frames[robot.model.getFrameId(robot.tcp_frame, pin.BODY)].placement,
+        "rotors": drives.rotor_inertia @ turning.turns**2,
+        "efforts": np.abs(turning.turns).T @ np.abs(drives.gear * drives.peak_torque),
+        "motors": motors, "armature": dict(zip(motors, drives.rotor_inertia, strict=True)),
+        "elements": [_place(arm, row) for row in turning.element_matrix],
+        "element_turns": dict(zip(arm.friction.names, turning.element_matrix, strict=True)),
+        "parameters": {fit.name: {key: float(getattr(fit.elements[0], key)) for key in FRICTION_UNITS} for fit in fits},
         "period": _period(arm), "solimp": SOLIMP, "solref": (SOLREF_STEPS * _period(arm), 1.0),
-        "parameters": {fit.name: {key: getattr(fit.elements[0], key) for key in FRICTION_UNITS} for fit in fits},
         "linear_speed": LINEAR_SPEED, "actuator": BAM_ACTUATOR, "pi": math.pi,
     }  # fmt: skip
     texts = {}
@@ -177,7 +182,7 @@ def _urdf(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> str:
             joints[name].remove(old)
         if not target.everything:
             law = fits[i].law
-            ET.SubElement(joints[name], "dynamics", damping=numbers(law.viscous[0]), friction=numbers(law.tau_c))
+            ET.SubElement(joints[name], "dynamics", damping=_numbers(law.viscous[0]), friction=_numbers(law.tau_c))
             continue
         # As large as Drake squares it with the gear; where a motor turns with two joints, it stands in both.
         gear, turning = drives.gear[i], drives.rotor_inertia @ drives.turning.turns[:, i] ** 2
@@ -185,8 +190,8 @@ def _urdf(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> str:
         ET.SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
         ET.SubElement(transmission, "joint", name=name)
         actuator = ET.SubElement(transmission, "actuator", name=f"motor_{i + 1}")
-        ET.SubElement(actuator, f"{{{_DRAKE}}}gear_ratio", value=numbers(gear))
-        ET.SubElement(actuator, f"{{{_DRAKE}}}rotor_inertia", value=numbers(turning / gear**2))
+        ET.SubElement(actuator, f"{{{_DRAKE}}}gear_ratio", value=_numbers(gear))
+        ET.SubElement(actuator, f"{{{_DRAKE}}}rotor_inertia", value=_numbers(turning / gear**2))
     return _indented(root)
 
 
