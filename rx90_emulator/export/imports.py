@@ -219,7 +219,7 @@ class _Mjcf:
                 shape.material = ""
         needed = {shape.meshname for shape in spec.geoms}
         meshes = [one for one in spec.meshes if (one.name or Path(one.file).stem) not in needed]
-        for one in [*spec.sensors, *spec.pairs, *spec.skins, *spec.materials, *spec.textures, *meshes]:
+        for one in [*spec.sensors, *spec.pairs, *spec.skins, *spec.materials, *spec.textures, *spec.hfields, *meshes]:
             spec.delete(one)
 
     def refuse(self, what: str, accepted: str) -> NoReturn:

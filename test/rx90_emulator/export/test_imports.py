@@ -155,8 +155,9 @@ PUBLIC = """<mujoco><compiler angle="radian" meshdir="assets" autolimits="true"/
 <default class="finger"><joint type="slide" axis="0 1 0" range="0 0.04"/></default>
 <geom type="mesh" group="2"/></default></default>
 <asset><texture name="grid" type="2d" file="grid.png"/><material name="grey" texture="grid"/><mesh file="base.stl"/>
-<mesh name="upper" file="upper.obj"/></asset>
-<worldbody><geom type="plane" size="1 1 1" material="grey"/><body name="base_link" childclass="arm">
+<mesh name="upper" file="upper.obj"/><hfield name="ground" file="ground.png" size="1 1 1 1"/></asset>
+<worldbody><geom type="plane" size="1 1 1" material="grey"/><geom type="hfield" hfield="ground"/>
+<body name="base_link" childclass="arm">
 <inertial mass="2" pos="0 0 0" diaginertia="0.1 0.1 0.1"/><geom mesh="base"/>
 <body name="upper" pos="0 0 0.3"><inertial mass="3" pos="0 0.1 0.1" fullinertia="0.04 0.03 0.02 0.001 0.002 0.003"/>
 <joint name="shoulder"/><geom mesh="upper" material="grey"/>
