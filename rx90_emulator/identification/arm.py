@@ -306,6 +306,10 @@ def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
             model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
         if any(line.startswith("Error:") for line in lines):  # an inertial that cannot be read is left out
             raise ValueError
+        for joint in root.findall("joint"):
+            axis = joint.find("axis") if joint.get("type") in _TURNING else None
+            if axis is not None and not any(map(float, axis.get("xyz", "1").split())):
+                raise ValueError(f"axis of joint [{joint.get('name')}] is 0 0 0")
         return model, root
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", error)

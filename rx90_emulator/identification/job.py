@@ -241,8 +241,8 @@ def run_excitation(
         base, note = folder_base(result.problem.arm, Path(str(result.options.urdf)))
         print(f"{folder}: {note}")
         if base is not None:
-            arm, law = load_robot(folder / FILES["urdf"]), load_controller(folder / FILES["controller"])
-            if lost := weight_warning(arm, base.turning, law):
+            law = load_controller(folder / FILES["controller"])
+            if lost := weight_warning(load_robot(folder / FILES["urdf"]), base.turning, law):
                 print(f"warning: {folder}: {lost}")
     return result.confirmed
 

@@ -24,7 +24,6 @@ Array = NDArray[np.float64]
 ARM = ["--joints", *JOINTS]
 SHORT = ["--runs", "1", "--harmonics", "5", "--period", "6", "--periods", "1", "--steps", "8"]
 SHARE = 0.8
-_LAST_MASS = '<link name="link_7"><inertial><origin xyz="0.01 0.03 -0.05"/><mass value="'
 
 
 def _plan(*words: str) -> int:
@@ -185,13 +184,13 @@ def test_a_run_needs_a_robot_of_this_project(urdf: Path, tmp_path: Path, capsys:
         ('effort="90"', 'effort="0"', "joint 'arm_1' limit has lower -2.9, upper 2.9, velocity 2.2, effort 0"),
         ('velocity="2.3"', 'velocity="0"', "joint 'arm_2' limit has"),
         ('<limit velocity="2.8" effort="24"/>', "", "joint 'arm_7' limit is missing"),
-        (_LAST_MASS, f"{_LAST_MASS}-9", "what joint 'arm_7' moves has -9"),
+        ('ixx="0.016"', 'ixx="-9"', "what joint 'arm_7' moves has 0.9 kg and a principal moment of inertia of -8.99"),
     ],
 )
 def test_limits_and_bodies_that_plan_nothing_are_refused(
     urdf: Path, tmp_path: Path, old: str, new: str, said: str
 ) -> None:
-    """Joints without effort, speed or limits, or with a negative mass, are named with what they have."""
+    """Joints without effort, speed or limits, or with a negative inertia, are named with what they have."""
     text = urdf.read_text()
     assert text.count(old) == 1
     file = tmp_path / "arm.urdf"

@@ -117,6 +117,11 @@ def test_what_does_not_fit_is_refused(urdf: Path, arguments: dict[str, object], 
     ("old", "new", "said"),
     [
         ("</robot>", "", "no URDF that Pinocchio can read"),
+        (
+            '<axis xyz="0 1 0"',
+            '<axis xyz="0 0 0"',
+            r"no URDF .* \(axis of joint \[shoulder\] is 0 0 0\)",
+        ),
         # The parser below Pinocchio drops such a body, says so on stderr, and goes on without it.
         ('mass value="', 'mass value="nan', r"no URDF that Pinocchio can read \(Inertial: mass \[nan"),
     ],
