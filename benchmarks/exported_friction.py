@@ -19,7 +19,7 @@ from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import Panel, Plot
 from rx90_emulator.cli.frame import run
 from rx90_emulator.export.export import Export, export_plot, export_robot
-from rx90_emulator.export.fit import TARGETS
+from rx90_emulator.export.targets import TARGETS
 from rx90_emulator.loop.setup import load_setup
 
 SPEEDS = (1e-3, 1.0)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO
 from rx90_emulator.cli.options import POSITIVE, add_robot_arguments, check_picture, new_folder, place
-from rx90_emulator.export.fit import TARGETS
+from rx90_emulator.export.targets import TARGETS
 
 _EPILOG = """\
 The friction torque is compared at constant velocity, without load, at the reference temperature. docs/howto/export.md

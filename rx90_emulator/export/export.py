@@ -21,7 +21,8 @@ from rx90_common.process.files import written_beside
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Panel, Plot
 from rx90_emulator.configuration.origins import aligned
 from rx90_emulator.export.files import creep, files_of
-from rx90_emulator.export.fit import POINTS, TARGETS, FrictionFit, Target, fit_friction, speeds_up_to, sum_of
+from rx90_emulator.export.fit import POINTS, FrictionFit, fit_friction, speeds_up_to, sum_of
+from rx90_emulator.export.targets import TARGETS, Target
 from rx90_emulator.loop.setup import Arm
 
 REPORT = "export.yaml"

@@ -19,7 +19,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.rates import Rates
 from rx90_common.friction.curves import LINEAR_SPEED
 from rx90_common.friction.element import FRICTION_UNITS
-from rx90_emulator.export.fit import BAM_ACTUATOR, FrictionFit, Target
+from rx90_emulator.export.fit import FrictionFit
+from rx90_emulator.export.targets import BAM_ACTUATOR, Target
 from rx90_emulator.loop.setup import Arm, Setup
 
 SOLIMP = (0.999, 0.999, 0.001, 0.5, 2.0)

@@ -9,9 +9,8 @@ All are compared on the same rows, those of the narrowest: its torque is what is
 bandwidth is no better for the torque that it smooths away, for all predict the same; noise of the accelerations that
 only the wider ones let pass does not count, but what it did to their parameters does. Fitted to the very band that is
 compared in, the narrowest has a small advantage where the model is not quite right, and a wider one tells more of
-reversals. So the widest is taken whose error is not clearly larger than the least: by no more than 4 %, which is more
-than that advantage is on simulated arms, or by no more than one standard error of the paired differences over blocks of
-time, the one-standard-error rule of cross-validation.
+reversals. So the widest is taken whose error is not clearly larger than the least: by no more than a tenth, or by no
+more than two standard errors of the paired differences over blocks of time.
 """
 
 from __future__ import annotations
@@ -37,8 +36,7 @@ Equations = Callable[[Sequence[JointRecord], Bandwidths], ExcitationProblem]
 _NARROWER = 3  # bandwidths that are tried beside the widest, at most
 _LEAST_RATIO = 2.0  # between two of them
 _ROWS_PER_PARAMETER = 2.0  # of the narrowest, at least: fewer predict nothing
-_WIDE, _DIFFERENCES = (1.04, 1.0), (1.1, 2.0)
-"""Over the least error, and standard errors beyond it: of a wide bandwidth, and of differences where velocities are."""
+_ACCEPTED_RATIO, _ACCEPTED_SE = 1.1, 2.0  # over the least error; standard errors beyond it
 _SINGULAR = 1e-10  # relative: directions that the remaining rows do not determine stay 0
 
 
@@ -128,7 +126,7 @@ def _recorded_velocity(
     # Where an element stops in one motion, it need not in the other.
     _, rows, its = np.intersect1d(first_key, second_key, assume_unique=True, return_indices=True)
     pair = first.residual[rows], second[its]
-    better = _best(pair, compared, _DIFFERENCES, rows) == 1
+    better = _best(pair, compared, rows) == 1
     size = float(np.linalg.norm(compared.torque[rows]))
     differences, velocities = (100.0 * float(np.linalg.norm(one)) / size for one in pair)
     text = f"from recorded velocities it is predicted to {velocities:.3g} %, from differences of positions to "
@@ -157,20 +155,15 @@ def _compared(widest: Bandwidths, records: Sequence[JointRecord], equations: Equ
     while narrower and first is last:
         last = at(narrower.pop()) or first
     found = [_Candidate(*one, last[1]) for one in ((first,) if first is last else (first, last))]
-    best = _best([one.residual for one in found], last[1], _WIDE) if len(found) > 1 else 0
+    best = _best([one.residual for one in found], last[1]) if len(found) > 1 else 0
     between = [_Candidate(*one, last[1]) for one in map(at, narrower if best else ()) if one is not None]
     if between:
         found[1:1] = between
-        best = _best([one.residual for one in found], last[1], _WIDE)
+        best = _best([one.residual for one in found], last[1])
     return found, best
 
 
-def _best(
-    residuals: Sequence[Array],
-    compared: ExcitationProblem,
-    tolerance: tuple[float, float],
-    rows: Index | slice = slice(None),
-) -> int:
+def _best(residuals: Sequence[Array], compared: ExcitationProblem, rows: Index | slice = slice(None)) -> int:
     """Return the first of some residuals of these rows that are not clearly larger than the least, joints alike."""
     joint, block = compared.joint[rows], time_blocks(compared)[rows]
     least = np.ones(joint.max() + 1)  # of each joint: the RMS of the candidate that predicts it best
@@ -181,7 +174,7 @@ def _best(
     best = min(squares, key=np.sum)
     for number, own in enumerate(squares):
         more, deviation = float(np.sum(own - best)), float(np.std(own - best, ddof=1) * math.sqrt(len(own)))
-        if own.sum() <= tolerance[0] ** 2 * best.sum() or more <= tolerance[1] * deviation:
+        if own.sum() <= _ACCEPTED_RATIO**2 * best.sum() or more <= _ACCEPTED_SE * deviation:
             return number
     raise AssertionError  # the best one is no larger than itself
 

@@ -17,7 +17,8 @@ from benchmarks.any_arm import write_arm
 from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO
 from rx90_common.friction import FrictionElement
 from rx90_emulator.cli.frame import run
-from rx90_emulator.export.fit import TARGETS, fit_friction, speeds_up_to
+from rx90_emulator.export.fit import fit_friction, speeds_up_to
+from rx90_emulator.export.targets import TARGETS
 from rx90_emulator.loop.setup import Setup
 
 LUGRE = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 2.0, 1e5, 100.0, 14.0)
