@@ -68,14 +68,15 @@ class ClientNode:
         Raises:
             ExchangeError: after the timeout.
         """
-        deadline, asked = time.monotonic() + self.timeout, False
+        allowed, asked = self.timeout, False
+        begin = time.monotonic()
         if not ready():
             self.say(f"waiting for {what}")
         while not ready():
-            if not asked and time.monotonic() >= deadline:
-                deadline, asked = deadline + more(), True
-            if time.monotonic() >= deadline:
-                raise ExchangeError(f"found no {what.removeprefix('a ')} within {self.timeout:g} s")
+            if not asked and time.monotonic() >= begin + allowed:
+                allowed, asked = allowed + more(), True
+            if time.monotonic() >= begin + allowed:
+                raise ExchangeError(f"found no {what.removeprefix('a ')} within {allowed:g} s")
             self.spin()
 
     def call(self, kind: Any, service: str, request: Any) -> Any:

@@ -31,6 +31,7 @@ from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
 
 FIXED, TANGENT, INTERPOLATED = ORIENTATIONS = ("fixed", "tangent", "interpolated")
 _FARTHEST = 1e3  # m
+_SHORTEST_PATH = 1e-6  # m: far below what an arm resolves; phases of less vanish in rounding
 _TURN = 0.02  # rad of the path between two places at which it is examined
 _MOST_PARTS = 50
 _JUMP = 1e-3  # rad/m: a smaller change of the tool's turn by the distance is rounding
@@ -150,8 +151,9 @@ class Path:
             if not value > 0.0 or (math.isinf(value) and name != "jerk"):
                 raise LineError(f"{name} is {value:g}; accepted: a number > 0")
         check_rests(self)
-        if self.length > LONGEST_LINE:
-            raise LineError(f"the path's length is {self.length:g} m; accepted: up to {LONGEST_LINE:g} m")
+        if not _SHORTEST_PATH <= self.length <= LONGEST_LINE:
+            accepted = f"{_SHORTEST_PATH:g} to {LONGEST_LINE:g} m"
+            raise LineError(f"the path's length is {self.length:g} m; accepted: {accepted}")
         if self.orientation == TANGENT:
             self._check_tangent()
         if not self.profile().duration <= LONGEST_MOTION:

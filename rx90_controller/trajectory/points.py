@@ -230,7 +230,7 @@ def joint_table(
     if not np.isfinite(table).all():
         i, k = np.argwhere(~np.isfinite(table[:, columns]))[0]
         value, name = table[i, columns[k]], robot_joints[columns[k]]
-        raise TrajectoryError(f"{where.format(i)}{what} of {name} is {value}; accepted: a finite number")
+        raise TrajectoryError(f"{where.format(i)}{what} of {name}: {value}; accepted: a finite number")
     return table
 
 

@@ -237,7 +237,7 @@ def _plot(found: CorrectionFile) -> Any:
 
 def _add_precompensate(precompensate: argparse.ArgumentParser) -> None:
     precompensate.add_argument("file", type=Path, metavar="FILE", help="correction file")
-    precompensate.add_argument("path", metavar="PATH", help="task or trajectory that it is of")
+    precompensate.add_argument("path", metavar="PATH", help="task, path or trajectory that it is of")
     precompensate.add_argument("--output", type=place, metavar="FILE", required=True, help="trajectory to write, .yaml")
     precompensate.add_argument("--force", action="store_true", help="replace a trajectory that exists")
     precompensate.add_argument(

@@ -6,7 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from rx90_common.base.errors import DONE, VERDICT_NO
+from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
+from rx90_common.base.quoting import plain
 from rx90_emulator.cli.options import POSITIVE, add_robot_arguments, check_picture, new_folder, place
 from rx90_emulator.export.targets import TARGETS
 
@@ -51,14 +52,17 @@ def main(options: argparse.Namespace) -> int:
 
     if options.plot is not None:
         check_picture(options.plot)
+        if options.plot == options.output:
+            raise ConfigError(f"--plot and --output are both {plain(options.plot)}; accepted: two names")
     files = RobotFiles.of_options(options)
     speeds = None if options.speeds is None else tuple(options.speeds)
     export = export_robot(load_arm(files), options.target, speeds=speeds, bag=options.bag)
+    plot = None if options.plot is None else export_plot(export, FrictionFile.read(files.friction))
     write_export(export, options.output)
-    if options.plot is not None:
-        write_picture(export_plot(export, FrictionFile.read(files.friction)), options.plot)
     print(export.text)
     print(f"\nwritten: {', '.join(export.files)} and export.yaml in {options.output}")
+    if plot is not None:
+        write_picture(plot, options.plot)
     if options.within is not None and export.largest > options.within:
         worst = max(export.fits, key=lambda fit: fit.worst)
         line = f"{worst.name} differs by up to {worst.worst:.3g} Nm; accepted: {options.within:g} Nm"

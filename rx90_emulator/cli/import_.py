@@ -37,6 +37,8 @@ def main(options: argparse.Namespace) -> None:
     from rx90_emulator.export.imports import import_arm, import_bam, import_mjcf_friction
 
     files, output = options.files, options.output
+    if output.suffix.lower() in {".yml", ".xml", ".json"}:
+        raise ConfigError(f"--output {plain(output)}; accepted: a .yaml file, or the name of a folder")
     kinds, whole = {file.suffix.lower() for file in files}, output.suffix.lower() != ".yaml"
     if kinds == {".json"}:
         if whole:

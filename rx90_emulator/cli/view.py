@@ -96,7 +96,12 @@ def _check(options: argparse.Namespace) -> None:
     given = [name for name in _OF_BAGS if getattr(options, name)]
     if given and not count:
         raise BagError(f"--{given[0].replace('_', '-')} without a bag; accepted: with one, to be played")
-    given_of_nodes = {"demo": options.demo, "node": options.node is not None, "nice": options.nice is not None}
+    given_of_nodes = {
+        "demo": options.demo,
+        "task": options.task is not None,
+        "node": options.node is not None,
+        "nice": options.nice is not None,
+    }
     of_nodes = [name for name, is_given in given_of_nodes.items() if is_given]
     if count and of_nodes:
         raise BagError(f"--{of_nodes[0]} with the bag {plain(options.bags[0])}; accepted: one of them")

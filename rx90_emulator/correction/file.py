@@ -279,7 +279,9 @@ def load_correction(name: Path | str) -> CorrectionFile:
         if Correction(best, content["period"]).offsets.shape != offsets.shape:
             raise ValueError(f"best offsets of shape {best.shape}, offsets of shape {offsets.shape}")
         trials = {len(distance), len(content["worst"]), len(content["seen"])}
-        if distance.ndim != 2 or len(trials) > 1 or not np.isfinite(distance).all():
+        if offsets.shape[1] != len(content["path"]["start"]):
+            raise ValueError(f"offsets of {offsets.shape[1]} joints, a path of {len(content['path']['start'])}")
+        if distance.ndim != 2 or not distance.size or len(trials) > 1 or not np.isfinite(distance).all():
             raise ValueError(f"distances of shape {distance.shape} that are no row for each trial")
     except (KeyError, ValueError, zipfile.BadZipFile, TrajectoryError) as error:
         raise ConfigError(f"{plain(beside)}: {error}; accepted: a file that rx90_correct wrote") from error

@@ -30,6 +30,8 @@ REPORT = "export.yaml"
 
 _FEWEST = 20  # samples of a bag that say how fast a joint moves
 _WITHIN = 1e-9  # Nm: of a difference that is rounding
+_OTHER_SHAPE = (TypeError, ValueError, KeyError, IndexError, AttributeError)
+_UNREAD = "its identification has another shape; accepted: as rx90_identify writes it"
 _OF_CURVE = ("tau_c_positive", "tau_s_positive", "omega_s", "delta", "c2", "alpha")
 
 
@@ -178,10 +180,13 @@ def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
     """Return the fastest and the slowest speed at which each element was identified, as its friction file says."""
     file = arm.friction.file
     found = {} if file is None else FrictionFile.read(file).identification or {}
-    fits = found.get("fit") or {}
-    bands = {name: one["residual_by_speed"] for name, one in fits.items() if one.get("residual_by_speed")}
-    ranges = {name: (float(one[-1][1]), float(one[0][0])) for name, one in bands.items()}
-    return ranges | {name: (float(high), float(low)) for name, (low, high) in (found.get("speeds") or {}).items()}
+    try:
+        fits = found.get("fit") or {}
+        bands = {name: one["residual_by_speed"] for name, one in fits.items() if one.get("residual_by_speed")}
+        ranges = {name: (float(one[-1][1]), float(one[0][0])) for name, one in bands.items()}
+        return ranges | {name: (float(high), float(low)) for name, (low, high) in (found.get("speeds") or {}).items()}
+    except _OTHER_SHAPE as error:
+        raise ConfigError(f"{plain(str(file))}: {_UNREAD}") from error
 
 
 def _with_coupling(fit: FrictionFit, arm: Arm, joint: int) -> FrictionFit:
@@ -281,7 +286,12 @@ def _band(friction: FrictionFile, fit: FrictionFit, speed: Array) -> Array | Non
 
     Errors of the parameters are taken as independent, which makes the band too wide where they compensate each other.
     """
-    found = ((friction.identification or {}).get("parameters") or {}).get(fit.name, {})
+    try:
+        found = ((friction.identification or {}).get("parameters") or {}).get(fit.name, {})
+        intervals = {name: found[name]["interval"] for name in _OF_CURVE if "interval" in found.get(name, {})}
+        ends = {name: (float(low), float(high)) for name, (low, high) in intervals.items()}
+    except _OTHER_SHAPE as error:
+        raise ConfigError(f"friction of {fit.name}: {_UNREAD}") from error
     here = {name: getattr(fit.elements[0], name) for name in _OF_CURVE}
 
     def curve(name: str, value: float) -> Array:
@@ -289,6 +299,5 @@ def _band(friction: FrictionFile, fit: FrictionFit, speed: Array) -> Array | Non
         rise = (tau_s - tau_c) * stribeck_decay(speed, omega_s, delta)
         return np.asarray(tau_c + rise + viscous_torque(speed, c2, alpha))
 
-    intervals = {name: found[name]["interval"] for name in _OF_CURVE if "interval" in found.get(name, {})}
-    halves = [0.5 * (curve(name, high) - curve(name, low)) for name, (low, high) in intervals.items()]
+    halves = [0.5 * (curve(name, high) - curve(name, low)) for name, (low, high) in ends.items()]
     return np.asarray(np.sqrt(np.sum(np.square(halves), axis=0))) if halves else None

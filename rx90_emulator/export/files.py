@@ -16,6 +16,7 @@ import pinocchio as pin
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.friction.curves import LINEAR_SPEED
 from rx90_common.friction.element import FRICTION_UNITS
@@ -113,6 +114,10 @@ def files_of(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> dict[str,
             text = render(template, **values, fit=fit) if template else _urdf(arm, target, fits)
             # Names of robots and joints may have slashes.
             place = re.sub(r"[/\\]", "_", file.format(name=name, word=_word(name), element=fit.name))
+            if place in texts:
+                raise ConfigError(
+                    f"{fit.name}: its file would be {place}, another element's, too; accepted: other names"
+                )
             texts[place] = text
     return texts
 

@@ -23,6 +23,7 @@ POINTS = 400
 """Of the speeds at which curves are compared, evenly spaced in their logarithm."""
 
 _EXACT = 1e-12  # of the largest torque: rounding
+_SPEEDS = 1e-6, 1e4  # rad/s, in which any joint's or motor's lie
 _STARTS = (0.3, 1.0, 3.0)  # times the Stribeck velocity, where the fit starts
 
 
@@ -101,8 +102,10 @@ def speeds_up_to(high: float, low: float = LINEAR_SPEED) -> Array:
     Raises:
         ConfigError: for a range that is none.
     """
-    if not 0.0 < low < high < math.inf:
-        raise ConfigError(f"speeds from {low:g} to {high:g} rad/s; accepted: two numbers > 0, the second the larger")
+    least, most = _SPEEDS
+    if not least <= low < high <= most:
+        accepted = f"two numbers from {least:g} to {most:g}, the second the larger"
+        raise ConfigError(f"speeds from {low:g} to {high:g} rad/s; accepted: {accepted}")
     return np.geomspace(low, high, POINTS)
 
 

@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, warn_caller
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.robot import MOUNT_LINK, load_robot
@@ -58,15 +58,15 @@ def import_bam(paths: Sequence[Path | str]) -> FrictionFile:
     elements: dict[str, FrictionElement] = {}
     for path in map(Path, paths):
         try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            found = json.loads(path.read_text(encoding="utf-8-sig"), parse_int=float)
+        except (OSError, ValueError, RecursionError) as error:
             raise ConfigError(f"{plain(path)}: no JSON ({error}); accepted: a file of BAM's parameters") from error
         model = found.get("model") if isinstance(found, dict) else None
-        if model not in _EXACT:
+        if not isinstance(model, str) or model not in _EXACT:
             accepted = "m1, m2, or m5; the others' friction depends on the load in another way than here"
             raise ConfigError(f"{plain(path)}: model is {quoted(model)}; accepted: {accepted}")
         for name in _EXACT[model]:
-            if not isinstance(found.get(name), int | float):
+            if not isinstance(found.get(name), float) or not math.isfinite(found[name]):
                 raise ConfigError(f"{plain(path)}: {name} is {quoted(found.get(name))}; accepted: a number")
         by_motor = [name for name in _BAM_LOAD[2:] if found.get(name, 0.0) and model == "m5"]
         if by_motor:
@@ -193,6 +193,10 @@ class _Mjcf:
         import mujoco
 
         self._path, self._mujoco = path, mujoco
+        if not path.is_file():
+            raise ConfigError(f"{plain(path)}: not there, or no file; accepted: an MJCF")
+        said: list[str] = []
+        mujoco.set_mju_user_warning(said.append)  # else they go to the terminal and into a file MUJOCO_LOG.TXT
         try:
             spec = mujoco.MjSpec.from_file(str(path))
             self._drop_shapes(spec)
@@ -204,6 +208,9 @@ class _Mjcf:
             raise ConfigError(
                 f"{plain(path)}: MuJoCo cannot read it ({' '.join(str(error).split())}); accepted: an MJCF"
             ) from error
+        finally:
+            mujoco.set_mju_user_warning(None)
+        warn_caller(f"{plain(path)}: MuJoCo warns: {' '.join(one.split())}" for one in said)
         model = self._model
         self._joints = {model.joint(j).name: j for j in range(model.njnt)}
         kinds = {name: model.jnt_type[j] for name, j in self._joints.items()}
@@ -232,7 +239,10 @@ class _Mjcf:
         kind, at = ("tendon", model.tendon(name).id) if joint is None else ("dof", model.jnt_dofadr[joint])
         if what == "damping" and np.any(getattr(model, f"{kind}_dampingpoly")[at]):
             self.refuse(f"the damping of {name} is a polynomial", "a linear one")
-        return float(getattr(model, f"{kind}_{what}")[at])
+        value = float(getattr(model, f"{kind}_{what}")[at])
+        if not math.isfinite(value):
+            self.refuse(f"{what} of {name} is {value}", "a finite number")
+        return value
 
     def friction(self) -> dict[str, FrictionElement]:
         """Return the elements by the names of their joints and tendons."""
@@ -267,6 +277,8 @@ class _Mjcf:
         """Return the links of a URDF, from the base on, each in the frame of the joint above it."""
         model, mujoco = self._model, self._mujoco
         data = mujoco.MjData(model)
+        # At 0, from which ranges and springs count; a joint's `ref` is its angle in the pose that the MJCF draws.
+        data.qpos[model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE]] = 0.0
         mujoco.mj_kinematics(model, data)
         names = [model.body(b).name for b in range(model.nbody)]
         names[0] = "world" if "base_link" in names else "base_link"
@@ -314,11 +326,11 @@ class _Mjcf:
                 continue
             gear = abs(float(model.actuator_gear[k, 0]))
             if model.actuator_forcelimited[k]:
-                effort += gear * float(model.actuator_forcerange[k, 1])
+                effort += gear * float(np.abs(model.actuator_forcerange[k]).max())
             elif model.actuator_biastype[k] == mujoco.mjtBias.mjBIAS_NONE and model.actuator(k).ctrllimited[0]:
-                effort += gear * float(model.actuator_gainprm[k, 0] * model.actuator(k).ctrlrange[1])
+                effort += gear * float(np.abs(model.actuator_gainprm[k, 0] * model.actuator(k).ctrlrange).max())
         if model.jnt_actfrclimited[j]:
-            effort = float(model.jnt_actfrcrange[j, 1])
+            effort = float(np.abs(model.jnt_actfrcrange[j]).max())
         limits = model.jnt_range[j] if model.jnt_limited[j] else (-2.0 * math.pi, 2.0 * math.pi)
         return {"joint": model.joint(j).name, "axis": model.jnt_axis[j], "effort": effort or _PEAK_EFFORT,
                 "limits": limits}  # fmt: skip

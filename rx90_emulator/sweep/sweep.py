@@ -74,9 +74,9 @@ def metrics_of(joints: Sequence[str], elements: Sequence[str], *, perturbs: bool
     """
     worst = "largest position error" + (", without the encoder's counts" if perturbs else " the controller saw")
     errors = (
-        Metric("path_error_worst", "m", "largest distance of the tip from the line"),
-        Metric("path_error_rms", "m", "root mean square distance of the tip from the line"),
-        Metric("along_track_worst", "m", "largest distance of the tip from its set-point along the line"),
+        Metric("path_error_worst", "m", "largest distance of the tip from the path"),
+        Metric("path_error_rms", "m", "root mean square distance of the tip from the path"),
+        Metric("along_track_worst", "m", "largest distance of the tip from its set-point along the path"),
         Metric("orientation_worst", "rad", "largest angle of the tool from its orientation there, every 10 ticks"),
         *(Metric(f"tracking_error_worst_{j}", "rad", worst) for j in joints),
         *(Metric(f"tracking_error_rms_{j}", "rad", "root mean square position error") for j in joints),

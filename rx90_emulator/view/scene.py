@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from itertools import combinations
+from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -212,9 +212,12 @@ class LineScene:
         self._span, self._rows = _NEVER, self._rows[-_KEPT_BEFORE:]
         ends, whole = self._task.poses(np.array([0.0, self._task.length])).position, self._task.length
         way = np.concatenate([np.zeros(min(1, len(tips))), np.cumsum(length(np.diff(tips, axis=0)))])
-        for first, last in combinations(np.flatnonzero(at_rest), 2):
-            travelled, moves = way[last] - way[first], way[first] < way[first + 1] and way[last - 1] < way[last]
-            if not moves or abs(travelled - whole) > _CHORDS * whole:
+        moves = np.diff(way) > 0.0
+        begins = np.flatnonzero(at_rest[:-1] & moves)
+        finishes = np.flatnonzero(at_rest[1:] & moves) + 1
+        for first, last in product(begins, finishes):
+            travelled = way[last] - way[first]
+            if last <= first or abs(travelled - whole) > _CHORDS * whole:
                 continue
             if length(tips[[first, last]] - ends).max() >= _END_TOLERANCE:
                 continue

@@ -75,9 +75,9 @@ REFUSALS: list[tuple[dict[str, Any], str]] = [
     ({"velocity": [REST, ROW[:5], REST]}, "point 1: 5 velocities; accepted: 6, or none"),
     ({"acceleration": [REST, REST, REST[:1]]}, "point 2: 1 accelerations"),
     ({"velocity": [[], [], []]}, "accelerations without velocities"),
-    ({"position": [ROW, ROW, NAN_ROW]}, "point 2: positions of joint_3 is nan; accepted: a finite number"),
-    ({"velocity": [REST, NAN_ROW, REST]}, "point 1: velocities of joint_3 is nan"),
-    ({"acceleration": [[math.inf, *REST[1:]], REST, REST]}, "point 0: accelerations of joint_1 is inf"),
+    ({"position": [ROW, ROW, NAN_ROW]}, "point 2: positions of joint_3: nan; accepted: a finite number"),
+    ({"velocity": [REST, NAN_ROW, REST]}, "point 1: velocities of joint_3: nan"),
+    ({"acceleration": [[math.inf, *REST[1:]], REST, REST]}, "point 0: accelerations of joint_1: inf"),
     ({"velocity": [REST, REST, [0, 0, 0, 0, -0.1, 0]]}, "point 2: joint_5 ends at -0.1 rad/s; accepted: 0"),
 ]
 

@@ -49,7 +49,7 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed, quoted
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.arm import RigidArm, joint_of
 from rx90_emulator.identification.excitation.fit import LinearFit
 from rx90_emulator.identification.excitation.friction import FrictionSelection, linear_columns
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
@@ -148,8 +148,9 @@ def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], A
             model.frames[model.getFrameId(element.get("name", ""), pin.FrameType.BODY)],
             element.find("inertial"),
         )
-        places.append((frame.parentJoint, frame.placement))
-        if frame.parentJoint:
+        joint = joint_of(frame)
+        places.append((joint, frame.placement))
+        if joint:
             pseudo = np.zeros((4, 4))
             if inertial is not None:
                 mass, inertia = inertial.find("mass"), inertial.find("inertia")
@@ -157,7 +158,7 @@ def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], A
                 moments = [0.0 if inertia is None else float(inertia.get(key, "0")) for key in _URDF_MOMENTS]
                 to_joint = frame.placement.homogeneous @ _origin(inertial)
                 pseudo = to_joint @ _about_center(weight, np.zeros(3), np.reshape(moments, (3, 3))) @ to_joint.T
-            bodies.append(MovingBody(frame.name, number[frame.parentJoint], frame.placement.homogeneous, pseudo))
+            bodies.append(MovingBody(frame.name, number[joint], frame.placement.homogeneous, pseudo))
     ends = np.zeros((len(joints), 3))
     for joint, place in places:
         if joint and np.linalg.norm(place.translation) > np.linalg.norm(ends[number[joint]]):

@@ -231,7 +231,11 @@ class _Search:
             there = {one.motor for one in wrong}
             tried = [(*wrong, WrongSign(k, *how)) for k in motors if k not in there for how in _TURNED_ROUND]
             best, other = min(((one, self._signed(one)) for one in tried), key=lambda pair: pair[1].deficit)
-            if not self._explains(*self._compared(now, other), _CLEAR_SE, _MIN_SIGN_GAIN):
+            # Its own joints, too: another one that is quiet and gets a little quieter weighs as much.
+            own = self._problem.arm.coupling[best[-1].motor, other.joint] != 0.0
+            left, less = (float(np.linalg.norm(one.residual(other.sigma)[own])) for one in (now, other))
+            clearly = self._explains(*self._compared(now, other), _CLEAR_SE, _MIN_SIGN_GAIN)
+            if not clearly or less > (1.0 - _MIN_SIGN_GAIN) * left:
                 break
             # Where nothing tells which way the joint bends, the torque is more often wrong than the position.
             plain = (*wrong, best[-1]._replace(motion=False, torque=True))
@@ -279,10 +283,14 @@ class _Search:
         instants, place = np.unique(problem.sample[rows], return_inverse=True)
         joint = problem.joint[rows]
         moved = [values[instants] @ moves.T for values in (self._position, self._velocity, self._acceleration)]
-        regressor = problem.columns.torque(*moved)[:, :, list(problem.base.leading)][place, joint]
+        columns, n = problem.columns.torque(*moved)[place, joint], len(coupling)
+        carried = np.array([np.zeros(10) if body is None else body.parameters() for body in problem.payloads])
+        payload = np.sum(columns[:, 10 * n - 10 : 10 * n] * carried[problem.run[rows]], axis=1)
         speed, share = (moved[1] @ problem.arm.element_matrix.T)[place], problem.arm.element_matrix.T[joint]
-        recorded = (self._torque[instants] @ acts)[place, joint] - problem.payload[rows]
-        return _Signed(joint, regressor, np.hstack([share * np.sign(speed), share * speed]), recorded)
+        recorded = (self._torque[instants] @ acts)[place, joint] - payload
+        return _Signed(
+            joint, columns[:, list(problem.base.leading)], np.hstack([share * np.sign(speed), share * speed]), recorded
+        )
 
     @staticmethod
     def _explains(squares: Array, less: Array, errors: float, share: float) -> bool:

@@ -250,7 +250,7 @@ class ElementKind:
     @property
     def decided(self) -> bool:
         """Return whether the data tell it, LuGre's too."""
-        return not self.reason
+        return bool(self.trials) and not self.reason
 
     @property
     def decision(self) -> str:

@@ -126,6 +126,8 @@ def test_verdict_and_refusals(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 @pytest.mark.parametrize(("words", "reason"), [
     (["mujocco"], "invalid choice: 'mujocco'"),
     (["bam", "--friction", "nan.yaml"], "nan.yaml: elements.joint_1.tau_c is nan; accepted: a finite number > 0"),
+    (["bam", "--friction", "shape.yaml"], "shape.yaml: its identification has another shape; accepted: as"),
+    (["bam", "--speeds", "1e-300", "1"], "speeds from 1e-300 to 1 rad/s; accepted: two numbers from 1e-06 to 10000"),
     (["bam", "--bag", "other.csv"], "other.csv: /joint_states: no joint 'joint_1'; there are panda_1, panda_2"),
 ])  # fmt: skip
 def test_bad_input_is_one_line(
@@ -137,6 +139,7 @@ def test_bad_input_is_one_line(
     assert shipped.friction.file is not None
     text = Path(shipped.friction.file).read_text(encoding="utf-8")
     Path("nan.yaml").write_text(re.sub(r"tau_c: [\d.]+", "tau_c: .nan", text), encoding="utf-8")
+    Path("shape.yaml").write_text(f"{text}identification: {{speeds: {{joint_1: 3}}}}\n", encoding="utf-8")
     Path("other.csv").write_text("t,a,b\n" + "".join(f"{k},{k},{k}\n" for k in range(30)), encoding="utf-8")
     position = {"columns": ["a", "b"], "unit": "rad"}
     mapping = {"time": {"column": "t", "unit": "s"}, "names": ["panda_1", "panda_2"], "position": position}

@@ -23,12 +23,12 @@ from rx90_common.friction.parts.load import LoadPart
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.setup import Setup
 
-# Frames that are turned, a joint beside its body's origin, principal axes that are none of the body's.
+# Frames that are turned, joints drawn away from 0 and beside their bodies' origins, principal axes of their own.
 ARM = """<mujoco><compiler angle="radian" autolimits="true"/><worldbody><body name="foot" quat="1 0 0 1">
 <inertial mass="4" pos="0 0 0" diaginertia="0.1 0.1 0.1"/>{}</body></worldbody><actuator>{}</actuator></mujoco>"""
 LINK = """<body name="link{k}" pos="0.1 0.05 0.3" quat="1 {x} 0.3 0"><inertial mass="{m}" pos="0.02 0.1 0.05"
-quat="1 0.2 {x} 0" diaginertia="0.03 0.02 0.04"/><joint name="joint_{k}" axis="0 {x} 1" range="-2 2" pos="0.01 0 0.02"
-armature="0.2"/>{{}}</body>"""
+quat="1 0.2 {x} 0" diaginertia="0.03 0.02 0.04"/><joint name="joint_{k}" axis="0 {x} 1" range="-2 2" ref="{x}"
+pos="0.01 0 0.02" armature="0.2"/>{{}}</body>"""
 
 
 def arm_text() -> str:
@@ -97,9 +97,16 @@ def test_bam_s_file_of_the_erob80(tmp_path: Path) -> None:
     found = rx.FrictionFile.read(tmp_path / "friction.yaml").elements["m2"]
     speeds = np.linspace(-3.0, 3.0, 40)
     assert found.steady_torque(speeds) == pytest.approx(ours.steady_torque(speeds), rel=1e-5)
-    file.write_text('{"model": "m6"}', encoding="utf-8")
-    with pytest.raises(ConfigError, match="model is 'm6'; accepted: m1, m2, or m5"):
-        rx.import_bam([file])
+    whole = file.read_text(encoding="utf-8")
+    for text, said in (
+        ('{"model": "m6"}', "model is 'm6'; accepted: m1, m2, or m5"),
+        ('{"model": []}', "model is .*accepted: m1, m2, or m5"),
+        ("[" * 100_000, "no JSON"),
+        (re.sub('"friction_base": [0-9.]+', '"friction_base": 1' + 400 * "0", whole), "friction_base is inf"),
+    ):
+        file.write_text(text, encoding="utf-8")
+        with pytest.raises(ConfigError, match=said):
+            rx.import_bam([file])
 
 
 COUPLING = [*np.eye(7)[:6].tolist(), [0, 0, 0, 0, 1, -1, 1]]
@@ -217,6 +224,7 @@ def test_inertias_of_shapes_are_kept(tmp_path: Path) -> None:
     ('armature="0.2"', 'armature="0.2" stiffness="3"', "the springs of"),
     ('armature="0.2"', 'armature="0.2" damping="3 1"', "polynomial"),
     ('armature="0.2"', 'armature="0.2" frictionloss="3"', "lugre and frictionloss of joint_1"),
+    ('armature="0.2"', 'armature="0.2" frictionloss="nan"', "frictionloss of joint_1 is nan; accepted"),
     ("<worldbody>", '<option gravity="0 0 -1.6"/><worldbody>', "gravity"),
 ])  # fmt: skip
 def test_what_no_robot_folder_holds_is_refused(tmp_path: Path, old: str, new: str, reason: str) -> None:

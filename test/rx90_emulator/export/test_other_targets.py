@@ -21,6 +21,7 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics
 import rx90_emulator as rx
 from benchmarks.any_arm import write_arm
 from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError
 from rx90_common.friction.parts.load import LoadPart
 from rx90_emulator.loop.setup import Setup
 
@@ -252,3 +253,8 @@ def test_names_that_other_languages_refuse(tmp_path: Path) -> None:
     assert tables[3:] == ["'0.5*arm_2-arm_3_tau_pos'", "'0.5*arm_2+arm_3_tau_pos'"]
     rx.write_export(rx.export_robot(setup, "bam"), tmp_path / "bam")
     assert len(list((tmp_path / "bam").glob("*.json"))) == 5
+    for name in ("robot.urdf", "friction.yaml"):
+        file = folder / name
+        file.write_text(file.read_text().replace("arm_2", "a/b").replace("arm_3", "a_b"))
+    with pytest.raises(ConfigError, match=r"a_b: its file would be a_b.json, another element's, too"):
+        rx.export_robot(rx.load_setup(robot=folder), "bam")

@@ -502,6 +502,7 @@ def test_scrubbing_shows_what_was_recorded(
         (["--record-time"], "--record-time without a bag"),
         (["first", "--demo"], "--demo with the bag first"),
         (["first", "--nice", "0"], "--nice with the bag first"),
+        (["first", "--task", "line.yaml"], "--task with the bag first"),
         (["nothing"], "nothing: no such bag"),
         (["first", "--robot", "tx40"], "recorded of the robot 'rx90b', not of"),
     ],

@@ -14,7 +14,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.checks import check_signs
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.problem import ExcitationProblem, Payload
 from rx90_emulator.identification.options import RobotOptions
 
 GEAR, CONSTANT = [100.0, -80.0, 60.0], [0.2, 0.1, 0.1]
@@ -29,7 +29,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[RigidArm, tuple[
 
 
 def turned_round(
-    recorded: tuple[RigidArm, tuple[FilteredRun, ...]], motion: tuple[int, ...], torque: tuple[int, ...]
+    recorded: tuple[RigidArm, tuple[FilteredRun, ...]],
+    motion: tuple[int, ...],
+    torque: tuple[int, ...],
+    payloads: tuple[Payload | None, ...] | None = None,
 ) -> ExcitationProblem:
     """Return the equations with the positions and the torques of some joints turned round."""
     arm, runs = recorded
@@ -47,6 +50,7 @@ def turned_round(
             )
             for run, one in zip(runs, stamps, strict=True)
         ],
+        payloads,
     )  # fmt: skip
 
 
@@ -66,6 +70,21 @@ def test_a_wrong_sign_is_named_with_what_to_write(
     """A torque, a gear or a position that is turned round is found on its joint, and the right options are said."""
     with pytest.raises(IdentificationError, match=said):
         check_signs(turned_round(recorded, motion, torque), RobotOptions(gear=GEAR, torque_constant=CONSTANT))
+
+
+@pytest.mark.parametrize("motor", [0, 1])
+def test_a_wrong_gear_is_found_beside_a_known_payload(
+    recorded: tuple[RigidArm, tuple[FilteredRun, ...]], motor: int
+) -> None:
+    """The payload's torque goes with the gear that is turned round, so that no other sign is blamed."""
+    arm, (bare,) = recorded
+    body = Payload(20.0, [0.05, 0.0, 0.1], np.diag([0.2, 0.2, 0.1]))
+    columns = ExcitationProblem.of(arm, [bare]).columns
+    last = columns.torque(bare.position, bare.velocity, bare.acceleration)[:, :, 20:30]
+    loaded = replace(bare, torque=bare.torque + last @ body.parameters())
+    problem = turned_round((arm, (bare, loaded)), (motor,), (motor,), (None, body))
+    with pytest.raises(IdentificationError, match=f"gear of joint_{motor + 1}: "):
+        check_signs(problem, RobotOptions(gear=GEAR))
 
 
 def test_of_gears_whose_mirror_images_fit_both_are_named(tmp_path: Path) -> None:
