@@ -221,6 +221,9 @@ def _tcp_frame(file: UrdfFile, model: Any, has_tool: bool) -> str:
     if MOUNT_LINK in file.links:
         return MOUNT_LINK
     bodies = [frame for frame in model.frames if frame.type == pin.BODY]
-    # Pinocchio 2 calls it `parent`.
-    parents = [(f.name, f.parentJoint if hasattr(f, "parentJoint") else f.parent) for f in bodies]
-    return str([name for name, joint in parents if joint == model.njoints - 1][-1])
+    return str([frame.name for frame in bodies if joint_of(frame) == model.njoints - 1][-1])
+
+
+def joint_of(frame: Any) -> int:
+    """Return the number of the joint that moves a frame, 0 for the base; Pinocchio 2 calls it `parent`."""
+    return int(frame.parentJoint if hasattr(frame, "parentJoint") else frame.parent)

@@ -276,11 +276,6 @@ def joint_model(
     return reduced
 
 
-def joint_of(frame: Any) -> int:
-    """Return the number of the joint that moves a frame, 0 for the base; Pinocchio 2 calls it `parent`."""
-    return int(frame.parentJoint if hasattr(frame, "parentJoint") else frame.parent)
-
-
 def movable_joints(urdf: Path) -> tuple[str, ...]:
     """Return the joints of a URDF with one number that a log can hold: revolute, continuous, prismatic, no mimics."""
     model, root = _read_urdf(urdf)

@@ -48,8 +48,9 @@ from scipy.optimize import brentq
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed, quoted
+from rx90_common.description.robot import joint_of
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.identification.arm import RigidArm, joint_of
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.fit import LinearFit
 from rx90_emulator.identification.excitation.friction import FrictionSelection, linear_columns
 from rx90_emulator.identification.excitation.problem import ExcitationProblem

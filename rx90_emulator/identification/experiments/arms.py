@@ -20,10 +20,10 @@ from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.chain import RigidChain
-from rx90_common.description.robot import MOUNT_LINK, TCP_LINK, RobotModel, attach, load_tool
+from rx90_common.description.robot import MOUNT_LINK, TCP_LINK, RobotModel, attach, joint_of, load_tool
 from rx90_common.exchange.topics import motor_names
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
-from rx90_emulator.identification.arm import RigidArm, joint_model, joint_of, movable_joints
+from rx90_emulator.identification.arm import RigidArm, joint_model, movable_joints
 from rx90_emulator.identification.experiments.plan import Experiment, Poses, check_pose
 from rx90_emulator.identification.output.assumed_files import FULL_SPEED_TIME
 from rx90_emulator.loop.setup import Setup

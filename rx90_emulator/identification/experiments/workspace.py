@@ -18,9 +18,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array, Index
-from rx90_common.description.robot import RobotModel
+from rx90_common.description.robot import RobotModel, joint_of
 from rx90_common.description.rotations import axis_rotation
-from rx90_emulator.identification.arm import joint_of
 from rx90_emulator.identification.options import Wall
 
 SELF_CLEARANCE = 0.005
