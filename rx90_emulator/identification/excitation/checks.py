@@ -169,6 +169,7 @@ class _Search:
             np.concatenate([run.parallel(getattr(run, name)) for run in problem.runs])
             for name in ("position", "velocity", "acceleration", "torque")
         )
+        self._carried = np.array([np.zeros(10) if body is None else body.parameters() for body in problem.payloads])
         self._block, self._all = time_blocks(problem), np.arange(len(problem))
         fit = solve(problem, np.hstack([problem.regressor, self._friction]))
         self._weight = (1.0 / fit.sigma[problem.joint])[:, None]
@@ -284,8 +285,7 @@ class _Search:
         joint = problem.joint[rows]
         moved = [values[instants] @ moves.T for values in (self._position, self._velocity, self._acceleration)]
         columns, n = problem.columns.torque(*moved)[place, joint], len(coupling)
-        carried = np.array([np.zeros(10) if body is None else body.parameters() for body in problem.payloads])
-        payload = np.sum(columns[:, 10 * n - 10 : 10 * n] * carried[problem.run[rows]], axis=1)
+        payload = np.sum(columns[:, 10 * n - 10 : 10 * n] * self._carried[problem.run[rows]], axis=1)
         speed, share = (moved[1] @ problem.arm.element_matrix.T)[place], problem.arm.element_matrix.T[joint]
         recorded = (self._torque[instants] @ acts)[place, joint] - payload
         return _Signed(
