@@ -119,7 +119,7 @@ class ServoLoop:
         self._law_changes: deque[tuple[np.ndarray[Any, Any], Callable[[int], None]]] = deque()
         self.running = self._unpublished = False  # whether the position loop has left something
         self.options, self.tolerances = GoalOptions(), GoalTolerances.of_parameters(cs7b.joint_names)
-        self._waiting: TrajectoryRequest | None = None  # for the first states
+        self._waiting: TrajectoryRequest | None = None  # for the first states, or those after the torque was off
         self._correction: tuple[str, Correction] | None = None  # for the trajectory of that identity
         self._followed: TrajectoryRequest | None = None  # a goal, or a trajectory that is held to tolerances
         self.streaming = StreamOptions()
@@ -145,10 +145,8 @@ class ServoLoop:
             else:
                 self._note(self._outputs.ready)
             self._cs7b.reset(states.position, states.stamp_ns // self._cs7b.rates.period_ns)
-            self.running = True
-            waiting, self._waiting = self._waiting, None
-            if waiting is not None:
-                self._follow(waiting)
+            self.running, self._released = True, False
+            self._follow_waiting()
 
     def step(self, stamp_ns: int, states: MotorStates) -> bool:
         """Run the loops that are due; return whether the motors get torque."""
@@ -162,6 +160,8 @@ class ServoLoop:
                 self._released = False
                 self._note_dropped("the torque is off")
                 cs7b.release(states.position, stamp_ns // cs7b.rates.period_ns + 1)
+                if self.enabled:
+                    self._follow_waiting()
                 return False
             if slow:
                 end = cs7b.trajectory.ended(cs7b.position_tick)
@@ -228,6 +228,9 @@ class ServoLoop:
                 self.fault = None
             else:
                 self._released = True
+                if self.running and self._waiting is not None and not self._waiting.is_goal:
+                    self._waiting = None
+                    self._note(f"the trajectory that waited is dropped: {why}")
                 self._drop(why)
 
     def activate(self, on: bool) -> None:
@@ -252,7 +255,7 @@ class ServoLoop:
             return f"{self.fault}; torque off; accepted: after a call of ~/enable with true"
         if not self.enabled:
             return "the controller is disabled; accepted: after a call of ~/enable with true"
-        return "the torque comes back with the next tick; accepted: from then on" if self._released else ""
+        return ""
 
     # Requests, from the executor's thread.
 
@@ -331,7 +334,7 @@ class ServoLoop:
         """
         for attempt in range(_ATTEMPTS if request.long else 0):
             with self.between_ticks:
-                if not self.running or self.inactive:
+                if not self.running or self._released or self.inactive:
                     break
                 joined = JoinedAhead(request, self._cs7b.trajectory, self._cs7b.position_tick, attempt)
             joined.compute()
@@ -340,14 +343,15 @@ class ServoLoop:
                     self._follow(request, joined)
                     return
         with self.between_ticks:
-            if self.running:
+            if self.running and (self.inactive or not self._released):
                 self._follow(request)
                 return
             replaces = self._waiting is not None and not self._waiting.is_goal
             self._drop(_reason_replaced(request), wanted=True)
             self._waiting, request.state = request, State.WAITING
             instead = ", in place of the one that waited" if replaces else ""
-            self._note(f"a {request.kind} waits for the simulation's first tick{instead}")
+            tick = "next tick, with which the torque comes back" if self.running else "simulation's first tick"
+            self._note(f"a {request.kind} waits for the {tick}{instead}")
 
     def receive_stream(self, read: Callable[[], SetPoints], source: str) -> None:
         """Follow set-points of a stream, in place of what is followed, or refuse them: the log says why, now and then.
@@ -359,8 +363,11 @@ class ServoLoop:
         try:
             points = read()
             with self.between_ticks:
-                if reason := self.inactive or ("" if self.running else "no states have come yet; accepted: after them"):
+                if reason := self.inactive:
                     raise TrajectoryError(reason)
+                if self._released or not self.running:
+                    missing = "the torque comes back with the next tick" if self.running else "no states have come yet"
+                    raise TrajectoryError(f"{missing}; accepted: from then on")
                 self._follow_stream(points, source)
         except TrajectoryError as error:
             with self.between_ticks:
@@ -398,7 +405,7 @@ class ServoLoop:
         """Cancel a goal: the arm stops along the path. One that has ended meanwhile keeps its end."""
         with self.between_ticks:
             if self._waiting is request:
-                self._waiting, text = None, "cancelled before the simulation's first tick"
+                self._waiting, text = None, "cancelled before it began"
             elif self._followed is request:
                 schedule = self._cs7b.trajectory.halt(self._cs7b.position_tick)
                 begin, end = schedule.begin * self._period, schedule.end * self._period
@@ -422,6 +429,11 @@ class ServoLoop:
             self._reports.popleft()()
 
     # Between ticks.
+
+    def _follow_waiting(self) -> None:
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None:
+            self._follow(waiting)
 
     def _follow(self, request: TrajectoryRequest, joined: JoinedAhead | None = None) -> None:
         """Follow a request, which may be joined already, in place of what runs, or refuse it and let that go on."""

@@ -70,6 +70,29 @@ def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: R
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 
 
+def test_a_trajectory_right_after_the_torque_is_on_again_waits_for_the_next_tick(rig: Rig) -> None:
+    """Who has been told that the torque is on may send at once; off again before the tick, it is dropped for good."""
+    rig.loop.hold(rig.states(0))
+    rig.run(0, 8)
+    rig.loop.enable(False)
+    rig.loop.enable(True)
+    rig.loop.receive(rig.trajectory(0.1))
+    assert rig.around.lines[-1] == "a trajectory waits for the next tick, with which the torque comes back"
+    assert rig.run(8, 4) == [False] + [True] * 3
+    assert rig.around.lines[-1] == "trajectory accepted: 1 points, 1.000 s from 0.003 s"
+    rig.run(12, 4004)
+    assert rig.cs7b.reference()[0] == pytest.approx([0.1] * 6)
+    rig.loop.enable(False)
+    rig.loop.enable(True)
+    rig.loop.receive(rig.trajectory(0.2))
+    rig.loop.enable(False)
+    assert rig.around.lines[-1] == "the trajectory that waited is dropped: the torque is off"
+    rig.loop.enable(True)
+    assert rig.run(4016, 8) == [False] + [True] * 7
+    assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
+    assert rig.loop.rejected == 0
+
+
 def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
     """The supervision takes the torque away for good, drops the motion and says why, once; `enable` brings it back."""
     rig.loop.hold(rig.states(0))
@@ -155,7 +178,7 @@ def test_a_goal_ends_with_what_ends_its_motion(rig: Rig) -> None:
     rig.run(8000, 400)
     rig.loop.enable(False)
     rig.loop.enable(True)
-    early = offer(rig, 0.1)  # the arm is held anew in the next tick
+    early = offer(rig, 0.1)  # waits for the next tick, in which the arm is held anew
     rig.run(8400, 4)
     replaced = offer(rig, 0.1)
     rig.loop.receive(rig.trajectory(0.05))
@@ -163,7 +186,7 @@ def test_a_goal_ends_with_what_ends_its_motion(rig: Rig) -> None:
     assert [[(end.state, end.code) for end in told] for told in ends] == [[(State.ABORTED, -1)]] * 6
     words = (
         "following error", "accepted: after a call of ~/enable with true", "the states go on from 2 s; holding",
-        "the torque is off", "the torque comes back with the next tick", "replaced by a trajectory on the topic",
+        "the torque is off", "pre-empted by a new goal", "replaced by a trajectory on the topic",
     )  # fmt: skip
     assert not any("rejected" in line for line in rig.around.lines)  # the results say it
     for told, text in zip(ends, words, strict=True):

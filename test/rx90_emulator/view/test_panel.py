@@ -325,7 +325,10 @@ class Listener:
             self.operator.step(time.monotonic())
             return ready()
 
-        wait_until(step, f"{what}; said: {self.said}")
+        try:
+            wait_until(step, what)
+        except pytest.fail.Exception:
+            pytest.fail(f"waited in vain for {what}; said: {self.said}")
 
     def wait_for(self, node: str, text: str, *, wrong: bool = False) -> str:
         """Wait for a line that has a text in it; return it."""
