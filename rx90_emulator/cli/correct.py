@@ -38,16 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_verbs(parser, _VERBS)
 
 
-def main(options: argparse.Namespace) -> int | None:
-    """Run the verb.
-
-    Raises:
-        Rx90Error: if it cannot be done.
-    """
-    code: int | None = options.run(options)
-    return code
-
-
 def _add_learn(learn: argparse.ArgumentParser) -> None:
     learn.set_defaults(interrupted="nothing was written")
     learn.add_argument("path", metavar="PATH", help="path file, task file of a line, or a trajectory (YAML, as "

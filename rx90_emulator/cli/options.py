@@ -11,7 +11,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -59,6 +59,21 @@ class CommandParser(argparse.ArgumentParser):
         super().error(one_line(message))
 
 
+def command_of(program: str, place: str) -> tuple[CommandParser, Callable[[Any], int | None]]:
+    """Return the parser of an executable with its options, and what runs it.
+
+    Args:
+        program: its name.
+        place: of its functions, as the frame's table has it.
+    """
+    path, _, name = place.partition(":")
+    module = import_module(path)
+    run = getattr(module, name or "main", None) or (lambda options: options.run(options))
+    parser = CommandParser(prog=program, description=inspect.getdoc(run if name else module))
+    getattr(module, f"add_{name or 'arguments'}")(parser)
+    return parser, run
+
+
 def split_ros_args(words: Sequence[str]) -> tuple[list[str], list[str]]:
     """Separate a command's own arguments from those for ROS: from --ros-args, which is kept, to -- or the end."""
     own: list[str] = []
@@ -74,22 +89,24 @@ def split_ros_args(words: Sequence[str]) -> tuple[list[str], list[str]]:
     return own, ros
 
 
-def number(accepted: str, good: Callable[[float], bool] = lambda _: True) -> Callable[[str], float]:
-    """Return a type for argparse: finite numbers for which `good` holds.
+def number(
+    accepted: str, good: Callable[[float], bool] = lambda _: True, kind: type[float] = float
+) -> Callable[[str], float]:
+    """Return a type for argparse: finite numbers for which `good` holds; argparse itself does not say what is accepted.
 
     Args:
         accepted: what is, in words, for the refusal.
         good: which finite numbers are.
+        kind: `int` for whole numbers.
     """
 
     def parse(text: str) -> float:
         try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not (math.isfinite(value) and good(value)):
-            raise argparse.ArgumentTypeError(f"{quoted(text)}; accepted: {accepted}")
-        return value
+            if math.isfinite(value := kind(text)) and good(value):
+                return value
+        except (ValueError, OverflowError):
+            pass
+        raise argparse.ArgumentTypeError(f"{quoted(text)}; accepted: {accepted}")
 
     return parse
 
@@ -97,21 +114,12 @@ def number(accepted: str, good: Callable[[float], bool] = lambda _: True) -> Cal
 _NOT_ZERO = number("a finite number other than 0", lambda value: value != 0.0)
 FINITE = number("a finite number")
 POSITIVE = number("a positive number", lambda value: value > 0.0)
+whole_number = number("a whole number", kind=int)
 
 
-def whole_number(text: str, low: float = -math.inf, high: float = math.inf, accepted: str = "a whole number") -> int:
-    """Return a whole number, as a type for argparse; argparse itself does not say what would be accepted."""
-    try:
-        if low <= (value := int(text)) <= high:
-            return value
-    except ValueError:
-        pass
-    raise argparse.ArgumentTypeError(f"{quoted(text)}; accepted: {accepted}")
-
-
-def whole_from(low: int, high: int) -> Callable[[str], int]:
+def whole_from(low: int, high: int) -> Callable[[str], float]:
     """Return a type for argparse: whole numbers from the one to the other."""
-    return partial(whole_number, low=low, high=high, accepted=f"a whole number from {low} to {high}")
+    return number(f"a whole number from {low} to {high}", lambda value: low <= value <= high, int)
 
 
 _PORT = whole_from(0, 65535)
@@ -202,7 +210,7 @@ def check_picture(path: Path) -> None:
 
 
 def _spelt(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
+    return "a bag" if name == "bags" else f"--{name.replace('_', '-')}"
 
 
 def stay_on_this_machine() -> None:

@@ -23,6 +23,8 @@ from rx90_emulator.cli.options import (
     add_page_arguments,
     add_record_arguments,
     add_robot_arguments,
+    check_apart,
+    check_needs,
     node_of,
     stay_on_this_machine,
     whole_number,
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     from rx90_controller.lines.task import TipTask
 
 _PORT, _NICENESS, _MOST_BAGS = 8080, 10, 2
-_PATIENCE = 1.5, 20.0  # s, from Ctrl-C to the end: of a start, of a page that is shown
+_END_WITHIN = 1.5, 20.0  # s, from Ctrl-C to the end: of a start, of a page that is shown
 _OF_BAGS = ("topic", "names", "gear", "coupling", "torque_constant", "zero", "record_time", "signals")
 
 
@@ -73,7 +75,7 @@ def main(options: argparse.Namespace) -> None:
         KeyboardInterrupt: before the page shows what it was started for; later Ctrl-C is how it ends.
     """
     _check(options)
-    with ends_within(*_PATIENCE, _give_up, _say_where) as start:
+    with ends_within(*_END_WITHIN, _give_up, _say_where) as start:
         import viser  # noqa: F401 - before kernels are compiled for a page that cannot be made
 
         from rx90_emulator.view.page import output_folder
@@ -93,18 +95,8 @@ def _check(options: argparse.Namespace) -> None:
         raise BagError(f"{count} bags; accepted: one, or two to be compared")
     if options.align is not None and count < _MOST_BAGS:
         raise BagError(f"--align {plain(options.align)} with {count} bags; accepted: two bags")
-    given = [name for name in _OF_BAGS if getattr(options, name)]
-    if given and not count:
-        raise BagError(f"--{given[0].replace('_', '-')} without a bag; accepted: with one, to be played")
-    given_of_nodes = {
-        "demo": options.demo,
-        "task": options.task is not None,
-        "node": options.node is not None,
-        "nice": options.nice is not None,
-    }
-    of_nodes = [name for name, is_given in given_of_nodes.items() if is_given]
-    if count and of_nodes:
-        raise BagError(f"--{of_nodes[0]} with the bag {plain(options.bags[0])}; accepted: one of them")
+    check_needs(options, _OF_BAGS, ("bags",))
+    check_apart(options, ("demo", "task", "node", "nice"), "bags", "one of them")
 
 
 def _give_up() -> None:
@@ -115,7 +107,7 @@ def _give_up() -> None:
 def _say_where() -> None:
     kill_all()
     lines = "; ".join(where_threads_are())
-    print(f"rx90_view: did not end within {_PATIENCE[1]:g} s, and was cut off. {lines}", file=sys.stderr, flush=True)
+    print(f"rx90_view: did not end within {_END_WITHIN[1]:g} s, and was cut off. {lines}", file=sys.stderr, flush=True)
 
 
 def _play(options: argparse.Namespace, started: Callable[[], None]) -> None:

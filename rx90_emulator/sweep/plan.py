@@ -104,14 +104,11 @@ class Uniform:
 
 
 @dataclass(frozen=True)
-class LogUniform:
+class LogUniform(Uniform):
     """The logarithm is uniform."""
 
-    low: float
-    high: float
-
     def __post_init__(self) -> None:
-        _check(self.low, self.high, self.low, self.high)
+        super().__post_init__()
         if self.low <= 0.0:
             raise ConfigError(f"loguniform from {self.low:g}; accepted: a lower bound > 0")
 

@@ -90,8 +90,8 @@ _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 _EYE = np.array([1.35, -1.15, 0.6])  # from the arm's centre, in lengths of the arm
 _CENTER = np.array([0.25, 0.0, 0.4])
 _FIELD_OF_VIEW = 0.75  # rad, upright
-_NARROW = 0.9  # width over height below which the arm is seen from farther away
-_SHARE_BELOW = 0.2  # by how much of its distance a narrow page looks below the arm
+_MIN_ASPECT = 0.9  # width over height below which the arm is seen from farther away
+_NARROW_DROP = 0.2  # by how much of its distance a narrow page looks below the arm
 _PLOT_WIDTH = 370  # pixels
 _PANEL_WIDTH = 310
 
@@ -162,9 +162,9 @@ class Page:
         camera.position, camera.look_at, camera.fov = center + _EYE * reach, center, _FIELD_OF_VIEW
 
         def step_back(client: viser.ClientHandle) -> None:
-            if client.camera.aspect < _NARROW:
-                away = _NARROW / client.camera.aspect * _EYE * reach
-                below = center - [0.0, 0.0, _SHARE_BELOW * float(np.linalg.norm(away))]
+            if client.camera.aspect < _MIN_ASPECT:
+                away = _MIN_ASPECT / client.camera.aspect * _EYE * reach
+                below = center - [0.0, 0.0, _NARROW_DROP * float(np.linalg.norm(away))]
                 with client.atomic():
                     client.camera.position, client.camera.look_at = below + away, below
 

@@ -41,9 +41,9 @@ from rx90_sim.node.simulation_client import pause_request, reset_request, step_r
 
 TIMEOUT = 5.0
 """The longest wait for an answer, s."""
-_LOOKS = 0.5  # s from one look at which nodes there are to the next
-_MESSAGES = 5  # that are taken in one step at most, so that the page goes on
-_PATH = {  # transitions from each state to unconfigured
+_GRAPH_PERIOD = 0.5  # s from one look at which nodes there are to the next
+_MAX_MESSAGES = 5  # that are taken in one step at most, so that the page goes on
+_TO_UNCONFIGURED = {  # transitions from each state to unconfigured
     "active": ("deactivate", "cleanup"),
     "inactive": ("cleanup",),
     "unconfigured": (),
@@ -85,11 +85,11 @@ class Operator:
 
     def step(self, now: float) -> None:
         """Take in messages and answers; to be called often, with the steady clock's time, s."""
-        for _ in range(_MESSAGES):
+        for _ in range(_MAX_MESSAGES):
             self._client.spin(0.0)
         self._calls.look()
         if now >= self._next_look:
-            self._next_look = now + _LOOKS
+            self._next_look = now + _GRAPH_PERIOD
             for watch in self._watches:
                 watch.look()
         if self._answer_by is not None and now >= self._answer_by:
@@ -123,9 +123,9 @@ class Operator:
         def requests() -> _Requests:
             # Asked for: what was heard of its transitions may be older than the answer to the last one.
             state = yield state_request(node)
-            if state not in _PATH:
+            if state not in _TO_UNCONFIGURED:
                 raise ExchangeError(f"its state is {state}; accepted: a simulation that runs")
-            yield from (transition_request(node, label) for label in _PATH[state])
+            yield from (transition_request(node, label) for label in _TO_UNCONFIGURED[state])
             yield parameter_request(node, parameter, value)
             yield from (transition_request(node, label) for label in ("configure", "activate"))
 
@@ -163,16 +163,16 @@ class Operator:
 
 _STEP = 0.1  # deg
 _INTERVAL = 0.2  # s from one trajectory to the next while a slider is dragged
-_ON_ITS_WAY = 2.0  # s; the longest that what the page shows takes to a browser
+_DISPLAY_LATENCY = 2.0  # s; the longest that what the page shows takes to a browser
 _SETTLED = 0.5  # s after the last change by a user, who may type on before
 ARRIVED = 2e-3
 """How near to where it was sent the arm counts as there, rad."""
-_PATIENCE = 2.0  # s without a motion until a slider shows the arm again, instead of where it was sent
+_STUCK_AFTER = 2.0  # s without a motion until a slider shows the arm again, instead of where it was sent
 _MOVED = 1e-6  # rad
 _ROUNDING = 1e-6  # steps: a limit of whole degrees is one of the ends
-_SHORTEST, _LONGER = 0.02, 1.15  # s; from one try to the next
+_MIN_DURATION, _DURATION_FACTOR = 0.02, 1.15  # s; from one try to the next
 _SAMPLES = np.linspace(0.0, 1.0, 33)[:-1]  # the last one would be the rest behind the end
-_GENTLE = Approach()
+_JOG_LIMITS = Approach()
 
 
 def jog(position: Array, velocity: Array, target: Array, limits: JointLimits) -> TrajectoryPoints:
@@ -188,17 +188,17 @@ def jog(position: Array, velocity: Array, target: Array, limits: JointLimits) ->
         limits: the controller's.
     """
     # Slower than it is, it cannot be at once.
-    top = np.maximum(_GENTLE.speed * limits.velocity, np.abs(velocity)) * (1.0 + _ROUNDING)
-    most = np.minimum(_GENTLE.acceleration, limits.acceleration)
+    top = np.maximum(_JOG_LIMITS.speed * limits.velocity, np.abs(velocity)) * (1.0 + _ROUNDING)
+    most = np.minimum(_JOG_LIMITS.acceleration, limits.acceleration)
     rest = np.zeros((1, len(target)))
     ends, speeds = np.stack([position, target]), np.vstack([velocity, rest])
-    duration = _SHORTEST
+    duration = _MIN_DURATION
     while True:
         motion = interpolate(np.array([0.0, duration]), ends, speeds, np.zeros_like(ends))
         sampled = np.abs(motion.sample(_SAMPLES * duration))
         if (sampled[:, 1] <= top).all() and (sampled[:, 2] <= most).all():
             return TrajectoryPoints(np.array([round(duration, 3)]), target[None], rest, rest)
-        duration *= _LONGER
+        duration *= _DURATION_FACTOR
 
 
 class JogSliders:
@@ -257,7 +257,7 @@ class JogSliders:
             self._arm_was, self._moved_at = arm.copy(), max(now, self._moved_at)
         if self._target is not None and np.abs(arm - self._target).max() < ARRIVED:
             self._arrived = True
-        elif self._arrived or now - self._moved_at > _PATIENCE:
+        elif self._arrived or now - self._moved_at > _STUCK_AFTER:
             self._target = None  # something else has moved it, or it is stuck
         return arm if self._target is None or self._arrived else self._target
 
@@ -278,7 +278,7 @@ class JogSliders:
     def _dragged(self, joint: int) -> None:
         self._seen[joint] = self._sliders[joint].value
         now = self._given_at = time.monotonic()
-        if now < self._put_at[joint] + _ON_ITS_WAY:
+        if now < self._put_at[joint] + _DISPLAY_LATENCY:
             self._unsure.add(joint)
         if self._arm is not None:
             # The others go on to where they were sent. One that rests there stays sent there: friction holds it a

@@ -20,10 +20,10 @@ from rx90_emulator.loop.path_file import load_motion
 from rx90_emulator.view.live import LiveView
 from rx90_emulator.view.page import Page, from_user, output_path, sentence
 
-_LOOKS = 0.25  # s
+_RECORDER_PERIOD = 0.25  # s
 _GRACE = 10.0  # s for a recorder to finish its bag when the page ends
-_SAID = 6  # lines
-_START, _END = "Record", "End the recording"
+_LAST = 6  # lines of the recorder that are shown
+_START_LABEL, _END_LABEL = "Record", "End the recording"
 
 
 class RecordButton:
@@ -43,10 +43,10 @@ class RecordButton:
         self._recorder: ChildProcess | None = None
         self._ready: float | None = None
         self._name = page.gui.add_text("bag", "bag")
-        self._button = page.gui.add_button(_START)
+        self._button = page.gui.add_button(_START_LABEL)
         self._said = page.gui.add_html(sentence(f"A new folder beneath {page.output}."))
         self._button.on_click(from_user(self._press, page))
-        page.every(_LOOKS, self._follow)
+        page.every(_RECORDER_PERIOD, self._follow)
 
     def _press(self) -> None:
         if self._recorder is not None:
@@ -60,7 +60,7 @@ class RecordButton:
             return
         command = executable("rx90_bag", "record", "--output", path, *self._ros_args)
         self._recorder, self._ready = self._group.start("recorder", command), None
-        self._button.label, self._name.disabled = _END, True
+        self._button.label, self._name.disabled = _END_LABEL, True
         self._said.content = sentence("the recorder starts ...")
 
     def _follow(self, now: float) -> None:
@@ -69,8 +69,8 @@ class RecordButton:
         code = self._recorder.returncode
         if code is not None:
             self._recorder.wait()  # for its last lines
-            self._said.content = "".join(sentence(line, wrong=code != 0) for line in self._recorder.lines[-_SAID:])
-            self._recorder, self._button.label = None, _START
+            self._said.content = "".join(sentence(line, wrong=code != 0) for line in self._recorder.lines[-_LAST:])
+            self._recorder, self._button.label = None, _START_LABEL
             self._button.disabled = self._name.disabled = False
         elif lines := self._recorder.lines:
             if self._ready is None and any(line.startswith("ready: ") for line in lines):
@@ -84,7 +84,7 @@ class RecordButton:
 _SET_POINT_PERIOD = 1e-3  # s
 _REST = 1.0  # s between two lines
 _TIMEOUT = 60.0  # s, for nodes that come up on a busy machine
-_LOOK = 0.2  # s
+_TOUR_PERIOD = 0.2  # s
 
 
 class Tour:
@@ -124,7 +124,7 @@ class Tour:
             if view.state is not None:
                 started()
 
-        page.every(_LOOK, check)
+        page.every(_TOUR_PERIOD, check)
         self._thread = threading.Thread(target=self._send_again_and_again, args=[view], name="tour", daemon=True)
         self._thread.start()
 
@@ -150,5 +150,5 @@ class Tour:
                     said = str(error)
                     print(f"rx90_view: the line was not sent: {said}", flush=True)
             self._ending.wait(_REST)
-            while not self._ending.wait(_LOOK) and not view.rests(_REST):  # after the trajectory that was accepted last
-                pass
+            while not self._ending.wait(_TOUR_PERIOD) and not view.rests(_REST):
+                pass  # until the trajectory that was accepted last is over
