@@ -131,19 +131,19 @@ def _trials(learner: Learner, options: argparse.Namespace) -> LearnedCorrection:
     count = 4 if options.trials is None else options.trials
     with progress_bar("trials") as progress:
 
-        def told(_: TrialRecord) -> None:
+        def show(_: TrialRecord) -> None:
             progress(len(learner.trials), count + 1)
 
         if not options.on_nodes:
             setup, asked = learner.setup, learner.nominal
-            return learn(learner, lambda played: run_corrected(setup, asked, played)[1], count, ENGINE, told)
+            return learn(learner, lambda played: run_corrected(setup, asked, played)[1], count, ENGINE, show)
         from rx90_common.exchange.ros_start import prepare
 
         prepare()
         from rx90_emulator.correction.nodes import node_trials
 
         with node_trials(learner, node_of(options), options.timeout or _TIMEOUT, options.tip_topic) as play:
-            return learn(learner, play, count, NODES, told)
+            return learn(learner, play, count, NODES, show)
 
 
 def _path(name: str, setup: Setup) -> CorrectablePath:
@@ -256,8 +256,8 @@ def _precompensate(options: argparse.Namespace) -> None:
     correction = load_correction(options.file).fitting(setup, path)
     found = precompensate(setup, path, correction, options.cutoff or CUTOFF)
     write_text(options.output, yaml_text(message_content(setup.robot.joint_names, found.points)))
-    told = {"without correction": found.plain, "as offsets": found.channel, "as this trajectory": found.path}
-    errors = [f"{name} {error * 1e3:.4f} mm" for name, error in told.items()]
+    played = {"without correction": found.plain, "as offsets": found.channel, "as this trajectory": found.path}
+    errors = [f"{name} {error * 1e3:.4f} mm" for name, error in played.items()]
     print(one_line(f"written to {options.output}: {len(found.points.times)} points"))
     print(f"worst path error on the engine: {', '.join(errors)}")
 

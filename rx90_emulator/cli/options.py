@@ -34,9 +34,9 @@ gone, disk full); 130 interrupted; 141 the reader of the output has gone.
 _NEGATIVE = re.compile(r"-((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf|infinity|nan)$", re.IGNORECASE)
 _BAR = "{desc}: {percentage:3.0f} % |{bar}| [{elapsed}<{remaining}]"
 CONTROLLER = "rx90_controller"
-"""The controller node, where no other is named."""
+"""Name of the controller node, unless another one is given."""
 STORAGE = "mcap"
-"""Of a bag, where no other is asked for."""
+"""Storage format of bags, unless another one is asked for."""
 _LONGEST_DELAY = 0.05  # s; more is a slip of the unit
 
 
@@ -125,11 +125,11 @@ def whole_from(low: int, high: int) -> Callable[[str], float]:
 _PORT = whole_from(0, 65535)
 BAUD = whole_from(1200, 1_000_000)
 SEED = whole_from(0, 2**31 - 1)
-"""Of an emulated rig."""
+"""Type for argparse: the seed of an emulated rig."""
 
 
 def place(text: str) -> Path:
-    """Return what is to be written, as a type for argparse: refused before any work is done for it.
+    """Return the path of a file to be written, as a type for argparse: refused at once if it cannot be written.
 
     Raises:
         ConfigError: where the folder that it is to stand in is missing.
@@ -143,13 +143,13 @@ def place(text: str) -> Path:
 
 
 def new_file(text: str) -> Path:
-    """Return the file that is to be made, as a type for argparse; refused where something is there, or as `place`."""
+    """Return the path of a file to be made, as a type for argparse: as `place`, and nothing may stand there."""
     _check_new(text)
     return place(text)
 
 
 def new_folder(text: str) -> Path:
-    """Return the folder that is to be made, as a type for argparse; folders above it are made, too.
+    """Return the path of a folder to be made, with the folders above it, as a type for argparse.
 
     Raises:
         ConfigError: where something is there.
@@ -174,7 +174,7 @@ def is_given(options: argparse.Namespace, name: str) -> bool:
 
 
 def check_needs(options: argparse.Namespace, names: Sequence[str], others: Sequence[str]) -> None:
-    """Refuse options, by their attributes, that count only together with one of some others, where none is given.
+    """Refuse options that have an effect only beside another one, where none of these others is given.
 
     Raises:
         ConfigError: naming the first such option.
@@ -187,7 +187,7 @@ def check_needs(options: argparse.Namespace, names: Sequence[str], others: Seque
 
 
 def check_apart(options: argparse.Namespace, names: Sequence[str], other: str, accepted: str) -> None:
-    """Refuse options, by their attributes, that do not count with another one, where both are given.
+    """Refuse options that have no effect beside another one, where both are given.
 
     Raises:
         ConfigError: naming the first such option, and what is accepted.
@@ -221,7 +221,7 @@ def stay_on_this_machine() -> None:
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that is called with how much is done and how much there is; after a second it shows a bar."""
+    """Yield a callback for progress, called with what is done and the total; after a second it shows a bar."""
     from tqdm import tqdm
 
     with tqdm(desc=what, bar_format=_BAR, delay=1.0, disable=None, file=sys.stderr) as bar:
@@ -246,7 +246,8 @@ def add_rig_arguments(parser: argparse.ArgumentParser, rig: str, output: str) ->
 
 
 Verb = tuple[Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int | None], str]
-"""Of a command: what adds its arguments; what runs it, named as the verb, with its description; its line in --help."""
+"""A verb of a command: the function that adds its arguments; the function that runs it, whose name is the verb and
+whose docstring is the description; its line in --help."""
 
 
 def add_verbs(parser: argparse.ArgumentParser, verbs: Sequence[Verb], required: bool = True) -> None:
@@ -286,24 +287,24 @@ def add_page_arguments(group: argparse._ActionsContainer, port: int) -> None:
 
 
 def page_arguments(options: argparse.Namespace) -> list[str]:
-    """Return the words that say of a page what was given, for another command."""
+    """Return the options of a page that were given, as words of a command line."""
     words = [(f"--{name}", str(value)) for name in ("host", "port") if (value := getattr(options, name)) is not None]
     return [*itertools.chain(*words), *["--no-browser"] * options.no_browser]
 
 
 def add_node_arguments(group: argparse._ActionsContainer, timeout: float) -> None:
-    """Add the options of a command that asks the running nodes; None for what was not given."""
+    """Add the options of a command that talks to running nodes; None for what was not given."""
     group.add_argument("--node", metavar="NAME", help=f"controller node ({CONTROLLER})")
     group.add_argument("--timeout", type=POSITIVE, metavar="S", help=f"s to wait for the nodes ({timeout:g})")
 
 
 def node_of(options: argparse.Namespace) -> str:
-    """Return the name of the controller node that is asked."""
+    """Return the name of the controller node that a command talks to."""
     return CONTROLLER if options.node is None else str(options.node)
 
 
 def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options that describe the arm which bags come from: this project's robot, or any other."""
+    """Add the options that describe the arm that bags were recorded of: this project's robot, or any other."""
     add_robot_arguments(parser, "tool", "drives")
     either = parser.add_argument_group("any robot")
     either.add_argument("--fallback", metavar="FILE",

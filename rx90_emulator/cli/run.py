@@ -92,8 +92,8 @@ def main(options: argparse.Namespace) -> None:
     from rx90_emulator.loop.result import save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup
 
-    of_temperatures = Rates.temperature_hz if options.temperature_rate is None else options.temperature_rate
-    rates = Rates(options.base_rate, options.position_rate, of_temperatures)
+    temperature_hz = Rates.temperature_hz if options.temperature_rate is None else options.temperature_rate
+    rates = Rates(options.base_rate, options.position_rate, temperature_hz)
     setup = Setup.load(RobotFiles.of_options(options), rates, options.seed or 0)
     if options.no_feed_forward:
         setup = with_parameters(setup, {"controller.feed_forward.*": False})
@@ -208,10 +208,10 @@ def _run_hours(setup: Setup, options: argparse.Namespace) -> None:
     except ConfigError as error:
         raise ConfigError(f"--hours {options.hours:g}: {error}") from error
     try:
-        with progress_bar("cycles") as tell:
+        with progress_bar("cycles") as progress:
             while day.advance(total):
-                tell(day.done, total)
-            tell(total, total)
+                progress(day.done, total)
+            progress(total, total)
     finally:  # also for who interrupts
         if day.done:
             _show_hours(day.result(), day.done, options.plot)

@@ -137,12 +137,10 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
     if options.demo:  # a motion that nobody else asked for stays among its own nodes
         stay_on_this_machine()
     prepare()
-    from rx90_common.description.drives import load_drives
-    from rx90_common.description.robot import load_robot
     from rx90_common.exchange.client_node import client_node
-    from rx90_controller.law.parameters import load_controller
-    from rx90_controller.lines.plan import plan_line
+    from rx90_emulator.loop.line import plan_path
     from rx90_emulator.loop.path_file import load_motion
+    from rx90_emulator.loop.setup import Setup
     from rx90_emulator.view.live import LiveView
     from rx90_emulator.view.page import Page
     from rx90_emulator.view.panel import DoPanel
@@ -151,13 +149,12 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
 
     files = RobotFiles.of_options(options)
     controller = node_of(options)
-    robot = load_robot(files.urdf, files.tool)
-    elements = load_drives(files.drives).turning.element_names(robot.joint_names)
-    line: TipTask | None = None if files.task is None else load_motion(files.task)
-    if line is not None and line.what == "path":  # as slowly as the joints ask for
-        line = plan_line(robot, line, acceleration=load_controller(files.controller).limits(robot).acceleration).task
-    shipped = DEFAULT_ROBOT if options.robot is None else options.robot
-    tour = Tour(shipped, files, controller) if options.demo else None
+    setup = Setup.load(files)
+    motion = load_motion(files.required("task")) if options.demo or files.task is not None else None
+    plan = None if motion is None else plan_path(setup, motion)
+    # A path is as slow as the joints ask for.
+    line: TipTask | None = motion if plan is None or motion is None or motion.what == "line" else plan.task
+    tour = Tour(options.robot or DEFAULT_ROBOT, setup, plan, controller) if options.demo and plan is not None else None
     page = Page("rx90_view", options.host, options.port, options.output)
     with ExitStack() as ends:
         if tour is not None:
@@ -167,8 +164,8 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
             tour.start()
         be_nice(max(os.getpriority(os.PRIO_PROCESS, 0), _NICENESS) if options.nice is None else options.nice)
         with client_node("rx90_view", 1.0, print, options.ros_args) as client:
-            view = LiveView(page, client, robot, elements, controller, line)
-            ends.callback(DoPanel(page, client, files, view.newest, controller, view.lay_line).close)
+            view = LiveView(page, client, setup.robot, setup.friction.names, controller, line)
+            ends.callback(DoPanel(page, client, setup, line, view.newest, controller, view.lay_line).close)
             with page.tab("Files"):  # once all plots are there
                 with page.gui.add_folder("Record a bag"):
                     ends.callback(RecordButton(page, view.watch.namespace, options.ros_args).close)

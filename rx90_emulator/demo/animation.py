@@ -1,4 +1,4 @@
-"""The arm along its line as an animated drawing: what it shows at each of many instants, seen along parallel rays.
+"""The arm on its line as an animated drawing, in parallel projection.
 
 The drawing is in points of a picture whose y axis points down. `templates/animation.js` moves it.
 """

@@ -278,7 +278,7 @@ class Drawing:
                     self._refuse(f"line {number}: {quoted(left[at : at + 20])}; accepted: words such as G1 or X12.5")
                 words.append((word[1].upper(), float(word[2])))
                 at = word.end()
-            program.take(number, words)
+            program.execute(number, words)
             if any(word in (("M", 2.0), ("M", 30.0)) for word in words):
                 break
         return "mm", program.start.tolist(), program.segments
@@ -309,8 +309,8 @@ class _Program:
     def _refuse(self, text: str) -> NoReturn:
         raise ConfigError(f"{plain(self._file)}: line {self._number}: {text}")
 
-    def take(self, line: int, words: list[tuple[str, float]]) -> None:
-        """Take the words of a line."""
+    def execute(self, line: int, words: list[tuple[str, float]]) -> None:
+        """Execute the words of a line."""
         self._number, numbers, motion = line, dict[str, float](), False
         for letter, value in words:
             if letter == "G":
@@ -329,7 +329,7 @@ class _Program:
             self._move(numbers)
 
     def _code(self, code: float, words: list[tuple[str, float]]) -> bool:
-        """Take a G word; return whether it is a motion."""
+        """Execute a G word; return whether it is a motion."""
         if code in (0.0, 1.0, 2.0, 3.0):
             self._mode = code
             return True

@@ -41,8 +41,8 @@ class RecordedRun:
         initial_position: where the arm rested, rad, shape (6,).
         duration: simulated time at the end of the bag, s.
         changed: names of the law's parameters that were changed meanwhile; `replay` has those of the setup throughout.
-        given: names of those that had other values than the setup's from the beginning, as the bag tells them, and of
-            what else was accepted of trajectories, which `replay` does not know.
+        given: names of those that had other values than the setup's from the beginning, by the bag, and of options of
+            the controller by which it accepted more trajectories than `replay` does.
         seed: of all that was random in the arm, None if the bag tells none: then `replay` has that of the setup.
         temperature_rate: of the temperatures, Hz; the same.
     """

@@ -1,4 +1,4 @@
-"""Run a sweep, from start or from where it was left, on all cores of this machine or on a Dask cluster.
+"""Run a sweep, from its start or on from results that are there, on this machine's cores or on a Dask cluster.
 
 In both cases the same chunks of runs are computed.
 """
@@ -168,7 +168,7 @@ def local_pool(sweep: Sweep, workers: int) -> Iterator[Pool]:
 
 
 _in_worker: list[Any] = []
-"""What a worker process has from its parent: the sweep, and a shared number, 1 for leave your chunk."""
+"""What a worker process gets from its parent: the sweep, and a shared number that is 1 when it is to stop."""
 
 
 def _start_worker(sweep: Sweep, stop: Any) -> None:

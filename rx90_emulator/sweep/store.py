@@ -67,11 +67,11 @@ def schema_of(sweep: Sweep) -> pa.Schema:
 
 def table_of(sweep: Sweep, schema: pa.Schema, outcomes: Iterable[RunOutcome]) -> pa.Table:
     """Return the rows of some runs."""
-    nothing, rows = (None,) * len(sweep.metrics), []
-    for run, metrics, error in outcomes:
-        given = dict(run.values)  # those of other blocks are as in the files
-        values = (given.get(column.name) for column in sweep.runs.columns)
-        rows.append((run.index, run.block, run.seed, *values, *(metrics or nothing), error))
+    nothing = (None,) * len(sweep.metrics)
+    rows = [
+        (run.index, run.block, run.seed, *sweep.values(run), *(metrics or nothing), error)
+        for run, metrics, error in outcomes
+    ]
     columns = zip(*rows, strict=True) if rows else ((),) * len(schema)
     arrays = [pa.array(column, field.type) for column, field in zip(columns, schema, strict=True)]
     return pa.Table.from_arrays(arrays, schema=schema)

@@ -1,4 +1,4 @@
-"""A plan made ready to run: files read, paths checked, the line planned once; and what is measured of its runs.
+"""A sweep ready to run, with its files read, its paths checked and its line planned once; and the metrics of a run.
 
 With the perturbation method runs that differ in friction and controller alone share one nominal motion and are computed
 side by side; a run whose deviation the method does not hold for ends in an error.
@@ -361,6 +361,11 @@ class Sweep:
             accepted = f"accepted: up to {100 * _LARGEST_ERROR:g} % of the deviation apart, or method: closed_loop"
             raise FailureError(f"{said}; {accepted}")
         return said
+
+    def values(self, run: RunDescription) -> tuple[Value | None, ...]:
+        """Return a run's value for each of `runs.columns`; None where its block leaves it as in the files."""
+        given = dict(run.values)
+        return tuple(given.get(column.name) for column in self.runs.columns)
 
     def check_sources(self) -> None:
         """Check that this process runs the sources that the sweep was made with.

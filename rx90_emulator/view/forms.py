@@ -1,4 +1,4 @@
-"""What is typed and checked before it counts: a straight line, and a friction element with its curves and file."""
+"""Forms whose input is checked before it has an effect: a straight line, and a friction element with its curves."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class LinePreview(NamedTuple):
         return np.asarray(np.abs(self.plan.velocity).max(axis=0) / self.plan.path.robot.max_velocity)
 
     def text(self) -> str:
-        """Return what a person wants to know before sending it."""
+        """Return the line's length, duration and joint speeds in words, for a person who is about to send it."""
         task, name = self.task, self.plan.joint_names
         shares = ", ".join(f"{joint} {share:.0%}" for joint, share in zip(name, self.share, strict=True))
         said = f"{task.length:.3f} m in {task.profile().duration:.2f} s"
@@ -119,9 +119,9 @@ class LineForm:
         self._give()
 
     def follow(self, here: Array | None, missing: str) -> None:
-        """Take where the arm is, rad, shape (n,), None for unknown, and what is missing to send a line, if anything.
+        """Take the arm's position, rad, shape (n,), None if unknown, and what is missing to send a line, if anything.
 
-        Where the arm has come to rest elsewhere, the approach is another one.
+        Where the arm has come to rest elsewhere, the approach is planned anew.
         """
         stands = here is not None and self._here is not None and np.abs(here - self._here).max() < _AT_REST
         self._here, self._missing = here, missing

@@ -1,4 +1,4 @@
-"""Who may speak with the page, and what is heard: the guard in front of viser's server.
+"""Access control in front of viser's server: who may connect, and which messages are accepted.
 
 Viser (1.1) serves whoever connects: it looks neither at the Host and Origin of a request nor at the values in a
 message, keeps clients that do not read, and has no limit to their number. Any web page that is open in the same browser
@@ -220,7 +220,7 @@ class PageGuard:
 
 
 class _Connection(ServerConnection):
-    """A client that is heard as the guard says, and not waited for without end."""
+    """A client's connection; messages that the guard refuses are left out, and who does not read is dropped."""
 
     def __init__(self, guard: PageGuard, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)

@@ -142,7 +142,7 @@ class LiveView:
         return (last - first) / (ended - began)
 
     def _problem(self, now: float) -> str:
-        """Return why there is nothing to be seen, as a sentence for the user; empty if there is."""
+        """Return why there are no states to show, as a sentence for the user; empty if there are some."""
         theirs = self.watch.robot
         if self.watch.publishers and theirs not in {None, self._robot}:
             return f"The simulation's robot is {plain(theirs)}, this page shows {self._robot}: start it with --robot"
@@ -194,7 +194,7 @@ class LiveView:
         self._lengthen_loop(friction)
 
     def _lengthen_loop(self, samples: Sequence[JointSample]) -> None:
-        """Add what came of the friction elements; where ticks are missing the loop begins anew."""
+        """Add the newest samples of a friction element to its loop; after missing ticks the loop begins anew."""
         if not samples or self._looped.value == _NONE:
             return
         steps = np.diff([self._loop_time, *(sample.time for sample in samples)])

@@ -269,7 +269,7 @@ def on_change(field: GuiInputHandle[_Value], callback: Callable[[], None], page:
 
 
 def numbers(text: str) -> list[float]:
-    """Return the numbers of a text, apart by blanks or commas; none where it is anything else."""
+    """Return the numbers in a text, separated by blanks or commas; none if it holds anything else."""
     try:
         return [float(word) for word in text.replace(",", " ").split()]
     except ValueError:
@@ -336,13 +336,13 @@ _Found = TypeVar("_Found")
 
 
 class Checker(Generic[_Given, _Found]):
-    """A line that says what comes of the newest that was given, which is checked on a thread of its own.
+    """Checks the newest input on a thread of its own, and shows the verdict as a line of text.
 
     Args:
         page: to build in, within a tab, and on whose thread `give` is called.
-        check: returns what comes of it, or raises Rx90Error; may take its time, the next one waits for it.
-        show: takes that on the page's thread, None for a refusal, and returns what is said; not called for what was
-            given before something newer.
+        check: returns the result for an input, or raises Rx90Error; may take long, the next input waits for it.
+        show: takes the result on the page's thread, None for a refusal, and returns the text to show; not called for
+            an input that a newer one has replaced.
         interval: the shortest time from one check to the next, s.
     """
 
@@ -358,7 +358,7 @@ class Checker(Generic[_Given, _Found]):
         self._thread.start()
 
     def give(self, given: _Given) -> None:
-        """Have something checked, in place of what still waits; returns at once."""
+        """Have an input checked, in place of any that still waits; returns at once."""
         self._count += 1
         self._verdict.content = sentence("checking ...")
         self._waiting.put((self._count, given))

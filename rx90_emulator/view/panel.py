@@ -14,8 +14,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
-from rx90_common.description.robot import RobotModel, load_robot
-from rx90_common.description.robot_files import RobotFiles
+from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.arm_watch import JointSample
 from rx90_common.exchange.client_node import (
     ClientNode,
@@ -28,13 +27,12 @@ from rx90_common.exchange.client_node import (
     transition_request,
 )
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_controller.law.parameters import load_controller
 from rx90_controller.lines.plan import Approach
-from rx90_controller.lines.task import TOOL_DOWN, USUAL_ACCELERATION, USUAL_SPEED, LineTask
+from rx90_controller.lines.task import TOOL_DOWN, USUAL_ACCELERATION, USUAL_SPEED, LineTask, TipTask
 from rx90_controller.node.trajectory_client import TrajectoryClient, enable_request
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
-from rx90_emulator.loop.path_file import load_motion
+from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.forms import ElementForm, LineForm, LinePreview
 from rx90_emulator.view.page import Page, block, from_user, on_change, put
 from rx90_sim.node.simulation_client import pause_request, reset_request, step_request
@@ -53,7 +51,7 @@ _Ended = Callable[[str, bool], None]
 
 
 class Operator:
-    """Hands requests to the nodes; every method returns at once, and `step` takes in what the nodes say.
+    """Sends requests to the nodes. Every method returns at once; `step` handles the answers.
 
     Args:
         client: the node that asks them.
@@ -84,7 +82,7 @@ class Operator:
         return {self.simulation: self._watches[0].state, self.controller: self._watches[1].state}
 
     def step(self, now: float) -> None:
-        """Take in messages and answers; to be called often, with the steady clock's time, s."""
+        """Handle messages and answers; to be called often, with the steady clock's time, s."""
         for _ in range(_MAX_MESSAGES):
             self._client.spin(0.0)
         self._calls.look()
@@ -98,7 +96,7 @@ class Operator:
             self._heard(self.controller, text, True)
 
     def ask(self, request: ServiceRequest) -> None:
-        """Call a service; what it says, or that it says nothing, is heard."""
+        """Call a service; its answer, or that there is none, goes to `heard`."""
 
         def only() -> _Requests:
             yield request
@@ -106,7 +104,7 @@ class Operator:
         self._ask_in_turn(request.service.rpartition("/")[0], only())
 
     def send(self, joints: tuple[str, ...], points: TrajectoryPoints | None) -> None:
-        """Have a trajectory followed that starts now, or stop the arm for None; the controller's log line is heard."""
+        """Send a trajectory that starts now, None to stop the arm; the controller's log line goes to `heard`."""
         try:
             self._trajectories.offer(joints, points)
             self._answer_by = self._answer_by or time.monotonic() + self._client.timeout
@@ -135,9 +133,9 @@ class Operator:
         self._ask_in_turn(node, requests(), tell)
 
     def _ask_in_turn(self, node: str, requests: _Requests, ended: _Ended = lambda _text, _wrong: None) -> None:
-        """Call services, each after the one before it has said yes; what the last one says, or the first no, is heard.
+        """Call services one after the other while they succeed; the last answer, or the first no, goes to `heard`.
 
-        The requests get what each says.
+        `requests` is sent each answer.
         """
 
         def proceed(outcome: str | ExchangeError) -> None:
@@ -178,8 +176,8 @@ _JOG_LIMITS = Approach()
 def jog(position: Array, velocity: Array, target: Array, limits: JointLimits) -> TrajectoryPoints:
     """Return a quintic move to rest at a target, as short as the speed and acceleration of an approach allow.
 
-    It begins with whatever set-point the controller then has, of which the arm's own state is a good guess: the room
-    up to the controller's limits is for what is left.
+    It will begin at the controller's set-point, of which the arm's own state is a good guess: the margin up to the
+    controller's limits is for the difference.
 
     Args:
         position: of the arm, rad, shape (n,).
@@ -301,7 +299,8 @@ class DoPanel:
     Args:
         page: to build in.
         client: the node that asks the others.
-        files: of the robot that the nodes have.
+        setup: of the robot that the nodes have, read from files.
+        task: its reference line or another path, if there is one.
         arm: returns the newest state of the arm; None before the first one, or when it comes no more.
         controller: name of the controller node, relative or absolute; the simulation is in its namespace.
         on_line: takes a line that was sent.
@@ -311,23 +310,23 @@ class DoPanel:
         self,
         page: Page,
         client: ClientNode,
-        files: RobotFiles,
+        setup: Setup,
+        task: TipTask | None,
         arm: Callable[[], JointSample | None],
         controller: str,
         on_line: Callable[[LineTask], None],
     ) -> None:
         self._page, self._arm, self._on_line = page, arm, on_line
-        robot = load_robot(files.urdf, files.tool)
-        limits = load_controller(files.controller).limits(robot)
-        motion = None if files.task is None else load_motion(files.task)
-        task = motion if isinstance(motion, LineTask) else _usual_line(robot)
+        assert setup.files is not None
+        robot, limits = setup.robot, setup.controller.limits(setup.robot)
+        line = task if isinstance(task, LineTask) else _usual_line(robot)
         self._operator = Operator(client, controller, self._hear)
         self._joints = limits.names
         self._lines: deque[str] = deque(maxlen=_LINES)  # the newest of what the nodes say and of what was refused here
         gui = page.gui
         with page.tab("Move"):
             with gui.add_folder("Straight line"):
-                self._line = LineForm(page, robot, limits, task, self._send_line)
+                self._line = LineForm(page, robot, limits, line, self._send_line)
             with gui.add_folder("Joints"):
                 self._sliders = JogSliders(page, limits, partial(self._operator.send, self._joints))
             self._stop = gui.add_button("Stop the arm", color="red")
@@ -337,7 +336,7 @@ class DoPanel:
             with gui.add_folder("Nodes"):
                 self._add_buttons()
         with page.tab("Element"):
-            self._form = ElementForm(page, FrictionFile.read(files.friction), self._start_with)
+            self._form = ElementForm(page, FrictionFile.read(setup.files.friction), self._start_with)
         page.every(_PERIOD, self._follow)
 
     def close(self) -> None:

@@ -9,14 +9,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from rx90_common.base.errors import ExchangeError, Rx90Error
-from rx90_common.description.robot import load_robot
-from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
-from rx90_controller.law.parameters import load_controller
-from rx90_controller.lines.plan import Approach, plan_line
+from rx90_controller.lines.plan import Approach, LinePlan
 from rx90_controller.node.trajectory_client import Delivery, deliver
-from rx90_emulator.loop.path_file import load_motion
+from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.live import LiveView
 from rx90_emulator.view.page import Page, from_user, output_path, sentence
 
@@ -81,7 +78,6 @@ class RecordButton:
             self._said.content = sentence(words)
 
 
-_SET_POINT_PERIOD = 1e-3  # s
 _REST = 1.0  # s between two lines
 _TIMEOUT = 60.0  # s, for nodes that come up on a busy machine
 _TOUR_PERIOD = 0.2  # s
@@ -92,19 +88,15 @@ class Tour:
 
     Args:
         robot: its name or folder, for the nodes.
-        files: its files, with a task.
+        setup: of the robot.
+        plan: of its reference line or path.
         controller: name of the controller node.
-
-    Raises:
-        Rx90Error: if the robot has no reference line or cannot travel it.
     """
 
-    def __init__(self, robot: str, files: RobotFiles, controller: str) -> None:
-        model = load_robot(files.urdf, files.tool)
+    def __init__(self, robot: str, setup: Setup, plan: LinePlan, controller: str) -> None:
         self._command = executable("rx90_cell", "--ros-args", "-p", f"robot:={robot}")
-        self._plan = plan_line(model, load_motion(files.required("task")), _SET_POINT_PERIOD)
-        limits = load_controller(files.controller).limits(model)
-        self._delivery = Delivery(controller, 0.0, limits, _SET_POINT_PERIOD, Approach())
+        limits, period = setup.controller.limits(setup.robot), setup.rates.position_period
+        self._plan, self._delivery = plan, Delivery(controller, 0.0, limits, period, Approach())
         self._group = ProcessGroup()
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None

@@ -192,7 +192,7 @@ class LineScene:
         self.begin_again()
 
     def begin_again(self) -> None:
-        """Forget trace and times that were seen: time has begun again. The newest run stays."""
+        """Forget the trace and all times, because simulated time has begun again. The newest run stays."""
         self._span, self._asked, self._begin = _NO_SPAN, np.zeros((2, 1)), np.nan
         self._rows = np.empty((0, 4))  # time, distance along the line, path error, orientation error
         self.clear()
@@ -207,8 +207,8 @@ class LineScene:
 
         Args:
             times: of its points, s, shape (n,); none for no trajectory.
-            tips: where it has the spot at these, m, shape (n, 3).
-            at_rest: at which of them it rests, shape (n,).
+            tips: positions of the spot at these times, m, shape (n, 3).
+            at_rest: whether the arm rests at each of them, shape (n,).
         """
         self._span, self._rows = _NO_SPAN, self._rows[-_KEPT_BEFORE:]
         ends, whole = self._task.poses(np.array([0.0, self._task.length])).position, self._task.length
@@ -232,12 +232,12 @@ class LineScene:
                 self._begin = float(times[first]) + 0.5 * longer if 0.0 <= longer < _DURATION_TOLERANCE else np.nan
 
     def add(self, times: Array, tips: Array, rotation: Array | None = None) -> Array:
-        """Take where the spot was; return its path errors, m, NaN where none counts.
+        """Add positions of the spot; return its path errors, m, NaN where it is on no run along the line.
 
         Args:
             times: s, shape (n,).
             tips: m, shape (n, 3).
-            rotation: of the tool, shape (n, 3, 3); None where it does not matter.
+            rotation: of the tool, shape (n, 3, 3); None counts as no orientation error.
         """
         tips = np.asarray(tips, dtype=np.float64)
         self._spot.position = tips[-1]
