@@ -179,7 +179,7 @@ def test_a_lost_worker_is_said(sweep: Sweep) -> None:
 def test_an_extra_that_is_not_installed_is_named(tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without Dask a sweep on a cluster could not be carried out, exit code 3, and the error says what to install."""
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(FailureError, match="needs distributed, which is not installed; accepted: .* distributed"):
+    with pytest.raises(FailureError, match=r"needs distributed, which is not installed; accepted: .* distributed"):
         run_sweep(sweep, tmp_path / "out.parquet", scheduler="tcp://127.0.0.1:1", quiet=True)
     assert FailureError.exit_code == FAILED
 
