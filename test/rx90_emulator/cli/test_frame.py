@@ -90,6 +90,13 @@ def options() -> dict[str, list[argparse.Action]]:
     return found
 
 
+def test_each_command_describes_itself() -> None:
+    """Commands have descriptions of their own for `--help`, also where several stand in one module."""
+    found = {place: command_of(name, place)[0].description for name, place in EXECUTABLES.items()}
+    assert all(found.values())
+    assert len(set(found.values())) == len(found)
+
+
 def test_options_say_what_they_take(options: dict[str, list[argparse.Action]]) -> None:
     """Each file of config/ that a help names is there; no option leaves it to Python to take a number.
 
