@@ -94,7 +94,7 @@ def execute(program: str, words: Sequence[str] | None = None) -> int:
 
 
 def run(program: str, words: Sequence[str]) -> int:
-    """Run an executable with these arguments; return its exit code. What goes wrong is one line on standard error."""
+    """Run an executable with these arguments; return its exit code. Every error is one line on standard error."""
     options = SimpleNamespace(executables=EXECUTABLES)
     try:
         try:

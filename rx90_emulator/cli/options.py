@@ -143,7 +143,7 @@ def place(text: str) -> Path:
 
 
 def new_file(text: str) -> Path:
-    """Return the path of a file to be made, as a type for argparse: as `place`, and nothing may stand there."""
+    """Return the path of a file to be made, as a type for argparse: as `place`, and refused if it exists."""
     _check_new(text)
     return place(text)
 

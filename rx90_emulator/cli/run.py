@@ -197,7 +197,7 @@ def _warn(text: str) -> None:
 
 
 def _run_hours(setup: Setup, options: argparse.Namespace) -> None:
-    """Run the task there and back for hours, print how it goes, draw it where asked for."""
+    """Run the task there and back for hours; print the results, also after an interrupt, and draw them if asked to."""
     from rx90_common.description.robot_files import RobotFiles
     from rx90_controller.lines.task import load_task
     from rx90_emulator.loop.working_day import ThermalRun

@@ -106,7 +106,7 @@ def _path_of(name: str) -> Path | None:
 
 
 def replace_elements(base: FrictionChoice, rules: Iterable[str]) -> FrictionFile:
-    """Return a file in which elements of others stand in place of its own, with their provenance and source.
+    """Return a file with some elements replaced by those of other files, with their provenance and source.
 
     Args:
         base: the file.

@@ -47,7 +47,7 @@ _LARGEST_INTEGER = 2**63 - 1
 _DECIDING = ("robot", "urdf", "drives", "controller", "rig")
 """Parameters that decide which other parameters a node has."""
 _CONSTRAINTS = "constraints"
-"""Below it stand names of joints, which are the robot's."""
+"""Group of parameters named by the robot's joints."""
 _EVERY_NODE = "**"
 _SHARED = ("robot", "base_rate", "position_rate", "urdf", "drives")
 _SECTION: JsonSchema = {"anyOf": [{"required": [_PARAMETERS]}, {"additionalProperties": {"type": "object"}}]}
@@ -149,7 +149,7 @@ _declared_by_default = cache(declared)
 
 
 def _flat(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Return parameters by their whole names: mappings in mappings stand for names with dots; an empty one stays."""
+    """Return parameters by their full names, a dot for each nested mapping; an empty mapping is kept as a value."""
     found: dict[str, Any] = {}
     for key, value in content.items():
         found |= _flat(value, f"{before}{key}.") if isinstance(value, dict) and value else {f"{before}{key}": value}

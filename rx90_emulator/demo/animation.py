@@ -150,7 +150,7 @@ def _poses(robot: RobotModel, position: Array) -> Array:
 
 
 def _eye(ends: Array) -> Array:
-    """Return the directions right, up and towards the eye as rows: it stands askew of the line, before the arm."""
+    """Return the directions right, up and towards the eye as rows; the eye looks at the line from the front, aslant."""
     along, middle = ends[1] - ends[0], ends.mean(axis=0)
     turn = math.atan2(along[1], along[0]) + 0.5 * math.pi if np.hypot(*along[:2]) > 1e-6 else 0.0
     if middle[0] * math.cos(turn) + middle[1] * math.sin(turn) < 0.0:

@@ -502,7 +502,7 @@ def load_sweep_plan(name: Path | str, *, robot: Path | str | None = None) -> Swe
 
 
 def _base(section: Section, content: dict[str, Any], robot: str | None) -> SweepBase:
-    """Return what runs start from; files stand beside the plan or in the working folder, or are shipped."""
+    """Return what runs start from; its files are beside the plan, in the working folder, or shipped ones."""
     names = {}
     for role in ("robot", *_ROLES):
         if role in content:

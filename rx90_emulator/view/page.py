@@ -33,7 +33,7 @@ from rx90_emulator.view.guard import PageGuard, listen
 
 
 class ExistingFileError(ConfigError):
-    """A file stands under the name; a user who confirms it may have it replaced."""
+    """A file of this name exists; it is replaced only after the user has confirmed that."""
 
 
 def output_folder(folder: Path) -> Path:

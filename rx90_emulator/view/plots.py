@@ -162,7 +162,7 @@ class RollingPlot(Graph):
         self._samples: deque[list[float]] = deque(maxlen=_CAPACITY)
 
     def add(self, time: float, values: ArrayLike) -> None:
-        """Add the values (n,) at a time, s; a time before the last one begins anew."""
+        """Add the values (n,) at a time, s; a time before the last one clears the plot first."""
         if self._samples and time < self._samples[-1][0]:
             self._samples.clear()
         self._samples.append([time, *np.asarray(values, dtype=np.float64).tolist()])

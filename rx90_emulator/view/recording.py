@@ -58,7 +58,7 @@ class Track(JointSeries):
 
     @classmethod
     def of(cls, series: JointSeries) -> tuple[Track, int]:
-        """Return a series put in order of time, and how often its time goes back as after a reset.
+        """Return a series sorted by time, and how often its time jumped back, as after a reset of the simulation.
 
         Of messages with one stamp the first counts. Where time goes back by more than a gap, two runs would be mixed:
         what comes after the last such place is returned.

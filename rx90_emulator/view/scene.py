@@ -1,4 +1,4 @@
-"""What stands in the scene: an arm, a line or path, the laser spot, and its trace coloured by the path error."""
+"""The objects in the scene: an arm, a line or path, the laser spot, and its trace coloured by the path error."""
 
 from __future__ import annotations
 
