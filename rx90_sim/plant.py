@@ -269,11 +269,11 @@ class Plant:
         To the last bit wherever rounding allows, so that a run that is done again from its first sample has the same
         bits.
         """
-        wanted = np.array(links, dtype=np.float64)
-        position = wanted.copy()
+        target = np.array(links, dtype=np.float64)
+        position = target.copy()
         for _ in range(_MOST_CORRECTIONS):
             self.reset(position)
-            off = wanted - self.state["q"][0]
+            off = target - self.state["q"][0]
             if not off.any():
                 break
             position += off
@@ -376,9 +376,9 @@ class JointTemperatures:
 
     def set(self, temperatures: ArrayLike) -> None:
         """Make the joints so warm, degrees Celsius, shape (e,); those without a temperature take none."""
-        wanted = np.broadcast_to(np.asarray(temperatures, dtype=np.float64), self.now.shape)
+        values = np.broadcast_to(np.asarray(temperatures, dtype=np.float64), self.now.shape)
         for i in self.elements:
-            self.now[i] = wanted[i]
+            self.now[i] = values[i]
         _follow(self._constants, self._state)
 
     def beyond_law(self) -> str:

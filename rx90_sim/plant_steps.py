@@ -184,7 +184,7 @@ def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -
     slopes = [e.viscous_slopes(speed) for e, speed in zip(friction.elements, speeds, strict=True)]
     c1 = np.array([element.c1 for element in friction.elements])
     least, cold, fast = np.array(slopes).T
-    rest, most = c1 + least, np.maximum(c1 + cold, fast)
+    at_rest, most = c1 + least, np.maximum(c1 + cold, fast)
     elasticity = drives.elasticity
     gears = np.where(elasticity.elastic, elasticity.stiffness, 0.0)
     others = np.concatenate([drives.brake_damping, drives.stop_damping, elasticity.damping])
@@ -198,7 +198,7 @@ def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -
         names,
         np.concatenate([np.where(c1 >= 0.5 * most, c1, most), others]),
         np.concatenate([[e.c0 for e in friction.elements], drives.brake_stiffness, drives.stop_stiffness, gears]),
-        np.concatenate([rest, others]),
+        np.concatenate([at_rest, others]),
         np.concatenate([most, others]),
         len(friction.elements),
     )

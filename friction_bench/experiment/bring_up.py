@@ -271,12 +271,12 @@ class BringUp(Dialogue):
         self._ready(f"Put code {code} on the DAC, and fall silent")
         with armed(client):
             self._put(code)
-            took = self._silence(3 * hello.watchdog_ticks)
-            if took is None:
+            elapsed = self._silence(3 * hello.watchdog_ticks)
+            if elapsed is None:
                 client.request(Command.STOP)
                 raise RigError(f"the torque stayed on for {3 * expected:g} s without a host: the watchdog does not act")
             tolerance = 1e3 * self.rig.tick  # a report may be lost
-            self._compare("from the last frame to torque off, at most", "ms", 1e3 * expected, tolerance, 1e3 * took)
+            self._compare("from the last frame to torque off, at most", "ms", 1e3 * expected, tolerance, 1e3 * elapsed)
         client.clear()
         self._measure(f"{self.board.enable} after that", "V", self.board.off, ENABLE_VOLTS)
 
@@ -339,7 +339,7 @@ class BringUp(Dialogue):
             f"shaft has turned by {TURNED_SHARE:g} of a turn, at most to code {most}, {self.rig.torque(most):.3g} Nm, "
             "and goes off. Watch the shaft."
         )
-        counted, seen = [], []
+        counted, senses = [], []
         for sense, way in self._ways.items():
             self._ready(f"Apply the torque in the {sense} sense" if self.rig.bipolar else "Apply the torque")
             if self._turn_by_torque(way) * way < 0:
@@ -348,10 +348,10 @@ class BringUp(Dialogue):
             while (answer := self._ask(question).lower()) not in ("y", "n", ""):
                 self._say(f"{quoted(answer)}; accepted: y, n, or Enter")
             if answer == "n":
-                seen.append(sense)
+                senses.append(sense)
             elif not answer:
                 self.results[-1].left_out.append(f"nobody saw whether the shaft turned in the {sense} sense")
-        for wrong, what in ((counted, "counts"), (seen, "turns the shaft")):
+        for wrong, what in ((counted, "counts"), (senses, "turns the shaft")):
             if len(wrong) == 1 and self.rig.bipolar:
                 other = "negative" if wrong[0] == "positive" else "positive"
                 self._fault(

@@ -189,9 +189,9 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
         fit = fit_sliding(windows)
         coulomb, viscous, inertia = fit.values.tolist()
         T = max(inertia / viscous, records[0].tick / 4)
-        straight, asymptotes, bent = _usable(windows, lambda window, T=T: _asymptote(window.record, T))  # type: ignore[misc]
-        unused += bent
-        if not bent:
+        straight, asymptotes, unfitted = _usable(windows, lambda window, T=T: _asymptote(window.record, T))  # type: ignore[misc]
+        unused += unfitted
+        if not unfitted:
             break
         windows, records = straight, [window.record for window in straight]
     else:

@@ -229,7 +229,7 @@ def write_table(path: Path, comment: str, columns: Mapping[str, Sequence[object]
     Raises:
         Rx90Error: if the file cannot be written.
     """
-    with written_beside(path) as (beside,), beside.open("w", newline="", encoding="utf-8") as stream:
+    with written_beside(path) as (temporary,), temporary.open("w", newline="", encoding="utf-8") as stream:
         stream.write(f"# {comment}\n")
         writer = csv.writer(stream)
         writer.writerow(columns)

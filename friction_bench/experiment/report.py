@@ -189,8 +189,8 @@ def _add_both(
             f"to {way}: {mean[0]} s, at {mean[1]} Nm ({len(some)} reversals)"
             for (way, some), mean in zip(times.items(), swing.lags, strict=True)
         ]  # fmt: skip
-        said = f"{load}: lag time, from the torque's change of sign to the velocity's, "
-        lines += [said + text for text in lags[load]]
+        head = f"{load}: lag time, from the torque's change of sign to the velocity's, "
+        lines += [head + text for text in lags[load]]
     return rows, lags
 
 

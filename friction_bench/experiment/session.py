@@ -51,9 +51,9 @@ def check_options(options: argparse.Namespace) -> None:
         ConfigError: naming the option.
     """
     if options.port != EMULATED:
-        given = "seed" if options.seed is not None else "real-time" if options.real_time else ""
-        if given:
-            raise ConfigError(f"--{given} with --port {plain(options.port)}; accepted: with the emulated rig alone")
+        clock_option = "seed" if options.seed is not None else "real-time" if options.real_time else ""
+        if clock_option:
+            raise ConfigError(f"--{clock_option} with --port {plain(options.port)}; accepted: with the emulated rig alone")
     elif options.baud is not None:
         raise ConfigError(f"--baud {options.baud} with the emulated rig; accepted: with --port of a serial line")
 
@@ -124,7 +124,7 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
         session.client.connect()
 
     couple: Callable[[bool], None] = ask
-    with ExitStack() as opened:
+    with ExitStack() as resources:
         try:
             if options.port != EMULATED:
                 port = SerialPort(options.port, options.baud or rig.baud)
@@ -133,12 +133,12 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
                 port, couple = VirtualPort(emulated), emulated.plant.load
                 if options.real_time:
                     pty_rig = PtyRig(emulated)
-                    opened.callback(pty_rig.close)
+                    resources.callback(pty_rig.close)
                     port, couple = SerialPort(pty_rig.path, rig.baud), pty_rig.load
         except Rx90Error:
             out.rmdir()
             raise
-        opened.callback(port.close)
+        resources.callback(port.close)
         session = Session(RigClient(port, rig), couple, None)
         try:
             with tqdm(total=round(seconds, 1), unit="s", desc=what, disable=None, bar_format=_BAR) as session.bar:
@@ -148,7 +148,7 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
                 yield session
         finally:
             with interrupts_later():  # a second Ctrl-C does not cost the readings
-                opened.close()
+                resources.close()
                 if session.samples:
                     write_joint_states(out / "bag", readings_series(session.samples, rig))
                 else:

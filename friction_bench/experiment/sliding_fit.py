@@ -424,10 +424,10 @@ class _Ramps:
         shared[2] = np.clip(shared[2], max(T / 2, SHORTEST * self.tick), 2 * T)
         shared[4:] = np.clip(shared[4:], -FARTHEST * widths, FARTHEST * widths)
         # What alpha and beta of each run differ by: the best linear prediction from what the change leaves.
-        left = grams[:, 1:3, 0] - grams[:, 1:3, used] @ change
+        projected = grams[:, 1:3, 0] - grams[:, 1:3, used] @ change
         root = np.sqrt(self.spread)
         inner = np.eye(2) + root[:, None] * grams[:, 1:3, 1:3] * root
-        own = (root * np.linalg.solve(inner, (root * left)[:, :, None])[:, :, 0])[self.run]
+        own = (root * np.linalg.solve(inner, (root * projected)[:, :, None])[:, :, 0])[self.run]
         starts, speeds = np.empty_like(point.starts), []
         for k, (window, shares) in enumerate(zip(self.windows, self._shares(point), strict=True)):
             by_row = parts[k][1]

@@ -202,18 +202,18 @@ def _reversal(half: Half, friction: RampFriction) -> Reversal:
     time, coulomb = record.time - zero, friction.coulomb.value
     if half.peak - low < ONSET_TICKS:
         raise IdentificationError(f"{record.label}: the shaft does not slide after the torque's change of sign")
-    turned = float(time[low + 1])
-    middle = 0.5 * (float(time[half.stopped]) + turned)
+    reversal = float(time[low + 1])
+    middle = 0.5 * (float(time[half.stopped]) + reversal)
     if record.slope * middle > coulomb:
         return Reversal(half.backward, middle)
     assert friction.inertia is not None  # swings tell it
     model = RampModel(coulomb, friction.viscous.value, friction.inertia.value, record.slope)
     onset = slice(low - 1, low + ONSET_TICKS)
-    earliest = min(max(coulomb / record.slope, turned - EARLIER_TICKS * record.tick), turned - record.tick)
+    earliest = min(max(coulomb / record.slope, reversal - EARLIER_TICKS * record.tick), reversal - record.tick)
     lag = fit_break_away(
         time[onset],
         record.angle[onset] - record.angle[half.first],
-        (earliest, turned),
+        (earliest, reversal),
         lambda moment: replace(model, release=moment * record.slope - coulomb),
     )
     return Reversal(half.backward, lag)

@@ -174,13 +174,13 @@ class Campaign:
                 yield Run("loops", f"loops, block {block + 1}", motions.after_slide(start, self.slide, limit, codes))
         if "sweep" in self.kinds:
             speeds = SWEEP_SPEEDS * self.fastest
-            wanted = [float(speed) * rig.tick / rig.joint_step for speed in (*speeds, *speeds[::-1])]
+            counts_per_tick = [float(speed) * rig.tick / rig.joint_step for speed in (*speeds, *speeds[::-1])]
             gain = _USUAL_INERTIA * _BANDWIDTH / rig.joint_code / counts
             for backward in self.ways:
                 begin = int(_SLIDE_START * self.break_away_code(backward))
-                profile = motions.speeds(begin, wanted, SPEED_TICKS, gain, limit, rig.tick)
-                turned = motions.mirrored(profile) if backward else profile
-                yield Run("sweep", f"sweep{' backward' * backward}", turned, backward=backward)
+                profile = motions.speeds(begin, counts_per_tick, SPEED_TICKS, gain, limit, rig.tick)
+                mirrored = motions.mirrored(profile) if backward else profile
+                yield Run("sweep", f"sweep{' backward' * backward}", mirrored, backward=backward)
         if "stick_slip" in self.kinds:
             for stiffness in PULL_STIFFNESSES:
                 for speed in (PULL_SPEEDS * self.fastest).tolist():

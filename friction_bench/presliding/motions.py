@@ -128,10 +128,10 @@ def follow(
         with contextlib.suppress(StopIteration):  # the profile's end
             while not last_near_limits(client.rig, samples):
                 client.send_torque(code)
-                came: list[Sample] = []
-                while not came:
-                    came = client.pump()
-                for sample in came:
+                received: list[Sample] = []
+                while not received:
+                    received = client.pump()
+                for sample in received:
                     refuse_fault(sample)
                     if sample.report.result != CommandResult.OK:
                         raise RigRefusedError(f"TORQUE: {sample.report.result_text}")

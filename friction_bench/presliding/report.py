@@ -115,8 +115,8 @@ def _resolution(result: PreslidingResult) -> tuple[str, dict[str, float]]:
     if result.deflection is None:
         return f"{text}; it has not broken away", entry
     entry["presliding_counts"] = counts = result.deflection / count
-    seen = "" if counts >= VISIBLE_COUNTS else ": too few to see loops"
-    bends = f"it bends by {1e6 * result.deflection:.0f} urad, {counts:.1f} counts, up to break-away{seen}"
+    note = "" if counts >= VISIBLE_COUNTS else ": too few to see loops"
+    bends = f"it bends by {1e6 * result.deflection:.0f} urad, {counts:.1f} counts, up to break-away{note}"
     return f"{text}; {bends}", entry
 
 

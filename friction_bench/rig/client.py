@@ -263,9 +263,9 @@ class RigClient:
             if self.port.now() >= retry_at or self.stops != self.known_stops:
                 self._send_unless_stopped(message, command)
                 retry_at = self.port.now() + RETRY_PERIOD
-            came = self._samples()
-            samples += came  # all of them: what came behind the answer would count as lost
-            answer = next((s.report for s in came if s.report.ack_sequence == sequence), None)
+            received = self._samples()
+            samples += received  # all of them: what came behind the answer would count as lost
+            answer = next((s.report for s in received if s.report.ack_sequence == sequence), None)
             if answer is not None:
                 if answer.result != CommandResult.OK:
                     raise RigRefusedError(f"{command.name}: {answer.result_text}")

@@ -72,7 +72,7 @@ def turn(angle: float, speed: float, torque: float, shaft: Shaft, dt: float) -> 
 
     Returns angle and speed. A body that comes to rest stays there unless the torque exceeds f_c of its direction.
     """
-    left = dt
+    remaining = dt
     for _ in range(2):  # at most one reversal: torque is constant
         sign = 1.0 if speed > 0.0 or (speed == 0.0 and torque > 0.0) else -1.0
         coulomb, viscous = shaft.coulomb, shaft.viscous
@@ -82,19 +82,19 @@ def turn(angle: float, speed: float, torque: float, shaft: Shaft, dt: float) -> 
             return angle, 0.0
         final = (torque - sign * coulomb) / viscous
         tau = shaft.inertia / viscous
-        run = left
+        run = remaining
         stops = speed * final < 0.0
         if stops:
             rest = tau * math.log((final - speed) / final)
-            stops = rest < left
-            run = min(rest, left)
+            stops = rest < remaining
+            run = min(rest, remaining)
         decay = math.exp(-run / tau)
         angle += final * run + (speed - final) * tau * (1.0 - decay)
         speed = final + (speed - final) * decay
         if not stops:
             return angle, speed
         speed = 0.0
-        left -= run
+        remaining -= run
     return angle, speed
 
 
@@ -155,8 +155,8 @@ def turn_with_joint(
     still = 0.0 * load(state.transmitted, 1)
     for _ in range(BRISTLE_STEPS):
         of_joint = still + angle / ratio, still + speed / ratio
-        bent, friction = parts_step(element, parts, state, still + z, of_joint[0], of_joint[1], step, 1)
-        z, before = lane(bent, 0), speed
+        deflections, friction = parts_step(element, parts, state, still + z, of_joint[0], of_joint[1], step, 1)
+        z, before = lane(deflections, 0), speed
         angle, speed = turn(angle, speed, torque - lane(friction, 0) / (ratio * efficiency), shaft, step)
         state.transmitted[0] = load_inertia * (speed - before) / (ratio * step)
         advance_load(parts.load, state, load(state.transmitted, 1), step, 1)

@@ -221,8 +221,8 @@ def compare_bags(
         raise BagError(f"neither {neither} has a JointState or Temperature message in the time window")
     if set(scope.fields) < set(SERIES_FIELDS) and not any(r.values or r.verdict is not Verdict.SAME for r in results):
         # Bags would be the same by stamps alone.
-        held = listed(dict.fromkeys(field for one in series for field in one.fields)) or "none"
-        raise BagError(f"fields {', '.join(scope.fields)}: no message has any of them; accepted: some of {held}")
+        recorded = listed(dict.fromkeys(field for one in series for field in one.fields)) or "none"
+        raise BagError(f"fields {', '.join(scope.fields)}: no message has any of them; accepted: some of {recorded}")
     skipped = tuple(sorted({topic.name for topic in every if not topic.holds_series}))
     notes = tuple(f"{plain(bag.path)}: {note}" for bag in bags for note in bag.notes)
     return BagComparison(bag_a.path, bag_b.path, tuple(results), skipped, notes, shift)
@@ -232,21 +232,21 @@ def _compare_topic(
     topic: str, found: tuple[list[JointSeries] | None, ...], tolerances: Tolerances, scope: Scope
 ) -> list[TopicComparison]:
     """Compare each set of joints of a topic; `found` is that of each bag, None where the bag lacks the topic."""
-    left, right = ([one for series in some or [] if len((one := scope.cut(series)).stamp_ns)] for some in found)
-    if not left and not right:
+    unpaired_a, unpaired_b = ([one for series in some or [] if len((one := scope.cut(series)).stamp_ns)] for some in found)
+    if not unpaired_a and not unpaired_b:
         return [] if scope.topics is None else [_incomparable(topic, "no message of it is in either bag")]
-    if not left or not right:
-        lacking, some = _BAGS[bool(left)], found[bool(left)]
+    if not unpaired_a or not unpaired_b:
+        lacking, some = _BAGS[bool(unpaired_a)], found[bool(unpaired_a)]
         what = "the topic is not" if some is None else "no message of it is"
         return [_incomparable(topic, f"{what} in the {lacking} bag{' within the time window' * bool(some)}")]
     pairs: list[tuple[JointSeries | None, JointSeries | None]] = []
-    for a in [*left]:  # with the same set of joints
-        same = [b for b in right if set(b.names) == set(a.names)]
+    for a in [*unpaired_a]:  # with the same set of joints
+        same = [b for b in unpaired_b if set(b.names) == set(a.names)]
         if same:
             pairs.append((a, same[0]))
-            left, right = ([s for s in some if s not in pairs[-1]] for some in (left, right))
+            unpaired_a, unpaired_b = ([s for s in some if s not in pairs[-1]] for some in (unpaired_a, unpaired_b))
     results = []
-    for first, second in [*pairs, *zip_longest(left, right)]:  # what is left on both sides is paired in its order
+    for first, second in [*pairs, *zip_longest(unpaired_a, unpaired_b)]:  # what is left on both sides is paired in its order
         only = first or second
         if first is not None and second is not None:
             results.append(compare_series(first, second, tolerances, scope))
@@ -373,12 +373,12 @@ def _keys(series: JointSeries) -> tuple[NDArray[np.intp], NDArray[np.void]]:
     stamp = series.stamp_ns[rows]
     keys, keep = np.zeros(len(rows), dtype=_KEY), np.ones(len(rows), dtype=np.bool_)
     keys["stamp"] = stamp
-    seen: dict[bytes, int] = {}
+    occurrences: dict[bytes, int] = {}
     again = np.append(False, stamp[1:] == stamp[:-1])
     for i in np.flatnonzero(again | np.append(again[1:], False)).tolist():  # all those that share a stamp
         content = b"".join(values[rows[i]].tobytes() for values in series.fields.values())
         if not again[i]:
-            seen = {}
-        keep[i] = content not in seen
-        keys["occurrence"][i] = seen.setdefault(content, len(seen))
+            occurrences = {}
+        keep[i] = content not in occurrences
+        keys["occurrence"][i] = occurrences.setdefault(content, len(occurrences))
     return rows[keep], keys[keep]

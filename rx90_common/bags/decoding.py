@@ -142,20 +142,20 @@ class SeriesBuilder:
         start, self._decoded = self._decoded, self._decoded + len(messages)
         lengths = np.array([len(message) for message in messages])
         for length in np.unique(lengths):
-            left = np.flatnonzero(lengths == length)
-            block = np.frombuffer(b"".join([messages[i] for i in left]), dtype=np.uint8).reshape(len(left), -1)
+            remaining = np.flatnonzero(lengths == length)
+            block = np.frombuffer(b"".join([messages[i] for i in remaining]), dtype=np.uint8).reshape(len(remaining), -1)
             tried = 0
-            while len(left):
+            while len(remaining):
                 if tried == len(self._patterns):  # a new one may be learnt of this message
-                    self._decode_one(messages[left[0]], left[:1] + start)
-                    left, block = left[1:], block[1:]
+                    self._decode_one(messages[remaining[0]], remaining[:1] + start)
+                    remaining, block = remaining[1:], block[1:]
                     continue
                 pattern = self._patterns[tried]
                 tried += 1
                 if pattern.length == length and (fits := pattern.matches(block)).any():
                     fitting = block[fits]
-                    self._keep(pattern.layout, left[fits] + start, cdr_stamps_ns(fitting), pattern.values(fitting))
-                    left, block = left[~fits], block[~fits]
+                    self._keep(pattern.layout, remaining[fits] + start, cdr_stamps_ns(fitting), pattern.values(fitting))
+                    remaining, block = remaining[~fits], block[~fits]
 
     def _keep(self, layout: _Layout, place: NDArray[np.intp], stamps: Int64Array, values: Array) -> None:
         kept = [k for k, field in enumerate(layout.fields) if field in self._fields]

@@ -148,9 +148,9 @@ def _write_npz(path: Path, tables: Sequence[JointSeries], written: Callable[[int
     """Write arrays named by topic, quantity and unit, (n,) or (n, joints), and the names of the joints."""
     arrays: dict[str, NDArray[Any]] = {}
     for series in tables:
-        held: dict[str, NDArray[Any]] = {_STAMP: series.stamp_ns, _TIME: series.time}
-        held |= {series.quantities[field]: values for field, values in series.fields.items()}
-        for quantity, values in (held | {"names": np.array(series.names)}).items():
+        quantities: dict[str, NDArray[Any]] = {_STAMP: series.stamp_ns, _TIME: series.time}
+        quantities |= {series.quantities[field]: values for field, values in series.fields.items()}
+        for quantity, values in (quantities | {"names": np.array(series.names)}).items():
             # Letters, digits and _ alone, such as joint_states_velocity_rad_s.
             words = f"{series.topic.removeprefix('/')} {quantity}".replace("^", "")
             name = re.sub(r"[^A-Za-z0-9]+", "_", words).strip("_")

@@ -275,16 +275,16 @@ def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tu
         compare_unit(time, SECONDS, next(name for name, size in SECONDS.items() if size == mapping.seconds))
     for topic, mapped in mapping.topics.items():
         for name, one in mapped.fields.items():
-            seen = {time}
+            used_places = {time}
             for column in one.columns if one.file == number else ():
                 place = used[column] = place_of(column)
-                if place in seen:
+                if place in used_places:
                     others = "the times" if place == time else "another joint"
                     raise BagError(
                         f"{plain(path)}: column {plain(column)} in {plain(topic)}.{name} is that of {others}; "
                         "accepted: a column of its own for each"
                     )
-                seen.add(place)
+                used_places.add(place)
                 compare_unit(place, UNITS[name], one.unit)
     return time, used
 

@@ -307,13 +307,13 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
         BagError: if there is none, or it names no columns.
         ConfigError: if the file is not acceptable.
     """
-    beside = path.with_suffix(".yaml")
-    if mapping is None and not beside.is_file():
+    default_file = path.with_suffix(".yaml")
+    if mapping is None and not default_file.is_file():
         raise BagError(
-            f"{plain(path)}: no {plain(beside.name)} beside it, which says what its columns hold; accepted: that file, "
+            f"{plain(path)}: no {plain(default_file.name)} beside it, which says what its columns hold; accepted: that file, "
             "or --signals FILE"
         )
-    found = LogMapping.load(beside) if mapping is None else mapping
+    found = LogMapping.load(default_file) if mapping is None else mapping
     if not found.topics:
         raise BagError(f"{plain(found.file)}: names no columns of {plain(path)}; accepted: such as position")
     return found

@@ -96,8 +96,8 @@ def plot_bags(
     if len(bags) > 1:
         bags[1] = bags[1].moved(time_shift(align, *bags))
     if topics is None and joints is not None:  # of the usual topics those that have these joints
-        held = {name: [[set(joints) <= set(one.names) for one in bag.series[name]] for bag in bags] for name in names}
-        names = [name for name in names if all(map(any, held[name]))] or names[:1]
+        recorded = {name: [[set(joints) <= set(one.names) for one in bag.series[name]] for bag in bags] for name in names}
+        names = [name for name in names if all(map(any, recorded[name]))] or names[:1]
     chosen = [[bag.one(name, joints, "say which with --joint") for bag in bags] for name in names]
     robots = tuple(name for name in map(robot_of, paths) if name is not None) if len(bags) > 1 else ()
     robots = robots if len(set(robots)) > 1 else ()
@@ -113,15 +113,15 @@ def write_plots(paths: Sequence[Path], plots: Sequence[TopicPlot], output: Path)
     names = _names(paths)
     robots = next((one.robots for one in plots if one.robots), ())
     each = " and ".join(f"{plain(name)} of {plain(robot)}" for name, robot in zip(names, robots, strict=False))
-    said = f"two robots, {each}: drawn over each other, without a difference" if robots else ""
+    note = f"two robots, {each}: drawn over each other, without a difference" if robots else ""
     if is_page(output):
-        page = render_page("rx90_common.bags", "bag.html.j2", names=names, paths=paths, plots=plots, robots=said)
+        page = render_page("rx90_common.bags", "bag.html.j2", names=names, paths=paths, plots=plots, robots=note)
         write_text(output, page)
     else:  # all topics below each other
-        title = said or f"{' against '.join(reversed(names))}: {listed(one.topic for one in plots)}"
+        title = note or f"{' against '.join(reversed(names))}: {listed(one.topic for one in plots)}"
         panels = [panel for one in plots for panel in one.plot.panels]
         write_picture(Plot(panels, height=_HEIGHT, share_x=True), output, title)
-    return said
+    return note
 
 
 def is_page(path: Path) -> bool:

@@ -91,13 +91,13 @@ class BagReader:
                 with self._damage(file):
                     self._storages.append(open_storage(file, stack))
             if counts is not None:
-                held: Counter[tuple[str, str]] = Counter()
+                counted_messages: Counter[tuple[str, str]] = Counter()
                 for topic in self.topics:
-                    held[topic.name, topic.msgtype] += topic.count
-                for key in sorted(key for key in counts.keys() | held.keys() if counts[key] != held[key]):
+                    counted_messages[topic.name, topic.msgtype] += topic.count
+                for key in sorted(key for key in counts.keys() | counted_messages.keys() if counts[key] != counted_messages[key]):
                     topic_, msgtype = map(plain, key)
                     raise self._disagreement(
-                        f"{counts[key]} messages of {topic_} ({msgtype}), the storage holds {held[key]}"
+                        f"{counts[key]} messages of {topic_} ({msgtype}), the storage holds {counted_messages[key]}"
                     )
             self._stack = stack.pop_all()
         return self

@@ -106,8 +106,8 @@ def _events(path: Path | str) -> list[Any]:
 
 def _value(value: Any) -> str:
     """Return what a rcl_interfaces/ParameterValue holds as JSON, null for nothing."""
-    held = getattr(value, f"{_VALUES[value.type]}_value") if 0 < value.type < len(_VALUES) else None
-    return json.dumps(held.tolist() if isinstance(held, np.ndarray) else held)
+    field_value = getattr(value, f"{_VALUES[value.type]}_value") if 0 < value.type < len(_VALUES) else None
+    return json.dumps(field_value.tolist() if isinstance(field_value, np.ndarray) else field_value)
 
 
 class TrajectoryCount:

@@ -415,7 +415,7 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
         BagError: if something has that name, or its place does not take it.
         BagWriteError: if the disk is full.
     """
-    made = [folder for folder in path.parents if not folder.exists()]
+    missing_folders = [folder for folder in path.parents if not folder.exists()]
     try:
         if os.path.lexists(path):
             raise FileExistsError
@@ -440,7 +440,7 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
         raise kind(f"{plain(path)}: cannot be written ({error.strerror})") from error
     finally:
         with suppress(OSError):  # those that hold what was made
-            for folder in made:
+            for folder in missing_folders:
                 folder.rmdir()
 
 

@@ -151,8 +151,8 @@ def load_yaml(
         reason = plain(_IN_FILE.sub(", ", " ".join(str(error).split())), _LONGEST_REASON)
         raise ConfigError(f"{plain(path)}: not valid YAML ({reason})") from error
     if not isinstance(data, dict):
-        held = "nothing" if data is None else "a list" if isinstance(data, list) else "a single value"
-        raise ConfigError(f"{plain(path)}: holds {held}; accepted: {accepted}")
+        content = "nothing" if data is None else "a list" if isinstance(data, list) else "a single value"
+        raise ConfigError(f"{plain(path)}: holds {content}; accepted: {accepted}")
     return Section(data, path, faults=faults)
 
 

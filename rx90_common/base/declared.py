@@ -164,16 +164,16 @@ def _declared_by(owner: type[Any]) -> dict[str, Declaration]:
     hints, found = get_type_hints(owner, include_extras=True), {}
     for own_field in fields(owner):
         hint = hints[own_field.name]
-        kind, *said = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        kind, *annotations = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         kind = get_origin(kind) or kind
-        entries = [each for each in said if isinstance(each, Entry)]
+        entries = [each for each in annotations if isinstance(each, Entry)]
         entry, in_python = (entries[0], entries[-1]) if entries else (None, None)
         own = isinstance(kind, type) and issubclass(kind, Declared)
         if entry is None and not own:
             continue
-        keys = tuple(next((each for each in said if isinstance(each, str)), own_field.name).split("."))
+        keys = tuple(next((each for each in annotations if isinstance(each, str)), own_field.name).split("."))
         one = Declaration(own_field.name, keys, entry, in_python, kind, own_field)
-        if entry is not None and entry.default is REQUIRED and REQUIRED not in said and one.default is not MISSING:
+        if entry is not None and entry.default is REQUIRED and REQUIRED not in annotations and one.default is not MISSING:
             one = replace(one, entry=replace(entry, default=_as_read(one.default)))
         found[own_field.name] = one
     return found
@@ -223,8 +223,8 @@ def option(default: Any, description: str, low: float | None = None, high: float
         low: the least that is accepted.
         high: the most.
     """
-    said = {"default": default, "description": description, "low": low, "high": high}
-    return field(default_factory=lambda: copy(default), metadata=said)
+    metadata = {"default": default, "description": description, "low": low, "high": high}
+    return field(default_factory=lambda: copy(default), metadata=metadata)
 
 
 def in_file(value: Any) -> Any:

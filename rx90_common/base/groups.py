@@ -79,9 +79,9 @@ class Group(Entry):
             there = [key for key in self.one_of if key in section]
             if len(there) != 1:
                 first, *others = self.one_of
-                told = "both are there" if len(self.one_of) == 2 else f"{len(there)} of them are there"
-                told = told if there else "none is there"
-                section.fault(first, f" and {', '.join(others)}: {told}; accepted: one of them")
+                found_keys = "both are there" if len(self.one_of) == 2 else f"{len(there)} of them are there"
+                found_keys = found_keys if there else "none is there"
+                section.fault(first, f" and {', '.join(others)}: {found_keys}; accepted: one of them")
             if self.one_of_with and not any(key in section for key in self.one_of_with):
                 section.fault(there[0], f" alone; accepted: with {', '.join(self.one_of_with)}")
         if self.some_of and not any(key in section for key in self.some_of):

@@ -48,9 +48,9 @@ def plain(text: object, limit: int = LIMIT) -> str:
     return f"{_escaped(whole[:head])}{_ELLIPSIS}{_escaped(whole[len(whole) - tail :])} ({len(whole):,} characters)"
 
 
-def listed(given: Iterable[object], most: int = _MOST_NAMES) -> str:
+def listed(names: Iterable[object], most: int = _MOST_NAMES) -> str:
     """Return names with commas between them; of more than `most`, the first ones and how many others there are."""
-    every = list(given)
+    every = list(names)
     shown = ", ".join(plain(name) for name in every[:most])
     return f"{shown} and {len(every) - most:,} more" if len(every) > most else shown
 

@@ -272,8 +272,8 @@ def _to_joint(gear: Any, motor: Any, joint: Any) -> Any:  # noqa: ARG001 - as ab
         joint[5] = motor[5] / gear[5] - joint[4]
 
     def of_matrices(gear: Any, motor: Array, joint: Array) -> None:
-        turned = load(motor, size(gear.ratio)) / load(gear.ratio, size(gear.ratio))
-        store(joint, times_lanes(gear.joint_columns, turned))
+        at_joints = load(motor, size(gear.ratio)) / load(gear.ratio, size(gear.ratio))
+        store(joint, times_lanes(gear.joint_columns, at_joints))
 
     return of_matrices if has_matrices(gear) else of_wrist
 

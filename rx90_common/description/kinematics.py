@@ -130,9 +130,9 @@ def nearest_corner(points: Array, corners: Array, near: Index | None = None) -> 
         return np.asarray(cKDTree(corners).query(points)[1])
     found, rows, around = np.array(near), np.arange(len(points)), np.array([0, -1, 1])
     while len(rows):
-        beside = np.clip(found[rows, None] + around, 0, len(corners) - 1)
-        off = np.sum((corners[beside] - points[rows, None]) ** 2, axis=2)
-        closest = beside[np.arange(len(rows)), np.argmin(off, axis=1)]
+        neighbours = np.clip(found[rows, None] + around, 0, len(corners) - 1)
+        off = np.sum((corners[neighbours] - points[rows, None]) ** 2, axis=2)
+        closest = neighbours[np.arange(len(rows)), np.argmin(off, axis=1)]
         moved = closest != found[rows]
         found[rows] = closest
         rows = rows[moved]
@@ -154,9 +154,9 @@ def polyline_error(points: Array, corners: Array, near: Index | None = None) -> 
         off = points - corners[line]
         at = np.sum(off * lines[line], axis=1) / ways[line]
         at = np.clip(at, np.where(line == 0, -np.inf, 0.0), np.where(line == last, np.inf, ways[line]))
-        away = length(off - (at / ways[line])[:, None] * lines[line])
-        closer = away < across
-        along[closer], across[closer] = (distance[line] + at)[closer], away[closer]
+        gap = length(off - (at / ways[line])[:, None] * lines[line])
+        closer = gap < across
+        along[closer], across[closer] = (distance[line] + at)[closer], gap[closer]
     return PathError(along, across)
 
 

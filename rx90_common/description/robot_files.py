@@ -160,6 +160,6 @@ def provenance_of(files: RobotFiles) -> dict[str, list[str]]:
             continue
         root = load_yaml(path)
         blocks = {name: root.section(name).provenance for name in root if root.holds_mapping(name)}
-        said = [f"{name} {provenance}" for name, provenance in blocks.items() if provenance]
-        found[role] = said or [root.provenance or "not said"]
+        texts = [f"{name} {provenance}" for name, provenance in blocks.items() if provenance]
+        found[role] = texts or [root.provenance or "not said"]
     return found

@@ -123,9 +123,9 @@ class CdrReader:
     def count(self, what: str, least_bytes: int) -> int:
         """Return a length; refuse one that the rest of the message cannot hold before anything is built."""
         (count,) = struct.unpack(f"{self._order}I", self._take(4, 4, what))
-        left = len(self._body) - self._at
-        if count * least_bytes > left:
-            raise ExchangeError(f"message is cut off in {what}: {count} elements announced, {left} bytes left")
+        remaining = len(self._body) - self._at
+        if count * least_bytes > remaining:
+            raise ExchangeError(f"message is cut off in {what}: {count} elements announced, {remaining} bytes left")
         return int(count)
 
     def string(self, what: str) -> str:
@@ -148,9 +148,9 @@ class CdrReader:
 
     def finish(self) -> None:
         """Expect the end of the message."""
-        left = len(self._body) - self._at
-        if left > _MAX_SLACK:
-            raise ExchangeError(f"message has {left} bytes behind its end; it is no sensor_msgs/JointState")
+        remaining = len(self._body) - self._at
+        if remaining > _MAX_SLACK:
+            raise ExchangeError(f"message has {remaining} bytes behind its end; it is no sensor_msgs/JointState")
 
 
 class TransformCodec:

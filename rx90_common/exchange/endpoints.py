@@ -78,9 +78,9 @@ def _overridable(node: Node, topic: str, entity: str) -> QoSOverridingOptions:
     """Return the options with which rclpy declares and applies the parameters of a topic's "publisher" or such."""
     for policy, (values, accepted) in _ACCEPTED.items():
         name = f"{PREFIX}{node.resolve_topic_name(topic)}.{entity}.{policy.name.lower()}"
-        given = node._parameter_overrides.get(name)  # rclpy's own errors name no parameter
-        if given is not None and (isinstance(given.value, bool) or given.value not in values):
-            raise ConfigError(f"parameter {plain(name)} is {quoted(given.value)}; accepted: {accepted}")
+        override = node._parameter_overrides.get(name)  # rclpy's own errors name no parameter
+        if override is not None and (isinstance(override.value, bool) or override.value not in values):
+            raise ConfigError(f"parameter {plain(name)} is {quoted(override.value)}; accepted: {accepted}")
     return QoSOverridingOptions(list(_ACCEPTED))
 
 
@@ -164,11 +164,11 @@ def fitting_subscriptions(node: Node, publisher: Publisher) -> int:
     """Return how many subscriptions the graph knows of that a publisher's quality of service suits."""
     offered, fitting = publisher.qos_profile, 0
     for info in node.get_subscriptions_info_by_topic(publisher.topic_name):
-        asked = info.qos_profile
+        requested = info.qos_profile
         # Where no times are asked for, the graph reports infinite ones, which the check would compare.
-        times = {name: getattr(asked, name) for name in ("deadline", "liveliness_lease_duration")}
+        times = {name: getattr(requested, name) for name in ("deadline", "liveliness_lease_duration")}
         times = {name: time for name, time in times.items() if time < Infinite}
-        profile = QoSProfile(depth=1, reliability=asked.reliability, durability=asked.durability, **times)
+        profile = QoSProfile(depth=1, reliability=requested.reliability, durability=requested.durability, **times)
         fitting += qos_check_compatible(offered, profile)[0] != QoSCompatibility.ERROR
     return fitting
 

@@ -327,11 +327,11 @@ class ManagedNode(LifecycleNode):
 
     def _change_state(self, change: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
         known = {each[0]: each[1] for each in self._state_machine.available_transitions}
-        asked = request.transition
+        requested = request.transition
         # rclpy raises for one that is not possible now, and nobody would be answered.
-        if asked.label in known.values() or (not asked.label and asked.id in known):
+        if requested.label in known.values() or (not requested.label and requested.id in known):
             return change(request, response)
-        name = plain(asked.label) if asked.label else f"transition {asked.id}"
+        name = plain(requested.label) if requested.label else f"transition {requested.id}"
         state, accepted = self._state_machine.current_state[1], ", ".join(known.values())
         self.get_logger().error(f"{name} is not possible in state {state}; accepted: {accepted}")
         response.success = False

@@ -91,7 +91,7 @@ class FrictionFile:
         elements = {name: read_element(section.section(name)) for name in section}
         mappings = {ALL_ELEMENTS: section.content, **{name: section.section(name).content for name in section}}
         about = {name: {key: one[key] for key in ABOUT if key in one} for name, one in mappings.items()}
-        about = {name: said for name, said in about.items() if said}
+        about = {name: text for name, text in about.items() if text}
         identification, joints = content.get("identification"), content["joints"]
         return cls(elements, root.provenance, root.source, identification, path, about, joints)
 
@@ -125,9 +125,9 @@ class FrictionFile:
             "identification": self.identification,
         }
         head = "# LuGre friction, joint side, SI units (equations 17 to 19 of the paper).\n#\n"
-        given = {key: value for key, value in content.items() if value is not None}
+        present = {key: value for key, value in content.items() if value is not None}
         parts = {part for element in self.elements.values() for part in element.parts}
-        return head + legend(parts) + remarks + yaml_text(given)
+        return head + legend(parts) + remarks + yaml_text(present)
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,8 @@ class _Inlined(CPUDispatcher):
 
 def inlined(function: _Function) -> _Function:
     """Compile `function` into each kernel that calls it; not to be called from Python."""
-    without = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    compiled: Any = _compiler(error_model="numpy", forceinline=True, **without)(function)
+    no_wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    compiled: Any = _compiler(error_model="numpy", forceinline=True, **no_wrappers)(function)
     compiled.__class__ = _Inlined
     return cast(_Function, compiled)
 

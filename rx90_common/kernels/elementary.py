@@ -242,12 +242,12 @@ def _general_power(base: Number, exponent: Number) -> Number:
     # ln(m) = ln((1 + s) / (1 - s)), with what is lost of s in the division.
     sum_ = m + 1.0
     s = (m - 1.0) / sum_
-    lost = (fma(-s, sum_, m - 1.0) - s * (m - (sum_ - 1.0))) / sum_
+    rounding = (fma(-s, sum_, m - 1.0) - s * (m - (sum_ - 1.0))) / sum_
     square = s * s
     fourth = square * square
     low = fma(fourth, fma(square, _L[3], _L[2]), fma(square, _L[1], _L[0]))
     high = fma(fourth, fma(square, _L[7], _L[6]), fma(square, _L[5], _L[4]))
-    tail = fma(s * square, fma(fourth * fourth, high, low), 2.0 * lost)
+    tail = fma(s * square, fma(fourth * fourth, high, low), 2.0 * rounding)
     leading = k * _LN2[0]
     most = leading + 2.0 * s
     rest = (2.0 * s - (most - leading)) + fma(k, _LN2[1], tail)

@@ -292,8 +292,8 @@ def append(_: Any, x: Any, value: Any) -> Any:
 
     def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         order = [min(i, x.padded - 1) for i in range(kind.padded)]
-        wide = _shuffle(builder, arguments[0], arguments[0], order)
-        return builder.insert_element(wide, arguments[1], _INDEX(x.width))
+        widened = _shuffle(builder, arguments[0], arguments[0], order)
+        return builder.insert_element(widened, arguments[1], _INDEX(x.width))
 
     return kind(x, value), emit
 

@@ -111,11 +111,11 @@ class ChildProcess:
                         return match
                 if not self._reader.is_alive():
                     raise ProcessError(f"the {self.name} ended early: {self._last_line()}")
-                left = deadline - time.monotonic()
-                if left <= 0:
-                    said = f"did not say '{pattern}' within {timeout:g} s"
-                    raise ProcessError(f"the {self.name} {said}: {self._last_line()}")
-                self._changed.wait(min(left, 0.2))
+                remaining = deadline - time.monotonic()
+                if remaining <= 0:
+                    reason = f"did not say '{pattern}' within {timeout:g} s"
+                    raise ProcessError(f"the {self.name} {reason}: {self._last_line()}")
+                self._changed.wait(min(remaining, 0.2))
 
     def wait(self, timeout: float = TIMEOUT) -> int:
         """Return the exit code.
@@ -184,16 +184,16 @@ class ProcessGroup:
         """End all, with what they have started; return those that did not end on SIGINT."""
         survivors: list[ChildProcess] = []
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            left = [member for member in reversed(self._members) if member.returncode is None]
-            for member in left:
+            running = [member for member in reversed(self._members) if member.returncode is None]
+            for member in running:
                 # Not waited for yet: the id still is this group's. One that was stopped goes on, to end.
                 os.killpg(member.pid, number)
                 os.killpg(member.pid, signal.SIGCONT)
             deadline = time.monotonic() + self._grace
-            for member in left:
+            for member in running:
                 with suppress(ProcessError):
                     member.wait(max(0.0, deadline - time.monotonic()))
-            survivors += [member for member in left if member.returncode is None and member not in survivors]
+            survivors += [member for member in running if member.returncode is None and member not in survivors]
         return survivors
 
 

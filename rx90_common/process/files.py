@@ -31,21 +31,21 @@ def hidden_beside(target: Path) -> Iterator[Path]:
     Raises:
         OSError: if none can be made.
     """
-    for left in target.parent.glob(f".*{_MARK}{_RANDOM}"):
+    for leftover in target.parent.glob(f".*{_MARK}{_RANDOM}"):
         with suppress(OSError):  # somebody else's
-            held = _lock(left, wait=False)
-            shutil.rmtree(left, ignore_errors=True)
-            os.close(held)
+            lock = _lock(leftover, wait=False)
+            shutil.rmtree(leftover, ignore_errors=True)
+            os.close(lock)
     while True:
         folder = Path(tempfile.mkdtemp(prefix=f".{target.name[:_LONGEST_PREFIX]}{_MARK}", dir=target.parent))
         with suppress(FileNotFoundError):  # swept between its making and its lock
-            held = _lock(folder, wait=True)
+            lock = _lock(folder, wait=True)
             break
     try:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        os.close(held)
+        os.close(lock)
 
 
 def _lock(folder: Path, *, wait: bool) -> int:
@@ -54,15 +54,15 @@ def _lock(folder: Path, *, wait: bool) -> int:
     Raises:
         OSError: if the folder is gone; without `wait`, if another process has the lock.
     """
-    held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         with suppress(*(OSError,) * wait):
-            fcntl.flock(held, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         folder.lstat()
     except OSError:
-        os.close(held)
+        os.close(descriptor)
         raise
-    return held
+    return descriptor
 
 
 @contextmanager

@@ -129,18 +129,18 @@ def interrupts_later() -> Iterator[Callable[[], None]]:
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
-    held: list[int] = []
+    pending: list[int] = []
 
     def check() -> None:
-        if held:
-            held.clear()
+        if pending:
+            pending.clear()
             raise KeyboardInterrupt
 
     # Only what Python handles: an ignored signal stays ignored, and what ends the process at once still does. A
     # handler, not a mask or SIG_IGN, because a child would inherit those.
     before = {number: handler for number in _INTERRUPTS if callable(handler := signal.getsignal(number))}
     for number in before:
-        signal.signal(number, lambda number, _frame: held.append(number))
+        signal.signal(number, lambda number, _frame: pending.append(number))
     try:
         yield check
     finally:

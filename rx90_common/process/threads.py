@@ -45,14 +45,14 @@ def run_on(cpus: str) -> None:
     """
     usable = os.sched_getaffinity(0)
     try:
-        wanted = {number for part in cpus.split(",") for number in _numbers(part)}
+        requested = {number for part in cpus.split(",") for number in _numbers(part)}
     except ValueError:
-        wanted = set()
-    if not wanted or not wanted <= usable:
+        requested = set()
+    if not requested or not requested <= usable:
         accepted = ", ".join(map(str, sorted(usable)))
         raise ConfigError(f"--cpus {quoted(cpus)}; accepted: numbers and ranges, as in 0,2-3, of {accepted}")
     for thread in _threads():
-        os.sched_setaffinity(thread, wanted)
+        os.sched_setaffinity(thread, requested)
 
 
 def _numbers(part: str) -> range:

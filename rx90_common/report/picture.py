@@ -165,8 +165,8 @@ def _draw_legend(axes: Axes, panel: Panel, labels: tuple[str, ...], width: float
     handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     axes.legend(handles.values(), handles, loc="lower right", bbox_to_anchor=(1.0, 1.01), ncols=columns)
     used = sum(_HANDLE + _CHARACTER * len(label) for label in labels)
-    beside = columns == len(labels) and _TITLE_CHARACTER * len(panel.title) + used <= width
-    return 0 if beside or not panel.title else -(-len(labels) // columns)
+    fits_beside_title = columns == len(labels) and _TITLE_CHARACTER * len(panel.title) + used <= width
+    return 0 if fits_beside_title or not panel.title else -(-len(labels) // columns)
 
 
 def _draw_heat(axes: Axes, heat: Heat) -> None:

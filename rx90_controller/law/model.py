@@ -175,8 +175,8 @@ class ModelFiles:
                     accepted = "a path from this file's folder or from config/, or an absolute one"
                     named.refuse(role, name, f"a {DESCRIPTIONS[role]}: {accepted}")
             else:
-                beside = root.file.parent / FILES[role]
-                found[role] = None if role == "tool" and not beside.is_file() else beside
+                default_file = root.file.parent / FILES[role]
+                found[role] = None if role == "tool" and not default_file.is_file() else default_file
         return cls(**found)  # type: ignore[arg-type]  # None only for the tool
 
     @cached_property
@@ -267,10 +267,10 @@ def hand_over(law: Any, state: Any) -> None:
     if own.parts != FRESH:
         for i in range(size(own.before)):
             limit = law.integrator_limit[i]
-            wanted = state.integrator[i] + (own.before[i] - state.feed_forward[i])
-            given = min(max(wanted, -limit), limit)
-            state.position_torque[i] += given - state.integrator[i]
-            state.integrator[i] = given
+            unlimited = state.integrator[i] + (own.before[i] - state.feed_forward[i])
+            limited = min(max(unlimited, -limit), limit)
+            state.position_torque[i] += limited - state.integrator[i]
+            state.integrator[i] = limited
     own.parts = law.model.parts
 
 

@@ -162,8 +162,8 @@ class ManagerServices:
     ) -> Any:
         """Answer the state that the arm is in; no other can be reached."""
         target = request.target_state
-        wanted = target.label == _ACTIVE.label if target.label else target.id == _ACTIVE.id
-        response.ok, response.state = request.name == self._robot and wanted, _ACTIVE
+        is_active = target.label == _ACTIVE.label if target.label else target.id == _ACTIVE.id
+        response.ok, response.state = request.name == self._robot and is_active, _ACTIVE
         if not response.ok:
             return self._refuse("set_hardware_component_state", request, response)
         return response

@@ -313,14 +313,14 @@ class ServoLoop:
         Raises:
             TrajectoryError: if it is not to run without one, and none waits for it.
         """
-        asked, points = request.message.header.frame_id == CORRECTED, request.points
-        if points is None or (self._correction is None and not asked):
+        requested, points = request.message.header.frame_id == CORRECTED, request.points
+        if points is None or (self._correction is None and not requested):
             return
         identity = trajectory_identity(points)
         waiting, self._correction = self._correction, None
         if waiting is not None and waiting[0] == identity:
             request.points = replace(points, correction=waiting[1])
-        elif asked:
+        elif requested:
             raise TrajectoryError("its correction has not come; accepted: after it on ~/commanded_correction")
         else:
             with self.between_ticks:

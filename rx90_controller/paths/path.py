@@ -203,9 +203,9 @@ class Path:
                 "orientation"
             )
         grid = np.linspace(0.0, self.length, 400)
-        flat = np.linalg.norm(rotated(transposed(rpy_rotation(self.start_rpy)), self.curve.at(grid, 1))[:, :2], axis=1)
-        if flat.min() < 0.05:
-            at = float(grid[int(np.argmin(flat))])
+        horizontal = np.linalg.norm(rotated(transposed(rpy_rotation(self.start_rpy)), self.curve.at(grid, 1))[:, :2], axis=1)
+        if horizontal.min() < 0.05:
+            at = float(grid[int(np.argmin(horizontal))])
             raise LineError(
                 f"the tool turns with the path, which runs along the tool's z axis at {at:.6g} m; accepted: a path "
                 "across it, or another orientation"
@@ -292,9 +292,9 @@ class Path:
             (x, y), (dx, dy), (ddx, ddy) = (
                 rotated(transposed(tool), self.curve.at(distance, k)).T[:2] for k in (1, 2, 3)
             )
-            flat = x * x + y * y
-            rate = (x * dy - y * dx) / flat
-            change = (x * ddy - y * ddx) / flat - 2.0 * rate * (x * dx + y * dy) / flat
+            horizontal = x * x + y * y
+            rate = (x * dy - y * dx) / horizontal
+            change = (x * ddy - y * ddx) / horizontal - 2.0 * rate * (x * dx + y * dy) / horizontal
             first[:, 3:], second[:, 3:] = rate[:, None] * tool[:, 2], change[:, None] * tool[:, 2]
         if self.orientation == INTERPOLATED:
             for rows, _, turn, share in self._turns(distance):
@@ -335,12 +335,12 @@ class Path:
             most: limits of the acceleration, rad/s², shape (n,); infinite for none.
         """
         slope, bend = np.abs(slope), np.abs(bend)
-        asked = np.full(len(distance), np.inf)
+        requested = np.full(len(distance), np.inf)
         for one in self._limits:
             within = (distance >= one.begin) & (distance <= one.end)
-            asked[within] = np.minimum(asked[within], one.speed)
+            requested[within] = np.minimum(requested[within], one.speed)
         velocity, most = _SPEED_RESERVE * velocity, _RESERVE * most
-        short = slope * self.acceleration + bend * asked[:, None] ** 2 > most
+        short = slope * self.acceleration + bend * requested[:, None] ** 2 > most
         with np.errstate(divide="ignore", invalid="ignore"):
             allowed = np.where(short & (slope > 0.0), _ACCELERATION_SHARE * most / slope, np.inf)
             acceleration = np.minimum(allowed.min(axis=1), self.acceleration)

@@ -104,8 +104,8 @@ class PlayedCorrection:
         """
         row = np.clip(np.minimum(ticks, self.cut - 1) - self.begin, 0, len(self.correction.offsets) - 1)
         share = np.clip((row + 1.0) / self.fade, 0.0, 1.0)
-        left = np.clip((self.over - ticks) / self.fade, 0.0, 1.0)
-        weight = share * share * (3.0 - 2.0 * share) * (left * left * (3.0 - 2.0 * left))
+        fading_out = np.clip((self.over - ticks) / self.fade, 0.0, 1.0)
+        weight = share * share * (3.0 - 2.0 * share) * (fading_out * fading_out * (3.0 - 2.0 * fading_out))
         weight = np.where(ticks < self.begin, 0.0, weight)
         return np.asarray(self.correction.offsets[row] * weight[:, None])
 

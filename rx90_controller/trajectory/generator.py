@@ -238,17 +238,17 @@ class TrajectoryGenerator:
             PastError: if all its points lie in the past.
             TrajectoryError: if it starts elsewhere than the arm is, or breaks a limit.
         """
-        begin, late, left = points_left(points, now, start, self.period)
+        begin, late, remaining = points_left(points, now, start, self.period)
         self._promote(now)
         if late > 0.0 and points.correction is not None:
             raise TrajectoryError(f"a correction begins {late:.6g} s late; accepted: with its trajectory's first point")
         if late == 0.0 and points.times[0] == 0.0 and not anywhere:
-            held = self._base(now).entry(begin)
-            first = points.held_at(held[0])
-            self.limits.check_near(first, held)
+            reference = self._base(now).entry(begin)
+            first = points.held_at(reference[0])
+            self.limits.check_near(first, reference)
             if first.velocity is not None and (first.degrees is None or first.degrees[0] > 1):
-                self.limits.check_start(held, first.velocity[0], self.period)
-        return self._take(left, now, begin, follow=anywhere)
+                self.limits.check_start(reference, first.velocity[0], self.period)
+        return self._take(remaining, now, begin, follow=anywhere)
 
     def follow_stream(self, stream: Stream, points: SetPoints, now: int) -> None:
         """Follow set-points of a stream from position tick `now` on, in place of whatever runs or waits.
@@ -258,9 +258,9 @@ class TrajectoryGenerator:
         self._promote(now)
         base = self._base(now)
         rate = self._rate(base, now)
-        held = base.setpoints(now, 1)[0] if rate == 0.0 else base.entry(now)
-        if stream.take(points, now, held):
-            spline = stream.motion(now, held)
+        reference = base.setpoints(now, 1)[0] if rate == 0.0 else base.entry(now)
+        if stream.take(points, now, reference):
+            spline = stream.motion(now, reference)
             self._follow(base, Path(spline, 0.0, spline.duration), now, now, rate or self.factor)
             assert self._next is not None
             self._next.announced = True
@@ -368,22 +368,22 @@ class TrajectoryGenerator:
         limits, base, partial = self.limits, self._base(now), not points.named.all()
         rate = self._rate(base, begin)
         # Held on the path, the arm rests, and may go elsewhere from there.
-        rests = begin == now and rate == 0.0 and not (follow and partial)
-        held = base.setpoints(begin, 1)[0] if rests else base.entry(begin)
-        outside = limits.outside(held[0])
+        stands_still = begin == now and rate == 0.0 and not (follow and partial)
+        reference = base.setpoints(begin, 1)[0] if stands_still else base.entry(begin)
+        outside = limits.outside(reference[0])
         # An arm that was pushed beyond a limit may come back: from there on only inwards.
         allowed = np.where(outside > 0.0, outside + limits.start_tolerance, 0.0)
-        points = points.held_at(held[0])
+        points = points.held_at(reference[0])
         limits.check_points(points, allowed)
-        spline = connect(points, np.where(points.named, held, [held[0], 0.0 * held[1], 0.0 * held[2]]), limits)
+        spline = connect(points, np.where(points.named, reference, [reference[0], 0.0 * reference[1], 0.0 * reference[2]]), limits)
         last = spline.duration
         if points.velocity is not None and points.velocity[-1].any():
             spline = joined(spline, last, stop(spline.final, points.velocity[-1], limits.acceleration))
         if partial and follow:
             spline = merged(spline, remainder(base.path.spline, base.at(begin)[0]), ~points.named)
         elif partial:
-            spline = merged(spline, stop(held[0], held[1], limits.acceleration), ~points.named)
-        limits.check_start(held, spline.sample(np.zeros(1))[0, 1], self.period, points.first)
+            spline = merged(spline, stop(reference[0], reference[1], limits.acceleration), ~points.named)
+        limits.check_start(reference, spline.sample(np.zeros(1))[0, 1], self.period, points.first)
         try:
             limits.check_motion(spline, self.period, points, allowed)
         except TrajectoryError as error:
@@ -393,7 +393,7 @@ class TrajectoryGenerator:
         correction = points.correction
         if correction is not None:
             self._check_correction(correction, spline)
-        schedule = self._follow(base, Path(spline, 0.0, last), now, begin, self.factor if rests else rate)
+        schedule = self._follow(base, Path(spline, 0.0, last), now, begin, self.factor if stands_still else rate)
         if correction is not None:
             self._played = [*self._played, PlayedCorrection.started(correction, begin)]
         return schedule
@@ -440,11 +440,11 @@ def points_left(
     begin = now if start is None else max(start, now)
     late = 0.0 if start is None else (begin - start) * period
     # Nothing but the start: whoever is there already has reached it.
-    left = points if late == 0.0 and len(points.times) == 1 else points.after(late)
-    if not len(left.times):
+    remaining = points if late == 0.0 and len(points.times) == 1 else points.after(late)
+    if not len(remaining.times):
         ended = (begin * period - late) + points.times[-1]
         raise PastError(
             f"the last point is at {ended:.6g} s, the controller's time is {now * period:.6g} s; accepted: points "
             "later than that"
         )
-    return begin, late, left
+    return begin, late, remaining

@@ -146,16 +146,16 @@ class TrajectoryPoints:
 
     def after(self, time: float) -> TrajectoryPoints:
         """Return the points later than a time, s, with times from there on."""
-        kept = self.times > time + _SHORTEST_STEP
-        velocity, acceleration = (None if rows is None else rows[kept] for rows in (self.velocity, self.acceleration))
+        later = self.times > time + _SHORTEST_STEP
+        velocity, acceleration = (None if rows is None else rows[later] for rows in (self.velocity, self.acceleration))
         return replace(
             self,
-            times=self.times[kept] - time,
-            position=self.position[kept],
+            times=self.times[later] - time,
+            position=self.position[later],
             velocity=velocity,
             acceleration=acceleration,
-            first=self.first + int(np.count_nonzero(~kept)),
-            degrees=None if self.degrees is None else self.degrees[kept],
+            first=self.first + int(np.count_nonzero(~later)),
+            degrees=None if self.degrees is None else self.degrees[later],
         )
 
     def held_at(self, position: Array) -> TrajectoryPoints:
@@ -237,9 +237,9 @@ def joint_table(
 def _degrees(velocity: Sequence[Sequence[float]], acceleration: Sequence[Sequence[float]]) -> NDArray[np.intp] | None:
     """Return the degrees of the ways to n points by what these carry, shape (n,); None if all points are alike."""
     given = np.array([[len(row) > 0 for row in rows] for rows in (velocity, acceleration)])
-    without = np.flatnonzero(given[1] & ~given[0])
-    if without.size:
-        raise TrajectoryError(f"point {without[0]}: accelerations without velocities; accepted: velocities too")
+    lacking = np.flatnonzero(given[1] & ~given[0])
+    if lacking.size:
+        raise TrajectoryError(f"point {lacking[0]}: accelerations without velocities; accepted: velocities too")
     if (given == given[:, :1]).all():
         return None
     # The way to the first point comes from the set-point, which has all.

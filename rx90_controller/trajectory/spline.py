@@ -291,18 +291,18 @@ def _advance(
         sample_spline(knots, coefficients, final, at, here)
         bound = _bound(here[0], rate, wanted, limit, period)
         # The rate may always stay; how far it may change is searched for between that and the bound.
-        kept, beyond, tried = rate, bound, bound
+        reachable, beyond, tried = rate, bound, bound
         for _ in range(_HALVINGS):
             at[0] = time + 0.5 * period * (rate + tried)
             sample_spline(knots, coefficients, final, at, there)
             if _follows(here[0], rate, there[0], tried, limit, period):
-                kept = tried
+                reachable = tried
                 if tried == bound:
                     break
             else:
                 beyond = tried
-            tried = 0.5 * (kept + beyond)
-        series[0, k + 1], series[1, k + 1] = time + 0.5 * period * (rate + kept), kept
+            tried = 0.5 * (reachable + beyond)
+        series[0, k + 1], series[1, k + 1] = time + 0.5 * period * (rate + reachable), reachable
     return count
 
 
@@ -312,10 +312,10 @@ def _bound(here: Array, rate: float, wanted: float, limit: Array, period: float)
     change = (wanted - rate) / period
     for j in range(limit.size):
         slope, bend = here[1, j], here[2, j] * rate * rate
-        asked = slope * change
-        room = max(limit[j] - bend if asked > 0.0 else limit[j] + bend, 0.0)
-        if abs(asked) > room:
-            change *= room / abs(asked)
+        acceleration_change = slope * change
+        room = max(limit[j] - bend if acceleration_change > 0.0 else limit[j] + bend, 0.0)
+        if abs(acceleration_change) > room:
+            change *= room / abs(acceleration_change)
     if change == (wanted - rate) / period:
         return wanted
     return rate + change * period
@@ -393,12 +393,12 @@ class FollowedPath:
             return self.path.spline.sample((ticks - self.start) * self.period)
         times = (ticks - self.start) * self.period
         rates, changes = np.ones(len(times)), np.zeros(len(times))
-        left = np.ones(len(times), dtype=bool)
+        pending = np.ones(len(times), dtype=bool)
         for law in reversed(self.laws):
-            rows = left & (ticks >= law.tick)
+            rows = pending & (ticks >= law.tick)
             times[rows], rates[rows], changes[rows] = law.at(ticks[rows])
-            left &= ~rows
-            if not left.any():
+            pending &= ~rows
+            if not pending.any():
                 break
         setpoints = self.path.spline.sample(times)
         slope, rate = setpoints[:, 1].copy(), rates[:, None]

@@ -242,14 +242,14 @@ class Stream:
 
     def news(self, delay: float) -> list[str]:
         """Return what is wrong with the stream and has not been said yet, a line for each kind; `delay` is in s."""
-        news = {
+        notes = {
             "late": f"a set-point came {self.latest:.3g} s after it was due: the last one was held; accepted: within "
             f"stream.delay, {delay:g} s, of its stamp, or time_from_start ahead" if self.late else "",
             "clock": "stamps are of another clock than the controller's time: set-points count from when they come; "
             "accepted: simulated time (use_sim_time), or no stamps" if self.own_clock else "",
             "beyond": f"{self.beyond}; followed within the limits" if self.beyond else "",
         }  # fmt: skip
-        fresh = {kind: line for kind, line in news.items() if line and kind not in self.said}
+        fresh = {kind: line for kind, line in notes.items() if line and kind not in self.said}
         self.said |= fresh.keys()
         return list(fresh.values())
 
@@ -373,10 +373,10 @@ def _follow(
                 k += 1
             after = i >= times[last]
             if free[j]:
-                wanted = _line(times, values, j, i + 1.0)
+                desired = _line(times, values, j, i + 1.0)
                 if i < times[last] - 1.0:
                     behind[j] = max(behind[j], abs(v - _line(times, values, j, float(i))))
-                change = wanted - v
+                change = desired - v
                 done = after and v == 0.0
             else:
                 r, w = _cubic(times, values, slopes, j, k, float(i))

@@ -191,9 +191,9 @@ def _sweep(nominal: Nominal, name: str) -> Case:
     motion.sweep(speed, 1.0, plateau, float(setup.controller.max_acceleration.min()))
     ramp = float(motion.points(setup.robot.joint_names).times[1])
     joints = len(pose)
-    wanted = np.geomspace(_SLOWEST, _FASTEST, joints * _SINES)
+    targets = np.geomspace(_SLOWEST, _FASTEST, joints * _SINES)
     whole: list[int] = []
-    for frequency in wanted:  # no number twice: the next one then
+    for frequency in targets:  # no number twice: the next one then
         whole.append(max(round(frequency), whole[-1] + 1 if whole else 0))
     frequency = np.array(whole, dtype=np.float64).reshape(_SINES, joints).T
     phase = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, frequency.shape)

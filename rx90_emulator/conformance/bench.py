@@ -185,8 +185,8 @@ class _Run:
         name, timeout, child = self.case.name, self.candidate.timeout, self._child
         log = "" if child is None else f"; see {child.log}"
         if child is not None and child.returncode is not None:
-            said = child.lines[-1] if child.lines else "it printed nothing"
-            raise ExchangeError(f"case {name}: the controller has ended with exit code {child.returncode}: {said}{log}")
+            last_line = child.lines[-1] if child.lines else "it printed nothing"
+            raise ExchangeError(f"case {name}: the controller has ended with exit code {child.returncode}: {last_line}{log}")
         if time.monotonic() - self._heard > timeout:
             raise ExchangeError(f"case {name}: {wrong} within {timeout:g} s{log}")
 

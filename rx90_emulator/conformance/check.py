@@ -69,11 +69,11 @@ class CaseResult:
         runs = ((self.record, "controller", COLOURS[1]), (self.of_cs7b, "CS7B", COLOURS[0]))
         names, panels = [one.joint for one in self.findings if one.quantity == "gain_margin"], []
         if self.case.sines is not None and names:
-            opened = [(loops(record), label, colour) for record, label, colour in runs]
+            open_loops = [(loops(record), label, colour) for record, label, colour in runs]
             for level, y_label in ((0.0, "gain, dB"), (-180.0, "phase, deg")):
                 for j, name in enumerate(names):
                     marks = [Curve(own[j].frequency, own[j].bode[y_label], label, colour, dots=True)
-                             for own, label, colour in opened]  # fmt: skip
+                             for own, label, colour in open_loops]  # fmt: skip
                     title, x_label = (name, "") if level == 0.0 else ("", "frequency, Hz")
                     panels.append(Panel([Level(level, "", GREY), *marks], title, x_label, y_label, "log"))
             return Plot(panels, columns=3, height=1.8)

@@ -191,8 +191,8 @@ def measure(record: Record, set_points: Array, at_joints: bool | None = None) ->
             values |= {(quantity, name): value for quantity, value in loop.margins().items()}
         return values
     for j, name in enumerate(joints):
-        own, asked = error[moving, j], np.nan_to_num(torque[moving, j])
-        ripple = asked - uniform_filter1d(asked, max(1, round(_RIPPLE_WINDOW / record.period)))
+        own, requested = error[moving, j], np.nan_to_num(torque[moving, j])
+        ripple = requested - uniform_filter1d(requested, max(1, round(_RIPPLE_WINDOW / record.period)))
         values |= {
             ("tracking_error_peak", name): float(np.abs(own).max()),
             ("tracking_error_rms", name): _rms(own),

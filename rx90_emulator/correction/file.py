@@ -182,8 +182,8 @@ class CorrectionFile:
         Raises:
             ConfigError: for another robot, arm, speed or path, with the numbers.
         """
-        asked, period = TrajectoryPath.of(setup, path.points, path.counted), setup.rates.position_period
-        here, counted = identity_of(setup, asked), int(asked.counts.sum())
+        trajectory, period = TrajectoryPath.of(setup, path.points, path.counted), setup.rates.position_period
+        here, counted = identity_of(setup, trajectory), int(trajectory.counts.sum())
         if not math.isclose(self.correction.period, period):
             raise ConfigError(
                 f"{plain(self.file)} has offsets every {self.correction.period:g} s, the controller a set-point every "
@@ -218,7 +218,7 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
         ConfigError: for a name that does not end with .yaml.
         Rx90Error: if it cannot be written.
     """
-    (head, beside), of = correction_files(file), learned.path
+    (head, offsets_file), of = correction_files(file), learned.path
     distance = np.array([trial.distance for trial in learned.trials])
     worst, seen = [trial.worst for trial in learned.trials], [learned.seen] * len(learned.trials)
     if earlier is not None:
@@ -234,9 +234,9 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
         "method": f"{type(learned.method).__name__}: {', '.join(options)}",
         "seen": seen,
         "worst": worst,
-        "offsets": {"file": beside.name, "sha256": hashlib.sha256(buffer.getvalue()).hexdigest()},
+        "offsets": {"file": offsets_file.name, "sha256": hashlib.sha256(buffer.getvalue()).hexdigest()},
     }
-    write_all({head: yaml_text(content).encode(), beside: buffer.getvalue()})
+    write_all({head: yaml_text(content).encode(), offsets_file: buffer.getvalue()})
 
 
 def correction_files(name: Path | str) -> tuple[Path, Path]:
@@ -259,17 +259,17 @@ def load_correction(name: Path | str) -> CorrectionFile:
     """
     file = Path(name)
     content = CORRECTION.read(load_yaml(file))
-    beside = file.parent / Path(content["offsets"]["file"]).name
+    offsets_file = file.parent / Path(content["offsets"]["file"]).name
     try:
-        if beside.stat().st_size > _MOST_BYTES:
-            raise ConfigError(f"{plain(beside)}: {beside.stat().st_size} bytes; accepted: up to {_MOST_BYTES}")
-        data = beside.read_bytes()
+        if offsets_file.stat().st_size > _MOST_BYTES:
+            raise ConfigError(f"{plain(offsets_file)}: {offsets_file.stat().st_size} bytes; accepted: up to {_MOST_BYTES}")
+        data = offsets_file.read_bytes()
     except OSError as error:
         raise ConfigError(
-            f"{plain(beside)}: {error.strerror}; accepted: the file written with {plain(file)}"
+            f"{plain(offsets_file)}: {error.strerror}; accepted: the file written with {plain(file)}"
         ) from error
     if hashlib.sha256(data).hexdigest() != content["offsets"]["sha256"]:
-        raise ConfigError(f"{plain(beside)}: other offsets than {plain(file)} has; accepted: the file written with it")
+        raise ConfigError(f"{plain(offsets_file)}: other offsets than {plain(file)} has; accepted: the file written with it")
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             offsets, best, distance = (
@@ -284,5 +284,5 @@ def load_correction(name: Path | str) -> CorrectionFile:
         if distance.ndim != 2 or not distance.size or len(trials) > 1 or not np.isfinite(distance).all():
             raise ValueError(f"distances of shape {distance.shape} that are no row for each trial")
     except (KeyError, ValueError, zipfile.BadZipFile, TrajectoryError) as error:
-        raise ConfigError(f"{plain(beside)}: {error}; accepted: a file that rx90_correct wrote") from error
+        raise ConfigError(f"{plain(offsets_file)}: {error}; accepted: a file that rx90_correct wrote") from error
     return CorrectionFile(file, content, correction, best, distance)

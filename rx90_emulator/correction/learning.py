@@ -188,10 +188,10 @@ class Learner:
         if measured.played is not None:
             full = np.flatnonzero(self.nominal.counts)
             full = full[full * self.nominal.period >= FADE]  # before, it may be on its way
-            apart = float(np.abs(measured.played - self.offsets)[full].max(initial=0.0))
-            if apart > _SAME:
+            difference = float(np.abs(measured.played - self.offsets)[full].max(initial=0.0))
+            if difference > _SAME:
                 raise ConfigError(
-                    f"the offsets that were played are up to {apart:.3g} rad from those that are learned from, up to "
+                    f"the offsets that were played are up to {difference:.3g} rad from those that are learned from, up to "
                     f"{np.abs(self.offsets).max():.3g} rad; accepted: a trial with this correction, --previous"
                 )
         distance = self.distance(measured)
@@ -300,14 +300,14 @@ def run_corrected(
         TrajectoryError: if trajectory or correction is refused.
     """
     points, period = replace(path.points, correction=correction), setup.rates.position_period
-    held = math.ceil(max(0.0, _HELD - path.counted[0]) / period)
-    asked = path if isinstance(path, TrajectoryPath) else TrajectoryPath.of(setup, path.points, path.counted)
-    count = len(asked.counts)
-    run = simulate(setup, points, start_time=held * period, duration=(held + count) * period)
-    rows = slice(held, held + count)
+    lead = math.ceil(max(0.0, _HELD - path.counted[0]) / period)
+    trajectory = path if isinstance(path, TrajectoryPath) else TrajectoryPath.of(setup, path.points, path.counted)
+    count = len(trajectory.counts)
+    run = simulate(setup, points, start_time=lead * period, duration=(lead + count) * period)
+    rows = slice(lead, lead + count)
     offsets = run.slow.correction[rows] if len(run.slow.correction) else 0.0
     tip = tip_position(setup.robot.chain, run.slow.joint_states[rows, 0])
-    return run, Measured(run.slow.tracking_error[rows, 0] - offsets, asked.tip - tip)
+    return run, Measured(run.slow.tracking_error[rows, 0] - offsets, trajectory.tip - tip)
 
 
 def learn_correction(
@@ -344,8 +344,8 @@ def learn_correction(
     planned = plan_path(setup, path) if isinstance(path, (LineTask, Path)) else path
     before = None if previous is None else previous.offsets
     learner = Learner(model or setup, planned, method, tip=tip, noise=noise, previous=before)
-    asked = learner.nominal if model is None else TrajectoryPath.of(setup, planned.points, planned.counted)
-    return learn(learner, lambda played: run_corrected(setup, asked, played)[1], trials, ENGINE, told)
+    trajectory = learner.nominal if model is None else TrajectoryPath.of(setup, planned.points, planned.counted)
+    return learn(learner, lambda played: run_corrected(setup, trajectory, played)[1], trials, ENGINE, told)
 
 
 def summary(trials: Iterable[TrialRecord]) -> str:

@@ -103,18 +103,18 @@ class NormOptimal:
 
     def prepare(self, setup: Setup, nominal: TrajectoryPath, *, tip: bool) -> Update:
         """Return how it learns."""
-        a, b, apart = response(setup, nominal.setpoints)
-        slopes = jacobian(setup.robot.chain, nominal.setpoints[::apart, 0])
+        a, b, stride = response(setup, nominal.setpoints)
+        slopes = jacobian(setup.robot.chain, nominal.setpoints[::stride, 0])
         by_tip = np.ascontiguousarray(np.swapaxes(slopes[:, :3], 1, 2))
         weight = by_tip @ slopes[:, :3] + (0.0 if tip else self.joints**2) * np.eye(slopes.shape[2])
-        counted, point = lead_in(nominal), np.arange(len(nominal.counts)) // apart
-        feedback, factors = gains(a, b, apart, weight, self.effort, counted)
+        counted, point = lead_in(nominal), np.arange(len(nominal.counts)) // stride
+        feedback, factors = gains(a, b, stride, weight, self.effort, counted)
         towards = (by_tip if tip else weight)[point] * counted[:, None, None]
         low_pass = None if self.cutoff is None else zero_phase(self.cutoff, nominal.period)
 
         def update(offsets: Array, error: Array, share: float) -> Array:
             weighted = np.einsum("nij,nj->ni", towards, error)
-            changed = offsets + share * best_change(a, b, apart, feedback, factors, weighted)
+            changed = offsets + share * best_change(a, b, stride, feedback, factors, weighted)
             return changed if low_pass is None else low_pass(changed)
 
         return update

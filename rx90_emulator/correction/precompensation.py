@@ -77,8 +77,8 @@ def precompensate(
     begin, end = path.counted
     travelled, errors = TrajectoryPath.of(setup, points, (begin, min(end, float(points.times[-1])))), []
     for one, added in ((nominal, None), (nominal, correction), (travelled, None)):
-        left = run_corrected(setup, one, added)[1].tip
-        assert left is not None
-        tip = (one.tip - left)[:count]
+        remaining = run_corrected(setup, one, added)[1].tip
+        assert remaining is not None
+        tip = (one.tip - remaining)[:count]
         errors.append(float(path.distance(tip[nominal.counts[: len(tip)]]).max()))
     return Precompensation(points, *errors)

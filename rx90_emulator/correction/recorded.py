@@ -105,13 +105,13 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
             "accepted: a record without gaps"
         )
     found = np.column_stack([np.interp(rows, times, column) for column in values.T])
-    apart = float(np.sqrt(np.mean((found - nominal)[counts] ** 2)) / max(np.ptp(nominal, axis=0).max(), 1e-12))
-    if apart > _MOST_APART:
+    difference = float(np.sqrt(np.mean((found - nominal)[counts] ** 2)) / max(np.ptp(nominal, axis=0).max(), 1e-12))
+    if difference > _MOST_APART:
         raise ConfigError(
-            f"{what}: {apart:.1%} of the motion's range away from the path where they fit best, at {shift:.6g} s; "
+            f"{what}: {difference:.1%} of the motion's range away from the path where they fit best, at {shift:.6g} s; "
             f"accepted: up to {_MOST_APART:.0%}, a record of this path"
         )
-    return Laid(found, float(shift), apart)
+    return Laid(found, float(shift), difference)
 
 
 def joints_of_bag(
@@ -126,18 +126,18 @@ def joints_of_bag(
         BagError: for a bag that cannot be read, or without these joints.
         ConfigError: for a bag of another motion.
     """
-    names, wanted = setup.robot.joint_names, nominal.setpoints[:, 0]
+    names, reference_positions = setup.robot.joint_names, nominal.setpoints[:, 0]
     try:
         reference, tracking = (read_joint_states(bag, each, names) for each in (REFERENCE, TRACKING))
     except BagError:
         series = read_joint_states(bag, topic, names)
         if series.position is None:
             raise BagError(f"{plain(bag)}: {topic} without positions; accepted: joint positions") from None
-        laid = laid_under(series.time, series.position, wanted, nominal.period, nominal.counts, plain(bag))
-        return wanted - laid.values, None, f"{topic}, begun at {laid.shift:.6f} s of its time, {laid.apart:.2%} apart"
+        laid = laid_under(series.time, series.position, reference_positions, nominal.period, nominal.counts, plain(bag))
+        return reference_positions - laid.values, None, f"{topic}, begun at {laid.shift:.6f} s of its time, {laid.apart:.2%} apart"
     assert reference.position is not None
     assert tracking.position is not None
-    laid = laid_under(reference.time, reference.position, wanted, nominal.period, nominal.counts, plain(bag))
+    laid = laid_under(reference.time, reference.position, reference_positions, nominal.period, nominal.counts, plain(bag))
     added = np.zeros_like(tracking.position)
     with suppress(BagError):  # no such topic, or no message on it: no correction was played
         played = read_joint_states(bag, CORRECTION, names)
@@ -146,9 +146,9 @@ def joints_of_bag(
         added[both.rows_a] = played.position[both.rows_b]
     first = round(laid.shift / nominal.period)
     ticks = np.round(tracking.time / nominal.period).astype(np.int64)
-    rows = np.clip(np.searchsorted(ticks, first + np.arange(len(wanted))), 0, len(ticks) - 1)
-    said = f"the controller's set-points, begun at {first * nominal.period:.6f} s"
-    return (tracking.position - added)[rows], added[rows], said
+    rows = np.clip(np.searchsorted(ticks, first + np.arange(len(reference_positions))), 0, len(ticks) - 1)
+    source = f"the controller's set-points, begun at {first * nominal.period:.6f} s"
+    return (tracking.position - added)[rows], added[rows], source
 
 
 def tip_of_file(file: Path | str, nominal: TrajectoryPath, topic: str | None = None) -> tuple[Array, str]:
@@ -204,15 +204,15 @@ def measured(
     Raises:
         Rx90Error: as `joints_of_bag` and `tip_of_file`.
     """
-    joints, played, said = np.zeros((len(nominal.counts), len(setup.robot.joint_names))), None, []
+    joints, played, sources = np.zeros((len(nominal.counts), len(setup.robot.joint_names))), None, []
     if bag is not None:
         joints, played, text = joints_of_bag(bag, setup, nominal, topic)
-        said.append(text)
+        sources.append(text)
     error = None
     if tip is not None:
         error, text = tip_of_file(tip, nominal, tip_topic)
-        said.append(text)
-    return Measured(joints, error, played), said
+        sources.append(text)
+    return Measured(joints, error, played), sources
 
 
 def learn_from_record(

@@ -49,8 +49,8 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
         setpoints: of the nominal motion, shape (m, 3, n).
     """
     controller, period = setup.controller, setup.rates.position_period
-    apart = max(1, round(SPACING / period))
-    at = slice(None, None, apart)
+    stride = max(1, round(SPACING / period))
+    at = slice(None, None, stride)
     linear = linearise(setup.robot, setup.drives, setpoints[at, 0], setpoints[at, 1], setpoints[at, 2])
     turns, elements, joints = setup.drives.turning.turns, setup.drives.turning.element_matrix, setpoints.shape[2]
     viscous = elements.T @ np.diag([element.c2 for element in setup.friction.elements]) @ elements
@@ -78,11 +78,11 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
     for _ in range(_HALVINGS):
         step = step @ step
     states = slice(4 * joints)
-    return np.ascontiguousarray(step[:, states, states]), np.ascontiguousarray(step[:, states, c]), apart
+    return np.ascontiguousarray(step[:, states, states]), np.ascontiguousarray(step[:, states, c]), stride
 
 
 def gains(
-    a: Array, b: Array, apart: int, error: Array, change: float, counted: Array
+    a: Array, b: Array, stride: int, error: Array, change: float, counted: Array
 ) -> tuple[Array, NDArray[np.void]]:
     """Return the feedback K, shape (m, n, 4n), and the factors of R + B' P B, shape (m,): the Riccati recursion.
 
@@ -97,12 +97,12 @@ def gains(
     joints = b.shape[2]
     # In records, where `factorise` and `solve` take them from.
     factors = np.empty(len(counted), np.dtype([("factor", np.float64, (joints, joints))]))
-    return _gains(a, b, apart, error, change, counted, factors), factors
+    return _gains(a, b, stride, error, change, counted, factors), factors
 
 
 @kernel
 def _gains(
-    a: Array, b: Array, apart: int, error: Array, change: float, counted: Array, factors: NDArray[np.void]
+    a: Array, b: Array, stride: int, error: Array, change: float, counted: Array, factors: NDArray[np.void]
 ) -> Array:
     count, states, joints = len(counted), a.shape[1], b.shape[2]
     feedback = np.empty((count, joints, states))
@@ -110,7 +110,7 @@ def _gains(
     closed, pushed = np.empty((states, states)), np.empty((states, joints))
     weight, column = np.empty((joints, joints)), np.empty(joints)
     for k in range(count - 1, -1, -1):
-        point = min(k // apart, len(a) - 1)
+        point = min(k // stride, len(a) - 1)
         step, push = a[point], b[point]
         _times(cost, push, pushed)  # P B
         _transposed_times(push, pushed, weight)
@@ -140,7 +140,7 @@ def _gains(
 
 
 @kernel
-def best_change(a: Array, b: Array, apart: int, feedback: Array, factors: NDArray[np.void], weighted: Array) -> Array:
+def best_change(a: Array, b: Array, stride: int, feedback: Array, factors: NDArray[np.void], weighted: Array) -> Array:
     """Return the change of the correction, rad, shape (m, n).
 
     Args:
@@ -155,7 +155,7 @@ def best_change(a: Array, b: Array, apart: int, feedback: Array, factors: NDArra
     change, now, then = np.empty((count, joints)), np.zeros((states, 1)), np.zeros((states, 1))
     pushed, drawn = np.empty((joints, 1)), np.empty((states, 1))
     for k in range(count - 1, -1, -1):  # the adjoint
-        point = min(k // apart, len(a) - 1)
+        point = min(k // stride, len(a) - 1)
         _transposed_times(b[point], now, pushed)
         _transposed_times(a[point], now, then)
         _transposed_times(feedback[k], pushed, drawn)
@@ -165,7 +165,7 @@ def best_change(a: Array, b: Array, apart: int, feedback: Array, factors: NDArra
         solve(factors[k].factor, change[k])
     now[:] = 0.0
     for k in range(count):  # the response
-        point = min(k // apart, len(a) - 1)
+        point = min(k // stride, len(a) - 1)
         _times(feedback[k], now, pushed)
         for i in range(joints):
             change[k, i] -= pushed[i, 0]

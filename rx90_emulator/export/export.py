@@ -64,11 +64,11 @@ class Export:
         head = ["friction", "largest, Nm", "RMS, Nm", "over, rad/s", "break-away, Nm", "presliding, Nm/rad"]
         rows = [tuple(head)]
         for fit in self.fits:
-            away = [_both(one) for one in fit.break_away]
+            break_away = [_both(one) for one in fit.break_away]
             stiffness = ["rigid" if math.isinf(one) else f"{one:.3g}" for one in fit.stiffness]
             over = f"{fit.speeds.min():.2g} to {fit.speeds.max():.2g}"
             numbers = [f"{value:.2g}" if value > _WITHIN else "0" for value in (fit.largest, fit.rms)]
-            rows.append((fit.name, *numbers, over, " -> ".join(away), " -> ".join(stiffness)))
+            rows.append((fit.name, *numbers, over, " -> ".join(break_away), " -> ".join(stiffness)))
         lines = [f"{self.target.name}: {self.target.about}", f"speeds: {self.speeds}", ""]
         lines += aligned(rows, right=range(1, 4))
         whose: dict[str, list[str]] = {}

@@ -222,9 +222,9 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
     """Return what a target does not hold of an element, with its size; up to the fastest speed in use, rad/s."""
     lost = []
     if not target.everything:
-        apart = [abs(getattr(element, f"{p}_positive") - getattr(element, f"{p}_negative")) for p in ("tau_c", "tau_s")]
-        if any(apart):
-            lost.append(f"signs: tau_c and tau_s differ by {apart[0]:.3g} and {apart[1]:.3g} Nm, their means are kept")
+        differences = [abs(getattr(element, f"{p}_positive") - getattr(element, f"{p}_negative")) for p in ("tau_c", "tau_s")]
+        if any(differences):
+            lost.append(f"signs: tau_c and tau_s differ by {differences[0]:.3g} and {differences[1]:.3g} Nm, their means are kept")
         rise = max(getattr(element, f"tau_s_{sign}") - getattr(element, f"tau_c_{sign}") for sign in SIGNS)
         if rise and not target.stribeck:
             kept = "kept as break-away torque alone" if target.breaks_away else "left out"

@@ -154,14 +154,14 @@ def import_arm(path: Path | str) -> dict[str, str]:
     except ConfigError as error:
         raise ConfigError(f"{plain(path)}: its tendons: {error}") from error
     motors = [tendons.get(i, name) for i, name in enumerate(names)]
-    lost = [name for i, name in enumerate(names) if i in tendons and mjcf.own(name, "armature")]
-    if lost:
-        mjcf.refuse(f"armature of {lost[0]}, whose motor turns with others, too", "0")
+    unread = [name for i, name in enumerate(names) if i in tendons and mjcf.own(name, "armature")]
+    if unread:
+        mjcf.refuse(f"armature of {unread[0]}, whose motor turns with others, too", "0")
     rotors = np.array([mjcf.own(name, "armature") for name in motors])
     found = mjcf.friction()
     sources = dict(zip(turning.element_names(names), (*names, *(motors[i] for i in turning.sums)), strict=True))
-    if left := sorted(found.keys() - set(sources.values()) - mjcf.slides):
-        mjcf.refuse(f"friction of {left[0]}", f"of {listed(sources.values())}")
+    if unread := sorted(found.keys() - set(sources.values()) - mjcf.slides):
+        mjcf.refuse(f"friction of {unread[0]}", f"of {listed(sources.values())}")
     elements = {
         name: found[source] if source in found else _rigid(path, _NONE, 0.0, mjcf.own(source, "damping"))
         for name, source in sources.items()
@@ -195,8 +195,8 @@ class _Mjcf:
         self._path, self._mujoco = path, mujoco
         if not path.is_file():
             raise ConfigError(f"{plain(path)}: not there, or no file; accepted: an MJCF")
-        said: list[str] = []
-        mujoco.set_mju_user_warning(said.append)  # else they go to the terminal and into a file MUJOCO_LOG.TXT
+        warnings: list[str] = []
+        mujoco.set_mju_user_warning(warnings.append)  # else they go to the terminal and into a file MUJOCO_LOG.TXT
         try:
             spec = mujoco.MjSpec.from_file(str(path))
             self._drop_shapes(spec)
@@ -210,7 +210,7 @@ class _Mjcf:
             ) from error
         finally:
             mujoco.set_mju_user_warning(None)
-        warn_caller(f"{plain(path)}: MuJoCo warns: {' '.join(one.split())}" for one in said)
+        warn_caller(f"{plain(path)}: MuJoCo warns: {' '.join(one.split())}" for one in warnings)
         model = self._model
         self._joints = {model.joint(j).name: j for j in range(model.njnt)}
         kinds = {name: model.jnt_type[j] for name, j in self._joints.items()}

@@ -104,8 +104,8 @@ class RigidArm:
         def checked(name: str, given: ArrayLike | None, usual: Array) -> Array:
             value = usual if given is None else np.asarray(given, dtype=np.float64)
             if value.shape != usual.shape or not np.isfinite(value).all():
-                said = f"{name} has shape {value.shape}; accepted: finite numbers, shape {usual.shape}"
-                raise IdentificationError(said)
+                reason = f"{name} has shape {value.shape}; accepted: finite numbers, shape {usual.shape}"
+                raise IdentificationError(reason)
             return value
 
         turns = checked("coupling", coupling, np.eye(n))
@@ -186,8 +186,8 @@ class RigidArm:
             position: rad, shape (m, n).
             acceleration: rad/s^2, shape (m, n).
         """
-        beside = rotor_and_spring_torque(self.rotor, self.spring, position, acceleration)
-        return regressor @ inertial + beside + self.offset
+        rotor_and_spring = rotor_and_spring_torque(self.rotor, self.spring, position, acceleration)
+        return regressor @ inertial + rotor_and_spring + self.offset
 
     def stiffness_of(self, inertial: Array, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return the derivative of `torque_of` by the positions, Nm/rad, shape (m, n, n), all arguments as there."""
@@ -241,14 +241,14 @@ def joint_model(
     """
     model, root = _read_urdf(urdf)
     there = [str(name) for name in model.names][1:]
-    wanted = there if joints is None else list(joints)
-    for name in wanted:
+    requested = there if joints is None else list(joints)
+    for name in requested:
         if name not in there:
             raise IdentificationError(f"{urdf}: no movable joint {quoted(name)}; there are {listed(there) or 'none'}")
-    in_order = [name for name in there if name in wanted]
-    if wanted != in_order:
-        raise IdentificationError(f"{urdf}: joints {listed(wanted)}; accepted: from base to tip, {listed(in_order)}")
-    if not wanted:
+    in_order = [name for name in there if name in requested]
+    if requested != in_order:
+        raise IdentificationError(f"{urdf}: joints {listed(requested)}; accepted: from base to tip, {listed(in_order)}")
+    if not requested:
         raise IdentificationError(f"{urdf}: no movable joint; accepted: one or more")
     bad = {}
     for joint in root.findall("joint"):
@@ -257,19 +257,19 @@ def joint_model(
             bad[joint.get("name")] = f"is {kind}"
         elif mimic is not None:
             bad[joint.get("name")] = f"mimics {mimic.get('joint')}"
-    for name in wanted:
+    for name in requested:
         if name in bad:
             good = " ".join(other for other in there if other not in bad) or "(there are none)"
             raise IdentificationError(
                 f"{urdf}: joint {quoted(name)} {plain(bad[name])}; accepted: revolute and continuous joints with a "
                 f"drive of their own, --joints {good}"
             )
-    held = [model.getJointId(name) for name in there if name not in wanted and name not in followed]
-    reduced = pin.buildReducedModel(model, held, pin.neutral(model)) if held else model
+    fixed_joints = [model.getJointId(name) for name in there if name not in requested and name not in followed]
+    reduced = pin.buildReducedModel(model, fixed_joints, pin.neutral(model)) if fixed_joints else model
     data = reduced.createData()
     pin.computeSubtreeMasses(reduced, data)
     for name, mass in zip(list(reduced.names)[1:], list(data.mass)[1:], strict=True):
-        if name in wanted and not massless and not mass > 0.0:
+        if name in requested and not massless and not mass > 0.0:
             raise IdentificationError(
                 f"{urdf}: joint {quoted(name)} moves a mass of {mass:g} kg; accepted: links with <inertial>"
             )
@@ -310,8 +310,8 @@ def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
         reason = getattr(error, "strerror", error)
         raise IdentificationError(f"{plain(urdf)}: cannot be read ({reason}); accepted: a URDF file") from error
     except (ValueError, RuntimeError, ET.ParseError) as error:
-        said = next((line.removeprefix("Error:") for line in lines if line.startswith("Error:")), str(error))
-        reason = " ".join(said.split()) or type(error).__name__
+        message = next((line.removeprefix("Error:") for line in lines if line.startswith("Error:")), str(error))
+        reason = " ".join(message.split()) or type(error).__name__
         raise IdentificationError(f"{urdf}: no URDF that Pinocchio can read ({reason})") from error
 
 

@@ -260,8 +260,8 @@ def with_friction(
     elements = file.select(names)
     for name in file.elements:
         if name not in names:
-            said = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
-            raise IdentificationError(f"{where}: {said}")
+            reason = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
+            raise IdentificationError(f"{where}: {reason}")
     refuse_parts(file.elements, use, f"{where}: elements.", held=("bristles",))
     try:
         return file, elements, arm.with_joints(file.joints)

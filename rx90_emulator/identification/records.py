@@ -175,8 +175,8 @@ def spikes(values: Array) -> Mask:
     usual = np.percentile(distance, 99.0, axis=0)
     low, high = np.percentile(values, (1.0, 99.0), axis=0)
     far = distance > _OUTLIER_FACTOR * usual + _MIN_SPIKE_SHARE * (high - low) + 1e-9
-    beside = np.pad(distance, ((1, 1), (0, 0)))
-    alone = _NEIGHBOUR_SHARE * distance > np.maximum(beside[:-2], beside[2:])
+    padded = np.pad(distance, ((1, 1), (0, 0)))
+    alone = _NEIGHBOUR_SHARE * distance > np.maximum(padded[:-2], padded[2:])
     return np.asarray((far & alone).any(axis=1))
 
 
@@ -231,8 +231,8 @@ def read_record(
         raise IdentificationError(
             f"{where}: its efforts are in {plain(unit)}; accepted: Nm, or A with --torque-constant"
         )
-    kept = _good_rows(where, series)
-    time, fields = series.stamp_ns[kept] / NANOSECONDS, {name: each[kept] for name, each in series.fields.items()}
+    good = _good_rows(where, series)
+    time, fields = series.stamp_ns[good] / NANOSECONDS, {name: each[good] for name, each in series.fields.items()}
     for name, values in fields.items():
         # Numbers that no joint reaches, and efforts so small that their squares are none.
         most, least = float(np.abs(values).max(initial=0.0)), 1.0 / _MAX_VALUE if name == "effort" else 0.0
@@ -256,7 +256,7 @@ def read_record(
     if size > 1:
         count = len(time) // size
         columns = tuple(v[: count * size].reshape(count, size, *v.shape[1:]).mean(axis=1) for v in columns)
-    outliers = len(series.stamp_ns) - len(kept)
+    outliers = len(series.stamp_ns) - len(good)
     names, kind = (*layout.names, *layout.followed), "A" if unit == "A" and layout.torque_constant is None else "Nm"
     missing = _missing(series.time)
     return JointRecord(names, *columns, path, digest(path), missing, outliers, no_velocity, content=content, unit=kind)

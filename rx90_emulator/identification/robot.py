@@ -110,11 +110,11 @@ def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMa
                 f"{plain(one.file)} says other things of the arm than {plain(maps[0].file)}; accepted: the same "
                 f"{', '.join(MESSAGE_KEYS)}"
             )
-    said = maps[0].messages if maps else {}
-    for key in said:
+    mapped = maps[0].messages if maps else {}
+    for key in mapped:
         if getattr(options, key) not in (None, False):
             raise ConfigError(f"{_option(key)} beside {key} in {plain(maps[0].file)}; accepted: one of them")
-    return replace(options, **said), given
+    return replace(options, **mapped), given
 
 
 def _option(name: str) -> str:
@@ -244,15 +244,15 @@ def _followed(
     """Return the joints that all logs hold beside those of an arm, and whose motion counts for it."""
     if not logs:
         return ()
-    wanted = options.topic or JOINT_STATES
-    known = [set(message_names(log, recorded_topic(log, (wanted,), mapping) if is_table(log) else wanted, mapping))
+    topic = options.topic or JOINT_STATES
+    known = [set(message_names(log, recorded_topic(log, (topic,), mapping) if is_table(log) else topic, mapping))
              for log in logs]  # fmt: skip
     there = set.intersection(*known) - set(arm.names) - set(options.names or ())
-    beside = [name for name in movable_joints(urdf) if name in there]
-    if not beside:
+    others = [name for name in movable_joints(urdf) if name in there]
+    if not others:
         return ()
-    whole = RigidArm.from_urdf(urdf, options.joints, massless=True, followed=beside)
-    return tuple(name for name in whole.related() if name in beside)
+    all_joints = RigidArm.from_urdf(urdf, options.joints, massless=True, followed=others)
+    return tuple(name for name in all_joints.related() if name in others)
 
 
 @dataclass(frozen=True, eq=False)

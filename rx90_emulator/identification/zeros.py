@@ -90,12 +90,12 @@ class ZeroCheck:
         if not wrong:
             return ""
         better = (np.round(self.zero + self.error, 6) + 0.0).tolist()
-        silent = [name for name, told in zip(self.names, self.told.tolist(), strict=True) if not told]
-        rest = f"; the torques do not tell the zero of {', '.join(silent)}" if silent else ""
+        silent = [name for name, identifiable in zip(self.names, self.told.tolist(), strict=True) if not identifiable]
+        unidentified = f"; the torques do not tell the zero of {', '.join(silent)}" if silent else ""
         return (
             f"zeros: {', '.join(wrong)} {'seem' if len(wrong) > 1 else 'seems'} to be off (unexplained torque"
             f"{self.of} {self.before:.1%} -> {self.after:.1%}), or the model lacks a payload or a spring: "
-            f"try --zero {' '.join(f'{value:.6g}' for value in better)}{rest}"
+            f"try --zero {' '.join(f'{value:.6g}' for value in better)}{unidentified}"
         )
 
 
@@ -147,20 +147,20 @@ def find_zeros(fits: ZeroFits, names: tuple[str, ...], zero: Array | None, joint
         joints: whose zeros may be wrong, shape (n,).
     """
     none, own = np.zeros(len(names)), np.flatnonzero(joints).tolist()
-    turned = none
+    quarter_shift = none
     for _ in own:
-        single, double = quarter_turns(turned, own)
-        best = fits.best(single, turned)
-        if double and fits.clearly_better(two := fits.best(double, turned), best):
+        single, double = quarter_turns(quarter_shift, own)
+        best = fits.best(single, quarter_shift)
+        if double and fits.clearly_better(two := fits.best(double, quarter_shift), best):
             best = two
-        if not fits.clearly_better(best, turned):
+        if not fits.clearly_better(best, quarter_shift):
             break
-        turned = best
-    small, deviation = fits.small(turned)
-    sure = joints & is_error(small, deviation) & (np.abs(small) < _MAX_SMALL_ERROR)
-    told, known = fits.told(deviation), np.where(sure, deviation, 0.0)
-    check = ZeroCheck(names, none if zero is None else zero, none, known, told, 0.0, 0.0)
-    return check_of(check, turned + np.where(sure, small, 0.0), fits.left, fits.torque)
+        quarter_shift = best
+    small, deviation = fits.small(quarter_shift)
+    significant = joints & is_error(small, deviation) & (np.abs(small) < _MAX_SMALL_ERROR)
+    identifiable, known = fits.told(deviation), np.where(significant, deviation, 0.0)
+    check = ZeroCheck(names, none if zero is None else zero, none, known, identifiable, 0.0, 0.0)
+    return check_of(check, quarter_shift + np.where(significant, small, 0.0), fits.left, fits.torque)
 
 
 def is_error(small: Array, deviation: Array) -> Mask:
@@ -375,15 +375,15 @@ class _SlidingFits:
         self, shift: Array, weight: Array, slopes: Array | None = None, error: Array | None = None, every: int = 1
     ) -> _Fit:
         """Fit friction, inertials and, with the torque's slopes by them, zeros with such errors to (some) instants."""
-        kept = self._row % every == 0
+        chosen = self._row % every == 0
         target, regressor = self._cached_rigid(tuple(shift.tolist()), every)
-        parts = [self._friction[kept], regressor] if slopes is None else [self._friction[kept], regressor, slopes]
+        parts = [self._friction[chosen], regressor] if slopes is None else [self._friction[chosen], regressor, slopes]
         columns, prior = np.hstack(parts), np.repeat(_PRIORS[: len(parts)], [part.shape[1] for part in parts])
-        wanted = np.zeros(columns.shape[1])
+        prior_target = np.zeros(columns.shape[1])
         if error is not None:
-            wanted[-len(error) :] = -error / _ZERO_PRIOR_SD
-        matrix = np.vstack([columns * weight[kept][:, None], np.diag(prior)])
-        right = np.concatenate([target * weight[kept], wanted])
+            prior_target[-len(error) :] = -error / _ZERO_PRIOR_SD
+        matrix = np.vstack([columns * weight[chosen][:, None], np.diag(prior)])
+        right = np.concatenate([target * weight[chosen], prior_target])
         # In sweeps of one joint many columns are 0, and their prior stands alone.
         normal = matrix.T @ matrix
         scale, joined = 1.0 / np.sqrt(np.diag(normal)), np.flatnonzero(np.count_nonzero(normal, axis=1) > 1)
@@ -392,8 +392,8 @@ class _SlidingFits:
             covariance[some] = pinvh((scale[:, None] * normal * scale)[some], rtol=1e-13)
         covariance = scale[:, None] * covariance * scale
         values = covariance @ (matrix.T @ right)
-        left = right - matrix @ values
-        return _Fit(values, target - columns @ values, float(left @ left), covariance)
+        residual = right - matrix @ values
+        return _Fit(values, target - columns @ values, float(residual @ residual), covariance)
 
     def _rigid(self, shift: tuple[float, ...], every: int) -> tuple[Array, Array]:
         """Return the torque less the rigid arm's, Nm, and its derivatives by errors of the inertials in their units."""

@@ -105,12 +105,12 @@ class HeldCommand:
         self.waited += 1
         deadline = time.monotonic() + self._timeout
         while self._too_old(tick) and not self.two_controllers:
-            left = deadline - time.monotonic()
-            if left <= 0.0:
+            remaining = deadline - time.monotonic()
+            if remaining <= 0.0:
                 return False
             if self._interrupted():
                 return True
-            self._receive(tick, min(left, _SLICE))
+            self._receive(tick, min(remaining, _SLICE))
         return True
 
     def _receive(self, tick: int, timeout: float) -> bool:

@@ -85,10 +85,10 @@ class CommandWatch:
             names = ", ".join(sorted(info.node_name for info in found))
             self._once.say(f"{self._commands}: {len(found)} publishers, {names}; accepted: one controller")
         for info in self._named(self._node.get_subscriptions_info_by_topic(self._states)):
-            asked = QoSProfile(
+            requested = QoSProfile(
                 depth=1, reliability=info.qos_profile.reliability, durability=info.qos_profile.durability
             )
-            compatible, reason = qos_check_compatible(TICK_QOS, asked)
+            compatible, reason = qos_check_compatible(TICK_QOS, requested)
             if compatible == QoSCompatibility.ERROR:
                 self._once.say(
                     f"{self._states}: node {info.node_name} does not get the states ({reason.strip(' ;')}); accepted: "

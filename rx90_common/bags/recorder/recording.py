@@ -101,19 +101,19 @@ class MessageReader(threading.Thread):
         Messages of a publisher come in the order in which they were sent: all that it had sent before are there then.
         """
         begin = now = time.monotonic()
-        heard = dict.fromkeys(self._streams, begin)
+        last_message = dict.fromkeys(self._streams, begin)
         complete = False
         while not complete and now < begin + _MAX_DRAIN_S:
-            for stream in heard:
+            for stream in last_message:
                 if self._round([stream]):
-                    heard[stream] = time.monotonic()
+                    last_message[stream] = time.monotonic()
             time.sleep(_NAP_S)
             now = time.monotonic()
             # Not at once: the clock of another machine may be ahead.
             complete = now >= begin + _QUIET_S and all(
                 stream.sent_ns > self._asked_ns
                 or now >= at + (_STEADY_QUIET_S if stream.needs_publisher and stream.sent_ns else _QUIET_S)
-                for stream, at in heard.items()
+                for stream, at in last_message.items()
             )
 
     def _round(self, streams: Iterable[Stream]) -> bool:

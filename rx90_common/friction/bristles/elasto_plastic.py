@@ -140,10 +140,10 @@ def _beyond(steady: Number, elastic: Number, y: Number, left: Number) -> tuple[N
     phi, psi = decay(left)
     gain, mean = rest * left * phi, rest * (1.0 - left * psi)
     n = rest / span
-    bent = select(n > _SETTLED, left, 0.0)
-    inside = bent > 0.0
+    curved = select(n > _SETTLED, left, 0.0)
+    inside = curved > 0.0
     if any_lane(inside):
-        grown, lacking = _transition(select(n < 1.0, n, 1.0), bent, steady / span)
+        grown, lacking = _transition(select(n < 1.0, n, 1.0), curved, steady / span)
         gain, mean = select(inside, span * grown, gain), select(inside, span * lacking, mean)
     return gain, mean
 

@@ -76,8 +76,8 @@ def bristles_step(
         elastic = load(kinds.elastic, width) > 0.0
         # An element of another kind stands still here: nothing is computed for its way to sliding.
         moving = select(elastic, velocity, 0.0)
-        bent, its_torque = elasto_plastic_step(element, load(kinds.break_away, width), z, moving, step)
-        new, torque = select(elastic, bent, new), select(elastic, its_torque, torque)
+        elasto_plastic, its_torque = elasto_plastic_step(element, load(kinds.break_away, width), z, moving, step)
+        new, torque = select(elastic, elasto_plastic, new), select(elastic, its_torque, torque)
     if kinds.blocks_used:
         store(state.deflection, new)
         store(state.torque, torque)
@@ -95,8 +95,8 @@ def bristles_torque(element: Any, kinds: Any, state: Any, z: Lanes, velocity: La
     """Return the friction torques of all elements at one instant, Nm; arguments as those of `bristles_step`."""
     torque = friction_torque(element, z, velocity)
     if kinds.elastic_used:
-        bent = elasto_plastic_torque(element, load(kinds.break_away, width), z, velocity)
-        torque = select(load(kinds.elastic, width) > 0.0, bent, torque)
+        elasto_plastic = elasto_plastic_torque(element, load(kinds.break_away, width), z, velocity)
+        torque = select(load(kinds.elastic, width) > 0.0, elasto_plastic, torque)
     if kinds.blocks_used:
         store(state.torque, torque)
         for e in range(width):

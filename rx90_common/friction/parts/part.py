@@ -48,8 +48,8 @@ class FrictionPart(Declared):
 
     def values(self) -> dict[str, Any]:
         """Return the block as it stands in a file, without what has its default."""
-        held = declarations(type(self)).values()
-        return {one.name: in_file(getattr(self, one.name)) for one in held if getattr(self, one.name) != one.default}
+        own_entries = declarations(type(self)).values()
+        return {one.name: in_file(getattr(self, one.name)) for one in own_entries if getattr(self, one.name) != one.default}
 
     def numbers(self) -> dict[str, Any]:
         """Return all values by their names, those of a list one by one: share[0]."""

@@ -140,8 +140,8 @@ def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], A
         if name not in own:
             raise IdentificationError(f"no joint {quoted(name)} in the URDF; accepted: {listed(own)}")
     model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
-    held = [k for k in range(1, model.njoints) if model.names[k] not in joints]
-    model = pin.buildReducedModel(model, held, pin.neutral(model))
+    fixed_joints = [k for k in range(1, model.njoints) if model.names[k] not in joints]
+    model = pin.buildReducedModel(model, fixed_joints, pin.neutral(model))
     number = [joints.index(name) if name in joints else -1 for name in model.names]
     bodies, places = [], list(zip(model.parents, model.jointPlacements, strict=True))
     for element in root.findall("link"):
@@ -235,10 +235,10 @@ class InertialPrior:
         """
         names, text = tuple(joints), urdf.read_text(encoding="utf-8") if isinstance(urdf, Path) else urdf
         links, ends = _moving_links(text, names)
-        stay, free = np.zeros((len(names), 10)), [body for body in links if body.link not in known]
+        fixed_parameters, free = np.zeros((len(names), 10)), [body for body in links if body.link not in known]
         for body in links:
             if body.link in known:
-                stay[body.joint] += inertial_parameters(body.pseudo)
+                fixed_parameters[body.joint] += inertial_parameters(body.pseudo)
         own = [next(body for body in free if body.joint == joint) for joint in range(len(names))]
         # As exporters fill it in: all joints' own links the same.
         same = all(np.abs(one.pseudo - own[0].pseudo).max() <= _EQUAL for one in own)
@@ -246,33 +246,33 @@ class InertialPrior:
         bodies: list[MovingBody] = []
         guessed, words = [], []
         for joint, name in enumerate(names):
-            mine = [body for body in free if body.joint == joint]
-            real = [] if filled else [body for body in mine if is_body(body.pseudo)]
+            of_joint = [body for body in free if body.joint == joint]
+            real = [] if filled else [body for body in of_joint if is_body(body.pseudo)]
             guessed += [False] * len(real) or [True]
             bodies += real
             if not real:
-                bodies.append(_by_geometry(mine[0], ends))
-                given = any(one.pseudo.any() for one in mine)
+                bodies.append(_by_geometry(of_joint[0], ends))
+                given = any(one.pseudo.any() for one in of_joint)
                 why = "the same for all links" if filled else "none that a body can have" if given else "missing"
                 words.append(
-                    f"{mine[0].link} at {name}: <inertial> is {why}; begins as an ellipsoid of {_DENSITY:g} kg/m^3 "
+                    f"{of_joint[0].link} at {name}: <inertial> is {why}; begins as an ellipsoid of {_DENSITY:g} kg/m^3 "
                     f"along the link, {bodies[-1].pseudo[3, 3]:.3g} kg"
                 )
         kept = {body.link for body in bodies}
         dropped = tuple(body.link for body in free if body.pseudo.any() and body.link not in kept)
         sizes: ArrayLike = np.zeros(len(names)) if rotors is None else rotors
-        begun, amplitudes = (np.array(values, dtype=np.float64).reshape(-1) for values in (sizes, springs))
-        for what, values in (("rotor inertias", begun), ("springs", amplitudes)):
+        initial, amplitudes = (np.array(values, dtype=np.float64).reshape(-1) for values in (sizes, springs))
+        for what, values in (("rotor inertias", initial), ("springs", amplitudes)):
             if len(values) > len(names) or not np.isfinite(values).all() or (values < 0.0).any():
                 accepted = f"finite numbers >= 0, at most {len(names)}"
                 raise IdentificationError(f"{what} {values.tolist()}; accepted: {accepted}")
-        unknown = (begun == 0.0) if rotors is not None else np.zeros(len(begun), dtype=np.bool_)
+        unknown = (initial == 0.0) if rotors is not None else np.zeros(len(initial), dtype=np.bool_)
         guesses = np.append(np.array(guessed, dtype=bool), unknown)
         for i in np.flatnonzero(unknown).tolist():
             total = np.sum([inertial_parameters(body.pseudo) for body in bodies if body.joint == i], axis=0)
-            begun[i] = total[[4, 6, 9]].mean()
-            words.append(f"rotor of {names[i]}: begins at {begun[i]:.3g} kg m^2, the mean moment of its link")
-        return cls(names, tuple(bodies), stay, begun, amplitudes, guesses, tuple(words), dropped)
+            initial[i] = total[[4, 6, 9]].mean()
+            words.append(f"rotor of {names[i]}: begins at {initial[i]:.3g} kg m^2, the mean moment of its link")
+        return cls(names, tuple(bodies), fixed_parameters, initial, amplitudes, guesses, tuple(words), dropped)
 
 
 def _by_geometry(body: MovingBody, ends: Array) -> MovingBody:
@@ -423,13 +423,13 @@ class _Search:
         self._joint, self._known = [body.joint for body in prior.bodies], prior.known.ravel()
         self._whitened, self._target = whitened, target
         self.pseudo = np.array([body.pseudo for body in prior.bodies])
-        begun = np.concatenate([prior.rotors, prior.springs])
-        self.behind = np.append(begun, np.zeros(whitened.shape[1] - len(self._known) - len(begun)))
+        initial = np.concatenate([prior.rotors, prior.springs])
+        self.behind = np.append(initial, np.zeros(whitened.shape[1] - len(self._known) - len(initial)))
         self._positive = self.behind > 0.0
         self._inverse, self._begun = np.linalg.inv(self.pseudo), np.where(self._positive, self.behind, 1.0)
         share = np.where(prior.guessed, _GUESS_WEIGHT, 1.0)
-        rest = np.append(share[len(self.pseudo) :], np.ones(len(self.behind) - len(prior.rotors)))
-        self._share = np.append(np.repeat(share[: len(self.pseudo)], 10), np.where(self._positive, rest, 0.0))
+        other_shares = np.append(share[len(self.pseudo) :], np.ones(len(self.behind) - len(prior.rotors)))
+        self._share = np.append(np.repeat(share[: len(self.pseudo)], 10), np.where(self._positive, other_shares, 0.0))
 
     @property
     def parameters(self) -> Array:
@@ -457,8 +457,8 @@ class _Search:
         near = np.sqrt(weights)
         for _ in range(_MAX_STEPS):
             factors, residual = np.linalg.cholesky(self.pseudo), self.residual
-            turned = np.swapaxes(factors, 1, 2)
-            slopes = np.einsum("kij,bij->bk", _BASIS, turned @ self._inverse @ factors - np.eye(4)).ravel()
+            transposed = np.swapaxes(factors, 1, 2)
+            slopes = np.einsum("kij,bij->bk", _BASIS, transposed @ self._inverse @ factors - np.eye(4)).ravel()
             slopes = np.append(slopes, np.where(self._positive, self.behind / self._begun - 1.0, 0.0))
             tangent = self._tangent(factors)
             rows, sides = np.vstack([tangent, np.diag(near)]), np.append(residual, near * slopes)
@@ -472,7 +472,7 @@ class _Search:
             gain = -float(residual @ change + (weights * slopes) @ step)
             length = _best_length(gain, float(change @ change), own, stretch)
             shares = np.where(self._positive, self.behind, 1.0)
-            self.pseudo = factors @ (np.eye(4) + length * moves) @ turned
+            self.pseudo = factors @ (np.eye(4) + length * moves) @ transposed
             self.pseudo = 0.5 * (self.pseudo + np.swapaxes(self.pseudo, 1, 2))
             self.behind = self.behind + length * shares * step[count:]
             if gain < _DECREMENT * float(residual @ residual + weights.sum()):

@@ -82,16 +82,16 @@ def check_signs(problem: ExcitationProblem, options: RobotOptions = _NO_OPTIONS)
     wrong, before, after = search.wrong_signs()
     if not wrong:
         return
-    names, said, choices = problem.arm.names, [], [wrong]
+    names, descriptions, choices = problem.arm.names, [], [wrong]
     for k, one in enumerate(wrong):
-        said.append(f"{one.what} of {names[one.motor]}")
+        descriptions.append(f"{one.what} of {names[one.motor]}")
         if one.alike:
-            said[-1] = f"{one.what} of one of {', '.join(names[motor] for motor in sorted((one.motor, *one.alike)))}"
-            said[-1] += " (either fits as well, as mirror images do)"
+            descriptions[-1] = f"{one.what} of one of {', '.join(names[motor] for motor in sorted((one.motor, *one.alike)))}"
+            descriptions[-1] += " (either fits as well, as mirror images do)"
         choices += [(*wrong[:k], one._replace(motor=motor), *wrong[k + 1 :]) for motor in one.alike]
     better = " or ".join(filter(None, (_right_signs(one, options, len(names)) for one in choices)))
     raise IdentificationError(
-        f"wrong sign of the {' and the '.join(said)}: {before:.1%} of the torque there are unexplained, with the other "
+        f"wrong sign of the {' and the '.join(descriptions)}: {before:.1%} of the torque there are unexplained, with the other "
         f"sign {after:.1%}; accepted: {better}, there or in the signal map"
     )
 
@@ -192,10 +192,10 @@ class _Search:
         """Return the joints whose zero the torques tell: no base parameter makes good for its error, shape (n,)."""
         arm = self._problem.arm
         columns, slopes = (values * self._weight for values in self._derivatives(np.zeros(len(arm.names))))
-        left = slopes - _projected(columns, slopes)
+        independent = slopes - _projected(columns, slopes)
         size = np.sum(slopes**2, axis=0)
         return np.asarray(
-            arm.identified & (np.sum(left**2, axis=0) > _MIN_INDEPENDENT_SHARE * np.maximum(size, 1e-300))
+            arm.identified & (np.sum(independent**2, axis=0) > _MIN_INDEPENDENT_SHARE * np.maximum(size, 1e-300))
         )
 
     def told(self, _deviation: Array) -> Mask:
@@ -225,12 +225,12 @@ class _Search:
 
     def small(self, start: Array) -> tuple[Array, Array]:
         """Return small errors beside quarter turns and their deviations, rad, each shape (n,)."""
-        told, (shift, spread) = self.doubtful, np.zeros((2, len(start)))
-        for _ in range(ROUNDS if told.any() else 0):
+        identifiable, (shift, spread) = self.doubtful, np.zeros((2, len(start)))
+        for _ in range(ROUNDS if identifiable.any() else 0):
             columns, slopes = self._derivatives(start + shift)
-            fit, first = solve(self._problem, np.hstack([columns, slopes[:, told]])), columns.shape[1]
-            shift[told] += fit.value[first:]
-            spread[told] = fit.deviation[first:]
+            fit, first = solve(self._problem, np.hstack([columns, slopes[:, identifiable]])), columns.shape[1]
+            shift[identifiable] += fit.value[first:]
+            spread[identifiable] = fit.deviation[first:]
             if np.abs(fit.value[first:]).max() < 0.1 * SMALLEST or not is_error(shift, spread).any():
                 break
         return shift, spread
@@ -251,9 +251,9 @@ class _Search:
                 break
             # Where nothing tells which way the joint bends, the torque is more often wrong than the position.
             plain = (*wrong, best[-1]._replace(motion=False, torque=True))
-            same = self._signed(plain)
-            if not self._beats(other, same):
-                best, other = plain, same
+            torque_only = self._signed(plain)
+            if not self._beats(other, torque_only):
+                best, other = plain, torque_only
             wrong, now = best, other
         others = [motor for motor in motors if motor not in {one.motor for one in wrong}]
         for k, one in enumerate(wrong):

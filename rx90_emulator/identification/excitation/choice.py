@@ -112,12 +112,12 @@ class TimeBlocks:
         time = problem.phase * np.array([run.down / run.rate for run in problem.runs])[problem.run]
         durations = np.array([max(rows.max(), 1e-9) for rows in _grouped(time, motion)])  # of one instant: 0
         whole = float(durations.sum())
-        wanted = _CORRELATION_TIMES * correlation
-        length = min(max(wanted, whole / _MAX_BLOCKS), whole / _MIN_BLOCKS)
+        requested = _CORRELATION_TIMES * correlation
+        length = min(max(requested, whole / _MAX_BLOCKS), whole / _MIN_BLOCKS)
         reason = f"{_CORRELATION_TIMES:g} correlation times of the residuals, {correlation:.3g} s"
-        if length > wanted:
+        if length > requested:
             reason = f"a {_MAX_BLOCKS}th of the motions, more than {reason}"
-        elif length < wanted:
+        elif length < requested:
             reason = f"an {_MIN_BLOCKS}th of the motions, less than {reason}: the motions are short"
         counts = np.maximum(1, np.round(durations / length)).astype(np.intp)
         place = (time / durations[motion] * counts[motion]).astype(np.intp)
@@ -289,10 +289,10 @@ def select_parts(
     """
     search = Selection(problem, parts, fixed=fixed)
     for part in _attempts(parts, fixed):
-        left = iter([f"{part.value}: {stage}" for stage in _STAGES])
+        remaining = iter([f"{part.value}: {stage}" for stage in _STAGES])
         if part in parts or _wants_bristles(problem, search.now):
-            search.attempt(part, lambda left=left: progress(next(left)))  # type: ignore[misc]
-        for stage in left:  # of a part that no element can have
+            search.attempt(part, lambda remaining=remaining: progress(next(remaining)))  # type: ignore[misc]
+        for stage in remaining:  # of a part that no element can have
             progress(stage)
     return search
 
@@ -304,8 +304,8 @@ def stages(parts: Sequence[Part], fixed: bool = False) -> int:
 
 def _attempts(parts: Sequence[Part], fixed: bool) -> tuple[Part, ...]:
     """Return the parts that are tried one after the other, if only where it is needed: bristles come after a rise."""
-    asked = tuple(part for part in parts if part is not Part.DAMPING)
-    return asked if fixed or Part.STRIBECK not in asked or Part.BRISTLE in asked else (*asked, Part.BRISTLE)
+    requested = tuple(part for part in parts if part is not Part.DAMPING)
+    return requested if fixed or Part.STRIBECK not in requested or Part.BRISTLE in requested else (*requested, Part.BRISTLE)
 
 
 class Selection:
@@ -328,8 +328,8 @@ class Selection:
         self.refused: dict[PartKey, str] = {}
         elements = element_rows(problem)
         shapes = [ElementShape() for _ in elements]
-        flat = WeightedProblem.of(problem, elements, np.ones(len(problem)))
-        self.weighted = _reweighted(flat, fit_shapes(flat, shapes))
+        unweighted = WeightedProblem.of(problem, elements, np.ones(len(problem)))
+        self.weighted = _reweighted(unweighted, fit_shapes(unweighted, shapes))
         fit = fit_shapes(self.weighted, shapes)
         self.blocks = TimeBlocks.of(problem, self.weighted.linearised(fit)[0])
         self.now = self._scored(fit)
@@ -362,17 +362,17 @@ class Selection:
         if not self._fixed:
             # Without the parts that go, others may come to a bound.
             trimmed = self.within_bounds(self._trimmed(trimmed, keys), part)
-        left = [e for e, shape in enumerate(trimmed.fit.shapes) if part in shape.parts]
-        kept = bool(left) and (self._fixed or trimmed.better_than(before))
+        remaining = [e for e, shape in enumerate(trimmed.fit.shapes) if part in shape.parts]
+        kept = bool(remaining) and (self._fixed or trimmed.better_than(before))
         if trimmed.fit.shapes != everywhere.fit.shapes:
             none = "it ends at a bound on all elements" if self._fixed else "no element predicts better with it"
-            gone = "kept on some elements, see below" if kept else none
-            self._add(f"+ {part.value}: all", everywhere, before, kept=False, reason=gone)
-        if left:
+            reason = "kept on some elements, see below" if kept else none
+            self._add(f"+ {part.value}: all", everywhere, before, kept=False, reason=reason)
+        if remaining:
             text, names = "asked for; " * self._fixed + trimmed.verdict(before), self._problem.arm.element_names
-            where = "all" if len(left) == len(given) else ", ".join(names[e] for e in left)
+            where = "all" if len(remaining) == len(given) else ", ".join(names[e] for e in remaining)
             self._add(f"+ {part.value}: {where}", trimmed, before, kept=kept, reason=text)
-            self.refused |= {} if kept else {(e, part): text for e in left}
+            self.refused |= {} if kept else {(e, part): text for e in remaining}
         if kept:
             self.now = trimmed
         stage()
@@ -390,8 +390,8 @@ class Selection:
             if len(self.weighted.elements[e].rows):
                 # A rise that was fitted without a bristle has the bristle's torque in it.
                 fresh = shape.without(Part.STRIBECK) if Part.STRIBECK in tried else shape
-                begun = replace(fresh, parts=fresh.parts | tried)
-                shapes[e] = best_start(self.weighted, shapes, e, candidates(self.weighted, begun, e, part))
+                extended = replace(fresh, parts=fresh.parts | tried)
+                shapes[e] = best_start(self.weighted, shapes, e, candidates(self.weighted, extended, e, part))
         return shapes
 
     def within_bounds(self, model: Scored, part: Part | None = None) -> Scored:
@@ -412,16 +412,16 @@ class Selection:
         """Return another shape for an element of which these parameters end at a bound."""
         shape, before = fit.shapes[e], self.now.fit.shapes[e]
         if Part.STRIBECK in shape.parts and "delta" not in shape.fixed:
-            begun = replace(shape, delta=1.0, fixed=shape.fixed | {"delta"}, alpha=before.alpha)
-            return best_start(self.weighted, fit.shapes, e, candidates(self.weighted, begun, e, Part.STRIBECK))
+            exponent_one = replace(shape, delta=1.0, fixed=shape.fixed | {"delta"}, alpha=before.alpha)
+            return best_start(self.weighted, fit.shapes, e, candidates(self.weighted, exponent_one, e, Part.STRIBECK))
         tried = part if part in shape.parts else None
         own = [name for name in bound if tried is None or name in tried.shape]
         name = (own or bound)[0]
         whose = PART_OF[name]
-        beside = (
+        is_companion = (
             part is not None and whose in _BESIDE.get(part, ()) and (part is Part.BRISTLE or whose not in before.parts)
         )
-        gone, element = whose if beside else tried or whose, self._problem.arm.element_names[e]
+        dropped, element = whose if is_companion else tried or whose, self._problem.arm.element_names[e]
         at = f"{round(getattr(shape, name), 6):.3g}"
         if name in fit.at_bound[e]:
             why = f"{name} of {element} ends at the bound of its range, {at}"
@@ -434,8 +434,8 @@ class Selection:
                 f"alpha of {element}, {at}, is within {_BOUND_SE:g} deviations of the bound of its range: the runs do "
                 "not tell such a viscous torque from Coulomb torque"
             )
-        self.refused[e, gone] = why
-        return shape.without(gone) if own or beside else before
+        self.refused[e, dropped] = why
+        return shape.without(dropped) if own or is_companion else before
 
     def _untold_exponents(self, fit: SeparableFit) -> list[frozenset[str]]:
         """Return "alpha" for each element whose exponent is too near its lower bound to be told from Coulomb torque."""

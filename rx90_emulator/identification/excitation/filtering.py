@@ -91,15 +91,15 @@ class Bandwidths(NamedTuple):
             if longest >= _MIN_SPECTRUM_SAMPLES:
                 raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
             samples = f"{longest} sample{'s' * (longest != 1)} without a gap"
-            said = f"{records[0].source}: {samples}; accepted: {_MIN_SPECTRUM_SAMPLES} or more in a run"
-            raise IdentificationError(said)
+            reason = f"{records[0].source}: {samples}; accepted: {_MIN_SPECTRUM_SAMPLES} or more in a run"
+            raise IdentificationError(reason)
         crossing, motion = np.median(found, axis=0).tolist()
-        wanted = max(crossing, _POSITION_OVER_MOTION_BAND * motion)
-        position = min(wanted, _MAX_BANDWIDTH_OVER_RATE * min(_rate(record.time) for record in records))
+        suitable = max(crossing, _POSITION_OVER_MOTION_BAND * motion)
+        position = min(suitable, _MAX_BANDWIDTH_OVER_RATE * min(_rate(record.time) for record in records))
         source = f"the motion stands out of the positions' noise up to {crossing:.3g} Hz"
-        if wanted > crossing:
-            source += f", and {_POSITION_OVER_MOTION_BAND:g} times its own band is {wanted:.3g} Hz"
-        if position < wanted:
+        if suitable > crossing:
+            source += f", and {_POSITION_OVER_MOTION_BAND:g} times its own band is {suitable:.3g} Hz"
+        if position < suitable:
             source += f"; no more than {_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"
         torque = position / 3.0
         lasting = sum(record.time[-1] - record.time[0] for record in records) * records[0].position.shape[1]
@@ -119,9 +119,9 @@ def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:
         floor = max(float(np.median(column[frequency > 0.25 * _rate(record.time)])), 1e-30)
         typical = np.array([np.median(part) for part in np.split(column, edges[1:])])
         peak = int(np.argmax(typical))
-        lost = np.flatnonzero(typical[peak:] < _SIGNAL_OVER_FLOOR * floor)
+        below_floor = np.flatnonzero(typical[peak:] < _SIGNAL_OVER_FLOOR * floor)
         if typical[peak] > _MOVING_PEAK_OVER_FLOOR * floor:
-            crossing = float(frequency[edges[peak + lost[0]] if len(lost) else -1])
+            crossing = float(frequency[edges[peak + below_floor[0]] if len(below_floor) else -1])
             velocity = np.cumsum(np.where(frequency < crossing, column, 0.0) * frequency**2)
             yield crossing, float(frequency[np.searchsorted(velocity, 0.95 * velocity[-1])])
 
@@ -522,10 +522,10 @@ def without_shocks(record: JointRecord, elements: Array) -> tuple[JointRecord, t
         texts.append(f"{height:.3g} Nm at {record.names[joint]} {begin - float(record.time[0]):.3g} s after the begin")
     if not found:
         return record, ()
-    lost = 1e3 * sum(end - begin for begin, end in found)
+    removed = 1e3 * sum(end - begin for begin, end in found)
     shown = ", ".join(texts[:6]) + (", ..." if len(texts) > 6 else "")
     what = f"{len(found)} shock{'s' * (len(found) > 1)}"
-    text = f"{record.source.name}: {what} of the torque left out, {lost:.0f} ms with margins: {shown}"
+    text = f"{record.source.name}: {what} of the torque left out, {removed:.0f} ms with margins: {shown}"
     return replace(record, shocks=tuple(found)), (text,)
 
 

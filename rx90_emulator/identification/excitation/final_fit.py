@@ -71,32 +71,32 @@ class FinalFit:
         self._selected, self._prior = selected, prior
         weighted, fit = selected.weighted, selected.fit
         problem, inner = weighted.problem, fit.inner()
-        opened = tuple(
+        released = tuple(
             (e, "alpha")
             for e, shape in enumerate(fit.shapes)
             if Part.EXPONENT in parts and Part.EXPONENT not in shape.parts and fit.linear[e, VISCOUS] > 0.0
         )
-        self.inner: tuple[Key, ...] = (*inner, *opened)
+        self.inner: tuple[Key, ...] = (*inner, *released)
         self.rises: dict[int, tuple[float, float]] = {}
         self.unbounded: dict[Key, tuple[float, float]] = {}
         self.remarks: list[str] = []
         self.warnings: list[str] = []
         self._columns = weighted.tangent(fit, self.inner)
         final = self._wide = solve(problem, self._columns, prior=prior)
-        if opened:
-            narrow = solve(problem, self._columns[:, : -len(opened)], prior=prior)
-            value = np.append(narrow.value, np.zeros(len(opened)))
-            final = replace(final, value=value, residual=narrow.residual, sigma=narrow.sigma, weights=narrow.weights)
-        closed = np.where(final.determined, self._wide.value - final.value, 0.0)
+        if released:
+            bounded = solve(problem, self._columns[:, : -len(released)], prior=prior)
+            value = np.append(bounded.value, np.zeros(len(released)))
+            final = replace(final, value=value, residual=bounded.residual, sigma=bounded.sigma, weights=bounded.weights)
+        exponent_shift = np.where(final.determined, self._wide.value - final.value, 0.0)
         # An exponent that would leave its range is not told by the runs: what it shifts has no meaning.
-        steps = zip(opened, closed[len(closed) - len(opened) :].tolist(), strict=True)
-        lost = {e for (e, _), step in steps if abs(step) > _MAX_EXPONENT_STEP}
-        if lost:
-            closed[: len(problem.names)] = 0.0
-            closed[len(problem.names) + np.flatnonzero([e in lost for e, _ in self.inner])] = 0.0
+        steps = zip(released, exponent_shift[len(exponent_shift) - len(released) :].tolist(), strict=True)
+        unstable = {e for (e, _), step in steps if abs(step) > _MAX_EXPONENT_STEP}
+        if unstable:
+            exponent_shift[: len(problem.names)] = 0.0
+            exponent_shift[len(problem.names) + np.flatnonzero([e in unstable for e, _ in self.inner])] = 0.0
         covariance = self._with_undecided_parts()
-        blurred = blur_shifts(weighted, fit, self._columns)
-        shifts = np.column_stack([self._load_dependence(), closed, self._without_bounds(), *blurred])
+        blur = blur_shifts(weighted, fit, self._columns)
+        shifts = np.column_stack([self._load_dependence(), exponent_shift, self._without_bounds(), *blur])
         self.fit = replace(final, covariance=covariance + shifts @ shifts.T)
 
     def _beside(self, *columns: Array) -> LinearFit:
@@ -112,11 +112,11 @@ class FinalFit:
         weighted, shapes, name = self._selected.weighted, list(self._selected.fit.shapes), str(part)
         if isinstance(part, Part):
             name = "rise" if part is Part.STRIBECK else "c1"
-            begun = replace(shapes[element], parts=shapes[element].parts | {part})
+            extended = replace(shapes[element], parts=shapes[element].parts | {part})
             if part is Part.STRIBECK:
-                begun = replace(begun, fixed=begun.fixed | {"omega_s", "delta"})
-                begun = best_start(weighted, shapes, element, candidates(weighted, begun, element, part))
-            shapes[element] = begun
+                extended = replace(extended, fixed=extended.fixed | {"omega_s", "delta"})
+                extended = best_start(weighted, shapes, element, candidates(weighted, extended, element, part))
+            shapes[element] = extended
         return weighted.column(shapes, self._selected.fit.linear, (element, name)) / weighted.weight
 
     def _with_undecided_parts(self) -> Array:
@@ -128,22 +128,22 @@ class FinalFit:
         table: dict[PartKey | Key, Array] = {}
         for e, part in sorted(selected.refused, key=lambda key: (key[1].value, key[0])):
             there = selected.fit.shapes[e].parts
-            beside = part is Part.STRIBECK or (part is Part.DAMPING and Part.BRISTLE in there)
-            if beside and part not in there and selected.fit.linear[e, COULOMB] > 0.0:
+            is_candidate = part is Part.STRIBECK or (part is Part.DAMPING and Part.BRISTLE in there)
+            if is_candidate and part not in there and selected.fit.linear[e, COULOMB] > 0.0:
                 table[e, part] = self._column(e, part)
         for e, (tau_c, c2, _) in enumerate(selected.fit.linear.tolist()):
             if c2 <= 0.0 < tau_c:
                 table[e, "c2"] = self._column(e, "c2")
         while table:
-            wide = self._beside(*table.values())
-            sizes = list(zip(wide.value[q:].tolist(), wide.deviation[q:].tolist(), strict=True))
-            kept = {key: column for (key, column), (value, deviation) in zip(table.items(), sizes, strict=True)
+            augmented = self._beside(*table.values())
+            sizes = list(zip(augmented.value[q:].tolist(), augmented.deviation[q:].tolist(), strict=True))
+            small = {key: column for (key, column), (value, deviation) in zip(table.items(), sizes, strict=True)
                     if value + _UPPER_SE * deviation > _RELEVANT_SIZE[key[1]] and math.isfinite(deviation)}  # fmt: skip
-            if len(kept) == len(table):
+            if len(small) == len(table):
                 found = zip(table, sizes, strict=True)
                 self.rises = {e: size for (e, part), size in found if part is Part.STRIBECK}
-                return bounded_covariance(wide.covariance, sizes, [_MAX_SIZE[part] for _, part in table])
-            table = kept
+                return bounded_covariance(augmented.covariance, sizes, [_MAX_SIZE[part] for _, part in table])
+            table = small
         return self._wide.covariance
 
     def _without_bounds(self) -> Array:
@@ -152,7 +152,7 @@ class FinalFit:
         All of tau_c and c2 that came out as 0 are fitted so once more.
         """
         selected, q = self._selected, self._columns.shape[1]
-        problem, fit, wide = selected.weighted.problem, selected.fit, self._wide
+        problem, fit, unbounded_fit = selected.weighted.problem, selected.fit, self._wide
         bound = [
             (e, LINEAR[place])
             for e, rows in enumerate(selected.weighted.elements)
@@ -161,8 +161,8 @@ class FinalFit:
         ]
         if not bound:
             return np.zeros(q)
-        free = self._beside(*(self._column(*key) for key in bound))
-        pairs = zip(bound, free.value[q:].tolist(), free.deviation[q:].tolist(), free.determined[q:], strict=True)
+        unrestricted = self._beside(*(self._column(*key) for key in bound))
+        pairs = zip(bound, unrestricted.value[q:].tolist(), unrestricted.deviation[q:].tolist(), unrestricted.determined[q:], strict=True)
         self.unbounded = {key: (value, deviation) for key, value, deviation, known in pairs if known}
         negative = {key for key, (value, deviation) in self.unbounded.items() if value < -_UPPER_SE * deviation}
         falling = [
@@ -177,16 +177,16 @@ class FinalFit:
             self.warnings.append(
                 f"the friction of {name} falls with speed, and c2 is at its bound 0: without it c2 would be "
                 f"{one.value[q + k]:.3g} +- {one.deviation[q + k]:.2g} Nm s/rad and tau_c {one.value[place]:.3g} "
-                f"in place of {wide.value[place]:.3g} Nm. tau_c is a mean over the speeds from {low:.2g} to "
+                f"in place of {unbounded_fit.value[place]:.3g} Nm. tau_c is a mean over the speeds from {low:.2g} to "
                 f"{high:.2g} rad/s, too small at slow ones and too large at fast ones; its deviation contains the "
                 "difference"
             )
-        return np.where(one.determined[:q] & wide.determined, one.value[:q] - wide.value, 0.0)
+        return np.where(one.determined[:q] & unbounded_fit.determined, one.value[:q] - unbounded_fit.value, 0.0)
 
     def _load_dependence(self) -> Array:
         """Return what the parameters shift when friction may grow with the load, shape (q,); 0 where it does not."""
-        problem, fit, wide = self._selected.weighted.problem, self._selected.fit, self._wide
-        bare = np.abs(problem.regressor @ wide.value[: len(problem.names)])
+        problem, fit, unbounded_fit = self._selected.weighted.problem, self._selected.fit, self._wide
+        bare = np.abs(problem.regressor @ unbounded_fit.value[: len(problem.names)])
         coulomb = joint_columns(problem, fit.shapes)[:, :, COULOMB] * fit.linear[:, COULOMB]
         column = np.zeros(len(bare))
         for e in range(len(fit.shapes)):
@@ -196,16 +196,16 @@ class FinalFit:
                 load = np.full(problem.sample.max() + 1, float(np.mean(bare[own])))
                 load[problem.sample[own]] = bare[own]
                 column += coulomb[:, e] * load[problem.sample] / max(float(np.sqrt(np.mean(bare[own] ** 2))), _MIN_LOAD)
-        loaded = self._beside(column)
-        value, deviation = float(loaded.value[-1]), float(loaded.deviation[-1])
+        with_load = self._beside(column)
+        value, deviation = float(with_load.value[-1]), float(with_load.deviation[-1])
         if abs(value) <= _UPPER_SE * deviation:
-            return np.zeros(len(wide.value))
+            return np.zeros(len(unbounded_fit.value))
         size = f"{100.0 * value:.2g} % with a standard deviation of {100.0 * deviation:.2g} %"
         self.remarks.append(
             f"Coulomb friction changes with the load, at a joint's RMS torque by {size}: tau_c holds at the usual load "
             "of the runs, and its deviation contains the difference to no load"
         )
-        return loaded.value[:-1] - wide.value
+        return with_load.value[:-1] - unbounded_fit.value
 
 
 def bounded_covariance(covariance: Array, sizes: Sequence[tuple[float, float]], largest: Sequence[float]) -> Array:
@@ -249,7 +249,7 @@ def blur_shifts(weighted: WeightedProblem, fit: SeparableFit, columns: Array) ->
     if not any({Part.STRIBECK, Part.BRISTLE} & shape.parts for shape in fit.shapes):
         return []
     problem = weighted.problem
-    sharp = joint_columns(problem, fit.shapes)
+    unfiltered = joint_columns(problem, fit.shapes)
     size = np.linalg.norm(columns * weighted.weight[:, None], axis=0)
     scale = np.where(size > 0.0, size, 1.0)
     tangent = columns * weighted.weight[:, None] / scale
@@ -261,8 +261,8 @@ def blur_shifts(weighted: WeightedProblem, fit: SeparableFit, columns: Array) ->
     ]
     for blur in blurs:
         other = replace(problem, runs=tuple(_blurred(run, blur) for run in problem.runs))
-        lost = np.tensordot(sharp - joint_columns(other, fit.shapes), fit.linear, 2)
-        shifts.append(np.asarray(np.linalg.lstsq(tangent, lost * weighted.weight, rcond=1e-8)[0] / scale))
+        difference = np.tensordot(unfiltered - joint_columns(other, fit.shapes), fit.linear, 2)
+        shifts.append(np.asarray(np.linalg.lstsq(tangent, difference * weighted.weight, rcond=1e-8)[0] / scale))
     return shifts
 
 

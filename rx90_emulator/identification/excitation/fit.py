@@ -121,9 +121,9 @@ def solve(
         gram = np.sum(parts, axis=0) + precision
         scale = np.sqrt(np.abs(np.diag(gram)))
         scale[scale == 0.0] = 1.0
-        left, values, directions = np.linalg.svd(gram / np.outer(scale, scale))
+        left_vectors, values, directions = np.linalg.svd(gram / np.outer(scale, scale))
         there = values > _MIN_SINGULAR_VALUE**2 * values[0]
-        inverse = (directions[there].T / values[there]) @ left[:, there].T / np.outer(scale, scale)
+        inverse = (directions[there].T / values[there]) @ left_vectors[:, there].T / np.outer(scale, scale)
         determined = (directions[~there] ** 2).sum(axis=0) < _MAX_NULL_SHARE
         leverage = [np.sum(inverse * part.T) / max(len(rows), 1) for part, rows in zip(parts, joints, strict=True)]
         return inverse @ (weighted.T @ target + known), inverse, determined, np.array(leverage)
@@ -327,8 +327,8 @@ class WeightedProblem:
         places = [slice(*pair) for pair in pairwise(edges)]
         projected = np.hstack([block.projected for block in blocks])
         gram = -projected.T @ projected
-        for block, mine in zip(blocks, places, strict=True):
-            gram[mine, mine] += block.values.T @ block.values
+        for block, place in zip(blocks, places, strict=True):
+            gram[place, place] += block.values.T @ block.values
         for (e, f), (first, second) in self.shared.items():
             product = blocks[e].values[first].T @ blocks[f].values[second]
             gram[places[e], places[f]] += product

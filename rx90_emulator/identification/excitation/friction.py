@@ -195,10 +195,10 @@ def identify_friction_parts(
     final = FinalFit(selected, parts, prior)
     names, models = problem.arm.element_names, zip(selected.fit.shapes, selected.weighted.elements, strict=True)
     nothing = np.zeros(len(LINEAR)), np.zeros((len(FITTED),) * 2)
-    begun = [
+    initial = [
         FittedElement(name, shape, *nothing, rows.speeds) for name, (shape, rows) in zip(names, models, strict=True)
     ]
-    fitted = _with_values(begun, final.inner, final.fit.value, final.fit.covariance)
+    fitted = _with_values(initial, final.inner, final.fit.value, final.fit.covariance)
     sources = tuple(run.source for run in problem.runs)
     refusals = [_refusal(selected, e, parts, final.rises.get(e)) for e in range(len(fitted))]
     reasons = [_torque_reasons(selected, e, final.unbounded) for e in range(len(fitted))]
@@ -342,8 +342,8 @@ def _constant_remarks(problem: ExcitationProblem, selected: Selection, fit: Line
     weighted = selected.weighted
     for joint, name in enumerate(problem.arm.names):
         constant = np.where(problem.joint == joint, weighted.weight, 0.0)
-        left = constant - weighted.basis @ (weighted.basis.T @ constant)
-        if constant.any() and np.linalg.norm(left) <= _CONSTANT_RESIDUAL * np.linalg.norm(constant):
+        residual = constant - weighted.basis @ (weighted.basis.T @ constant)
+        if constant.any() and np.linalg.norm(residual) <= _CONSTANT_RESIDUAL * np.linalg.norm(constant):
             value = ""
             if (offset := f"offset_{joint + 1}") in problem.names:
                 k = problem.names.index(offset)

@@ -154,8 +154,8 @@ def identify_excitation(
     friction = identify_friction_parts(problem, parts, known, progress, fixed=fixed)
     progress("instrumental variables")
     closed_loop, friction = check_closed_loop(problem, friction, known)
-    said = [closed_loop.remark, *([] if loads is None else [loads.remark(problem.arm.element_names)])]
-    friction = replace(friction, remarks=(*friction.remarks, *said))
+    remarks = [closed_loop.remark, *([] if loads is None else [loads.remark(problem.arm.element_names)])]
+    friction = replace(friction, remarks=(*friction.remarks, *remarks))
     progress("consistent inertias")
     consistency = make_consistent(problem, friction, source, robot)
     elements = simulated_elements(friction.elements, source.fallback, loads)
@@ -197,8 +197,8 @@ def _leave_shocks_out(records: Mapping[str, list[JointRecord]], robot: RecordedR
     texts: list[str] = []
     for some in records.values():
         for k, record in enumerate(some):
-            some[k], said = without_shocks(record, robot.arm.element_matrix)
-            texts += said
+            some[k], shock_notes = without_shocks(record, robot.arm.element_matrix)
+            texts += shock_notes
     return texts
 
 

@@ -106,8 +106,8 @@ def check_closed_loop(
         other = problem.moved(motions)
         instruments = np.hstack([other.regressor, linear_columns(friction, other)[1]])
         before, fit = fit, solve(problem, columns, prior=prior, instruments=instruments)
-        sure = fit.determined & (fit.deviation > 0.0)
-        change = np.max(np.abs(fit.value - before.value)[sure] / fit.deviation[sure], initial=0.0)
+        determined = fit.determined & (fit.deviation > 0.0)
+        change = np.max(np.abs(fit.value - before.value)[determined] / fit.deviation[determined], initial=0.0)
         if rounds == _MAX_ROUNDS or (rounds > 0 and change < _CONVERGED):
             break
         rounds += 1
@@ -260,8 +260,8 @@ def _simulated(arm: RigidArm, friction: Friction, target: Array, run: FilteredRu
         inputs = elements @ v
         inputs = np.where(np.abs(inputs) < _REST_SPEED, np.where(inputs < 0.0, -_REST_SPEED, _REST_SPEED), inputs)
         damping = (elements.T * (friction(inputs) / inputs)) @ elements
-        wanted = v + h * (omega**2 * (path[k] - q) + 2.0 * omega * speed[k])
-        after = np.linalg.solve(stiff * mass + h * damping, mass @ wanted)
+        reference = v + h * (omega**2 * (path[k] - q) + 2.0 * omega * speed[k])
+        after = np.linalg.solve(stiff * mass + h * damping, mass @ reference)
         if not np.abs(after).max() < _DIVERGED_SPEED:
             raise IdentificationError("the simulation of the identified arm diverges; accepted: positive inertias")
         q = q + h * after

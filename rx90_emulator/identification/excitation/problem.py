@@ -81,8 +81,8 @@ class Payload:
         if centre.shape != (3,) or not np.isfinite(centre).all():
             raise IdentificationError(f"payload's centre of mass: {centre.tolist()}; accepted: 3 numbers, m")
         if inertia.shape != (3, 3) or not np.isfinite(inertia).all() or not np.allclose(inertia, inertia.T):
-            said = f"payload's inertia: {inertia.tolist()}; accepted: a symmetric 3 x 3 matrix, kg m^2"
-            raise IdentificationError(said)
+            reason = f"payload's inertia: {inertia.tolist()}; accepted: a symmetric 3 x 3 matrix, kg m^2"
+            raise IdentificationError(reason)
         moments = np.linalg.eigvalsh(inertia)
         if moments[0] < 0.0 or 2.0 * moments[2] > moments.sum() * (1.0 + 1e-9):
             raise IdentificationError(
@@ -127,14 +127,14 @@ def payloads_of(bags: Sequence[Path], payloads: Mapping[str, Payload]) -> dict[P
     """
     carried: dict[Path, Payload | None] = dict.fromkeys(bags)
     for name, body in payloads.items():
-        meant = [bag for bag in bags if name == bag.name or Path(name).resolve() == bag.resolve()]
-        if len(meant) != 1 or carried[meant[0]] is not None:
-            how = "two bags are called so, or it is named twice" if meant else "no such run"
+        matching = [bag for bag in bags if name == bag.name or Path(name).resolve() == bag.resolve()]
+        if len(matching) != 1 or carried[matching[0]] is not None:
+            how = "two bags are called so, or it is named twice" if matching else "no such run"
             there = listed(bag.name for bag in bags)
             raise IdentificationError(
                 f"payload of {quoted(name)}: {how}; accepted: each of {there} once, by name or path"
             )
-        carried[meant[0]] = body
+        carried[matching[0]] = body
     return carried
 
 
@@ -215,11 +215,11 @@ class BaseGroups:
         size = np.linalg.norm(matrix, axis=0)
         basis, chosen = np.zeros((len(matrix), 0)), []
         for k in sorted(range(len(names)), key=lambda k: (names[k].startswith(_REGROUPED_KINDS), k)):
-            rest = matrix[:, k] - basis @ (basis.T @ matrix[:, k])
-            rest = rest - basis @ (basis.T @ rest)  # once more: rounding of the first pass
-            left = float(np.linalg.norm(rest))
-            if size[k] > _INDEPENDENT_SHARE * size.max() and left > _INDEPENDENT_SHARE * size[k]:
-                basis = np.column_stack([basis, rest / left])
+            remainder = matrix[:, k] - basis @ (basis.T @ matrix[:, k])
+            remainder = remainder - basis @ (basis.T @ remainder)  # once more: rounding of the first pass
+            norm = float(np.linalg.norm(remainder))
+            if size[k] > _INDEPENDENT_SHARE * size.max() and norm > _INDEPENDENT_SHARE * size[k]:
+                basis = np.column_stack([basis, remainder / norm])
                 chosen.append(k)
         leading = sorted(chosen)
         combination = np.asarray(np.linalg.lstsq(matrix[:, leading], matrix, rcond=None)[0], dtype=np.float64)
@@ -375,13 +375,13 @@ class ExcitationProblem:
         carried = (None,) * len(runs) if payloads is None else tuple(payloads)
         columns = StandardColumns(arm, rotors=rotors)
         acts = arm.element_matrix != 0.0
-        kept = []
+        found = []
         for number, one in enumerate(runs):
-            rests, passes = element_states(one, arm.element_matrix)
-            joint, place = np.nonzero((~(rests @ acts) & arm.identified).T & one.whole)
+            resting, passes = element_states(one, arm.element_matrix)
+            joint, place = np.nonzero((~(resting @ acts) & arm.identified).T & one.whole)
             time, reversal = one.time[one.rows[place]], (passes @ acts)[place, joint]
-            kept.append((np.full(len(joint), number), joint, place, time, reversal))
-        run, joint, place, time, reversal = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+            found.append((np.full(len(joint), number), joint, place, time, reversal))
+        run, joint, place, time, reversal = (np.concatenate(parts) for parts in zip(*found, strict=True))
         if not len(run):
             raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
         empty = np.empty((len(run), 0))
@@ -507,9 +507,9 @@ def element_states(run: FilteredRun, elements: Array) -> tuple[Mask, Mask]:
     for e, velocity in enumerate((run.velocity @ elements.T).T):
         usual = float(np.quantile(np.abs(velocity), 0.9))
         threshold = max(min(SLOW_SPEED, SLOW_SHARE * usual), _MIN_SLOW_SPEED)
-        rests, passes = _slow_stretches(velocity, threshold)
-        rests |= _slow_stretches(velocity, _STOP_SHARE * threshold)[0]
-        near = maximum_filter1d(rests, 2 * reach + 1, mode="constant")
+        resting, passes = _slow_stretches(velocity, threshold)
+        resting |= _slow_stretches(velocity, _STOP_SHARE * threshold)[0]
+        near = maximum_filter1d(resting, 2 * reach + 1, mode="constant")
         states[:, :, e] = near[run.rows], (passes & ~near)[run.rows]
     return states[0], states[1]
 
@@ -517,14 +517,14 @@ def element_states(run: FilteredRun, elements: Array) -> tuple[Mask, Mask]:
 def _slow_stretches(velocity: Array, threshold: float) -> tuple[Mask, Mask]:
     """Return where an element rests and where it passes through rest, each of shape (m,)."""
     slow = np.abs(velocity) < threshold
-    rests, passes = np.zeros_like(slow), np.zeros_like(slow)
+    resting, passes = np.zeros_like(slow), np.zeros_like(slow)
     for start, stop in stretches(slow):
         inner = float(np.mean(np.abs(velocity[start:stop]) < 0.25 * threshold))
         whole = start > 0 and stop < len(velocity)
         # A single sample tells no share.
         through = whole and velocity[start - 1] * velocity[stop] < 0.0 and (inner <= _PAUSE_SHARE or stop - start == 1)
-        (passes if through else rests)[start:stop] = True
-    return rests, passes
+        (passes if through else resting)[start:stop] = True
+    return resting, passes
 
 
 _SAME_MOTION = 0.95  # similarity of velocities from which on two stretches are the same motion
@@ -562,19 +562,19 @@ def _shift(velocity: Array, rate: float, other: Array, its_rate: float) -> int |
     """Return by how many rows a run begins later in a motion that it repeats; None if it does not repeat it."""
     if abs(rate / its_rate - 1.0) >= _RATE_TOLERANCE:
         return None
-    alike, shared = _similarity(other, velocity)
-    best = int(np.argmax(np.where(shared > _MIN_OVERLAP, alike, -1.0)))
-    return best - (len(velocity) - 1) if alike[best] > _SAME_MOTION and shared[best] > _MIN_OVERLAP else None
+    similarity, shared = _similarity(other, velocity)
+    best = int(np.argmax(np.where(shared > _MIN_OVERLAP, similarity, -1.0)))
+    return best - (len(velocity) - 1) if similarity[best] > _SAME_MOTION and shared[best] > _MIN_OVERLAP else None
 
 
 def _period(velocity: Array) -> int:
     """Return the period of a run in rows, velocities of shape (k, n); 0 if it does not repeat itself."""
-    alike, shared = (values[len(velocity) - 1 :] for values in _similarity(velocity, velocity))
-    padded = np.pad(alike, 1, constant_values=-np.inf)
-    peak = (alike >= padded[:-2]) & (alike >= padded[2:])
-    repeated = np.flatnonzero(peak & (alike > _SAME_MOTION) & (shared > _MIN_OVERLAP))
-    left = np.flatnonzero(alike < _DECORRELATED)
-    repeated = repeated[repeated > left[0]] if len(left) else left
+    similarity, shared = (values[len(velocity) - 1 :] for values in _similarity(velocity, velocity))
+    padded = np.pad(similarity, 1, constant_values=-np.inf)
+    peak = (similarity >= padded[:-2]) & (similarity >= padded[2:])
+    repeated = np.flatnonzero(peak & (similarity > _SAME_MOTION) & (shared > _MIN_OVERLAP))
+    decorrelated = np.flatnonzero(similarity < _DECORRELATED)
+    repeated = repeated[repeated > decorrelated[0]] if len(decorrelated) else decorrelated
     return int(repeated[0]) if len(repeated) else 0
 
 
@@ -587,6 +587,6 @@ def _similarity(first: Array, second: Array) -> tuple[Array, Array]:
     energy, other = (np.concatenate([[0.0], np.cumsum((values**2).sum(axis=1))]) for values in (first, second))
     lag = np.arange(-(len(second) - 1), len(first))
     begin, end = np.maximum(lag, 0), np.minimum(lag + len(second), len(first))
-    mine, its = energy[end] - energy[begin], other[end - lag] - other[begin - lag]
+    own, its = energy[end] - energy[begin], other[end - lag] - other[begin - lag]
     least = max(min(energy[-1], other[-1]), 1e-300)
-    return 2.0 * product / np.maximum(mine + its, 1e-300 + 1e-9 * least), np.minimum(mine, its) / least
+    return 2.0 * product / np.maximum(own + its, 1e-300 + 1e-9 * least), np.minimum(own, its) / least

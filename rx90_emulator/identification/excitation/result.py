@@ -105,12 +105,12 @@ def unexplained(runs: Sequence[RunTorques]) -> dict[str, str]:
     for number, name in enumerate(runs[0].names):
         own = [run.joints[number] for run in runs if len(run.joints[number].recorded)]
         if own:
-            left, varying = (
+            residual, varying = (
                 math.sqrt(sum(float(np.sum((values - values.mean()) ** 2)) for values in series))
                 for series in ([one.residual for one in own], [one.recorded for one in own])
             )
-            if left > _UNEXPLAINED_SHARE * varying:
-                share = left / varying if varying else 1.0
+            if residual > _UNEXPLAINED_SHARE * varying:
+                share = residual / varying if varying else 1.0
                 found[name] = (
                     f"{share:.0%} of what varies in the torque of {name} is not explained: its friction and its "
                     "offset, and the inertias that it alone tells, are not to be trusted"
@@ -228,11 +228,11 @@ def base_parameters(
     found = []
     for k, (name, group) in enumerate(zip(problem.names, problem.base.groups, strict=True)):
         estimate, second = (ParameterEstimate(float(one.value[k]), float(one.deviation[k])) for one in (fit, other))
-        told = name not in unknown
-        second = second if told and math.isfinite(second.deviation) else none
+        determined = name not in unknown
+        second = second if determined and math.isfinite(second.deviation) else none
         unit = UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2")
         near = float(consistency.inertias.base[k])
-        found.append(BaseParameter(name, group, unit, estimate if told else none, near, second))
+        found.append(BaseParameter(name, group, unit, estimate if determined else none, near, second))
     return tuple(found)
 
 

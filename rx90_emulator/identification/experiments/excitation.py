@@ -145,8 +145,8 @@ class ExcitationPlan:
 
     def information_of(self, rows: Array) -> Array:
         """Return the information of a run, shape (p, p), by rows, shape (m, n, p), at even samples of a period."""
-        flat = rows.reshape(-1, rows.shape[2])
-        return np.asarray(flat.T @ flat * (ROWS * (self.options.period * self.options.periods) / len(rows)))
+        stacked = rows.reshape(-1, rows.shape[2])
+        return np.asarray(stacked.T @ stacked * (ROWS * (self.options.period * self.options.periods) / len(rows)))
 
     def best(self, rng: np.random.Generator, step: Callable[[], None]) -> Array:
         """Return the coefficients of the best motion that was found.

@@ -88,8 +88,8 @@ def describe_excitation(plan: ExcitationPlan) -> str:
     known = expected > _SMALL * np.array([expected[kinds == kind].max() for kind in kinds])
     deviations = np.sqrt(np.diag(np.linalg.pinv(scaled, hermitian=True))) / size
     cells = [
-        f"{name:<17}{f'{deviation / value:.2%}' if sure else f'{deviation:.2g}':>10}"
-        for name, value, sure, deviation in zip(plan.names, expected, known, deviations, strict=True)
+        f"{name:<17}{f'{deviation / value:.2%}' if is_known else f'{deviation:.2g}':>10}"
+        for name, value, is_known, deviation in zip(plan.names, expected, known, deviations, strict=True)
     ]
     lines += ["  " + "   ".join(cells[first : first + _PER_LINE]) for first in range(0, len(cells), _PER_LINE)]
     if workspace.meshes:

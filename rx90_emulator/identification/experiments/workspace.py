@@ -107,12 +107,12 @@ class Workspace:
             rotation = rotation @ axis_rotation(turn, position[:, joint])
             frames.append((rotation, center, axis))
         rotations, centers, axes = (np.stack(each, axis=1) for each in zip(*frames, strict=True))
-        turned = rotations[:, self._link] @ self._axes
-        along = np.einsum("i,msij->msj", normal, turned)
+        rotated = rotations[:, self._link] @ self._axes
+        along = np.einsum("i,msij->msj", normal, rotated)
         across = np.linalg.norm(along[..., :2], axis=-1)
         local = -np.sign(along) * self._half
         local[..., :2] -= along[..., :2] / np.maximum(across, 1e-12)[..., None] * self._disk[:, None]
-        point = np.einsum("msij,msj->msi", turned, local) - self._ball[:, None] * normal
+        point = np.einsum("msij,msj->msi", rotated, local) - self._ball[:, None] * normal
         point += centers[:, self._link] + np.einsum("msij,sj->msi", rotations[:, self._link], self._center)
         lever = point[:, :, None, :] - centers[:, None, :, :]
         swept = np.cross(np.broadcast_to(axes[:, None], lever.shape), lever) @ normal

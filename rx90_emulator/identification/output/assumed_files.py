@@ -116,12 +116,12 @@ def weight_warning(robot: RobotModel, turning: Coupling, law: CS7BParameters) ->
     poses = robot.lower + shares * (robot.upper - robot.lower)
     weight = np.max([np.abs(back @ pin.computeGeneralizedGravity(robot.model, data, pose)) for pose in poses], axis=0)
     sag = weight / np.maximum(law.inertia * law.kv * law.kp, 1e-300)
-    lost = [
-        f"{name} by {away:.2g} rad (power is cut at {limit:g})"
-        for name, away, limit in zip(robot.joint_names, sag, law.following_error, strict=True)
-        if away > limit
+    too_large = [
+        f"{name} by {deflection:.2g} rad (power is cut at {limit:g})"
+        for name, deflection, limit in zip(robot.joint_names, sag, law.following_error, strict=True)
+        if deflection > limit
     ]
-    return f"without feed-forward the weight deflects {listed(lost)}: keep inverse_dynamics on" if lost else ""
+    return f"without feed-forward the weight deflects {listed(too_large)}: keep inverse_dynamics on" if too_large else ""
 
 
 def _marked(content: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -135,14 +135,14 @@ def _six(values: Array) -> list[float]:
 
 def _inertia(robot: RobotModel, model: Any, turning: Coupling, rotors: Array) -> _Inertia:
     data, back = model.createData(), turning.joint_turns
-    held, free, masses = [], [], []
+    with_held, free, masses = [], [], []
     for share in np.random.default_rng(0).uniform(size=(_POSES, len(rotors))):
         upper = np.triu(pin.crba(model, data, robot.lower + share * (robot.upper - robot.lower)))
         mass = back.T @ (upper + np.triu(upper, 1).T) @ back + np.diag(rotors)
-        held.append(np.diag(mass))
+        with_held.append(np.diag(mass))
         free.append(1.0 / np.diag(np.linalg.inv(mass)))
         masses.append(mass)
-    mean, least = np.mean(held, axis=0), np.min(free, axis=0)
+    mean, least = np.mean(with_held, axis=0), np.min(free, axis=0)
     nominal = np.sqrt(mean * least)
     root = np.sqrt(nominal)
     most = max(float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(mass) * root)[-1]) for mass in masses)

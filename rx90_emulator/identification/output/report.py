@@ -89,8 +89,8 @@ def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, Plot]]:
         rows = zip(check.names, torque.recorded.T, torque.predicted.T, torque.difference.T, strict=True)
         panels = [
             _compared(name, torque.time, {"recorded": recorded, "predicted": predicted}, "Nm",
-                      "" if tips or name != check.names[-1] else "time, s", apart)
-            for name, recorded, predicted, apart in rows
+                      "" if tips or name != check.names[-1] else "time, s", residual)
+            for name, recorded, predicted, residual in rows
         ]  # fmt: skip
         if tips:
             far = Curve(check.tip_time, check.tip_distance * 1e6, "", COLOURS[0], 0.8)
@@ -127,9 +127,9 @@ def measured_page(result: MeasuredComparison, files: tuple[str, ...], date: date
         torques.append(_compared(name, time[shown], both, "Nm", below, torque.difference[shown, k]))
         both = {"measured": result.position[shown, k], "simulated": result.simulated_position[shown, k]}
         positions.append(_compared(name, time[shown], both, "rad", below))
-        apart = 1e3 * (both["simulated"] - both["measured"])
+        difference = 1e3 * (both["simulated"] - both["measured"])
         positions.append(
-            Panel([Curve(time[shown], apart, "simulated - measured", _DIFFERENCE, 0.7)], name, below, "mrad")
+            Panel([Curve(time[shown], difference, "simulated - measured", _DIFFERENCE, 0.7)], name, below, "mrad")
         )
     return _render(
         "measured.html.j2",
@@ -310,9 +310,9 @@ def _run_plot(run: RunTorques) -> Plot:
         steps = np.diff(time)
         gaps = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1 if len(steps) else np.empty(0, dtype=np.intp)
         rows = (time - _start(run), recorded, predicted, recorded - predicted)
-        time, recorded, predicted, apart = (np.insert(values, gaps, np.nan) for values in rows)
+        time, recorded, predicted, residual = (np.insert(values, gaps, np.nan) for values in rows)
         below = _TIME if name == run.names[-1] else ""
-        panels.append(_compared(name, time, {"measured": recorded, "predicted": predicted}, "Nm", below, apart))
+        panels.append(_compared(name, time, {"measured": recorded, "predicted": predicted}, "Nm", below, residual))
     return Plot(panels, height=1.7, share_x=True)
 
 
@@ -387,9 +387,9 @@ def _friction_plot(result: ExcitationIdentification) -> Plot:
     joints = np.flatnonzero(problem.arm.identified)
     for number, curve in enumerate(result.friction.curves()):
         own: list[Mark] = [Level(0.0, colour=_DIFFERENCE), Level(0.0, colour=_DIFFERENCE, upright=True)]
-        mine_alone = number < len(joints)  # a coupled element has no joint of its own
-        rows = np.flatnonzero((problem.joint == joints[number]) & ~problem.reversal) if mine_alone else joints[:0]
-        velocity, left = problem.velocity[rows, number], residual[rows]
+        has_own_joint = number < len(joints)  # a coupled element has no joint of its own
+        rows = np.flatnonzero((problem.joint == joints[number]) & ~problem.reversal) if has_own_joint else joints[:0]
+        velocity, residual_torque = problem.velocity[rows, number], residual[rows]
         low, high = (curve.velocity.min(), curve.velocity.max()) if len(curve.velocity) else (0.0, 0.0)
         points = []
         for sign in (-1.0, 1.0):
@@ -397,10 +397,10 @@ def _friction_plot(result: ExcitationIdentification) -> Plot:
             low_side, high_side = (bound[side] for bound in curve.band)
             own.append(Band(curve.velocity[side], low_side, high_side, "95 %", COLOURS[5]))
             own.append(Curve(curve.velocity[side], curve.torque[side], "identified", COLOURS[0], 1.2))
-            mine = np.flatnonzero(sign * velocity > 0.0)
-            for part in np.array_split(mine[np.argsort(velocity[mine])], _SPEED_BINS // 2):
+            one_sign = np.flatnonzero(sign * velocity > 0.0)
+            for part in np.array_split(one_sign[np.argsort(velocity[one_sign])], _SPEED_BINS // 2):
                 if len(part) >= _MIN_BIN_SAMPLES and low <= (speed := velocity[part].mean()) <= high:
-                    points.append((speed, np.interp(speed, curve.velocity, curve.torque) + left[part].mean()))
+                    points.append((speed, np.interp(speed, curve.velocity, curve.torque) + residual_torque[part].mean()))
         if points:
             x, y = np.array(points).T
             own.append(Dots(x, y, "measured", COLOURS[1]))

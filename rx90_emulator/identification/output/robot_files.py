@@ -218,8 +218,8 @@ def folder_base(arm: RigidArm, urdf: Path) -> tuple[FolderBase | None, str]:
     except ConfigError as error:
         return None, f"{alone}{error}"
     fixed = f"; {listed(held)} fixed at 0, as in the identification" if held else ""
-    begun = "what of drives and controller was not identified or given is assumed, in proportion to the arm"
-    return FolderBase(robot, turning, None, held), begun + fixed
+    provenance = "what of drives and controller was not identified or given is assumed, in proportion to the arm"
+    return FolderBase(robot, turning, None, held), provenance + fixed
 
 
 def robot_texts(
@@ -293,8 +293,8 @@ def robot_texts(
     if base is None:
         return texts
     texts[FILES["urdf"]] = written = with_fixed(texts[FILES["urdf"]], base.held)
-    seen = np.max([np.abs(run.acceleration).max(axis=0) for run in result.problem.runs], axis=0)
-    drives, controller = _begun(base, written, np.asarray(inertias.rotors), new, seen)
+    peak_acceleration = np.max([np.abs(run.acceleration).max(axis=0) for run in result.problem.runs], axis=0)
+    drives, controller = _begun(base, written, np.asarray(inertias.rotors), new, peak_acceleration)
     for block in dict.fromkeys(block for block, _ in new):
         drives[block] = marked(drives[block], {key: one for (there, key), one in new.items() if there == block})
     feed_forward = _compensation(result.elements, elements, base)
@@ -314,11 +314,11 @@ def _compensation(
     """Return what the controller's feed-forward compensates of the identified friction, of elements of these names."""
     joints = len(base.robot.joint_names)
     # The friction that each motor turns against, at speeds up to the nominal ones.
-    turned, speed = [[one.element] for one in found[:joints]], base.robot.max_velocity.tolist()
+    moved_elements, speed = [[one.element] for one in found[:joints]], base.robot.max_velocity.tolist()
     for motor, one in zip(base.turning.sums, found[joints:], strict=True):
-        turned[motor].append(one.element)
-    viscous, exponent = zip(*(viscous_sum(some, top) for some, top in zip(turned, speed, strict=True)), strict=True)
-    coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in turned]
+        moved_elements[motor].append(one.element)
+    viscous, exponent = zip(*(viscous_sum(some, top) for some, top in zip(moved_elements, speed, strict=True)), strict=True)
+    coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in moved_elements]
     source = "the identified friction of each joint"
     if base.turning.size.wrist:
         source += "; of joint 6 and of element 7, with which motor 6 turns as well"
@@ -329,11 +329,11 @@ def _compensation(
 
 
 def _begun(
-    base: FolderBase, urdf: str, rotors: Array, new: Mapping[tuple[str, str], Identified], seen: Array
+    base: FolderBase, urdf: str, rotors: Array, new: Mapping[tuple[str, str], Identified], peak_acceleration: Array
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the contents of drives and controller file that a folder begins with; accelerations as in the runs."""
     if base.files is None:
-        return assumed_files(base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new, seen)
+        return assumed_files(base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new, peak_acceleration)
     # Its model, for the feed-forward by one, is the folder's own arm: not the one that the base names.
     controller = {key: value for key, value in load_yaml(base.files.controller).content.items() if key != "model"}
     return dict(load_yaml(base.files.drives).content), controller
@@ -372,8 +372,8 @@ def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[
         given = {("transmission", "gear"): options.gear, ("motor", "torque_constant"): options.torque_constant}
         for (block, key), values in given.items():
             if options.gear is not None and values is not None:
-                said = f"as given with --{key.replace('_', '-')}"
-                drives[block, key] = Identified([float(value) for value in values], "assumed", said)
+                provenance = f"as given with --{key.replace('_', '-')}"
+                drives[block, key] = Identified([float(value) for value in values], "assumed", provenance)
     if (constants := torque_constants(result)) is not None:
         drives["motor", "torque_constant"] = constants
     return robot_texts(result, urdf, base, drives, date), note
@@ -389,11 +389,11 @@ def torque_constants(result: ExcitationIdentification) -> Identified | None:
         return None
     before = options.torque_constant if setup is None else setup.drives.torque_constant
     values = np.asarray(before, dtype=np.float64) * gains.factor
-    sure = [name for name, one in zip(result.problem.arm.names, gains.deviation, strict=True) if np.isfinite(one)]
-    rest = "" if len(sure) == len(values) else "; the others are as before, for the payload does not tell them"
+    identified = [name for name, one in zip(result.problem.arm.names, gains.deviation, strict=True) if np.isfinite(one)]
+    note = "" if len(identified) == len(values) else "; the others are as before, for the payload does not tell them"
     odd = [result.problem.arm.names[k] for k in gains.implausible]
-    rest += f"; {listed(odd)} hardly to be believed: parameters.yaml says why" if odd else ""
-    source = f"torques of {listed(sure)} in runs with and without a known payload{rest}"
+    note += f"; {listed(odd)} hardly to be believed: parameters.yaml says why" if odd else ""
+    source = f"torques of {listed(identified)} in runs with and without a known payload{note}"
     return Identified([digits(value) for value in values.tolist()], "identified", source)
 
 

@@ -242,10 +242,10 @@ def gain_warnings(result: ExcitationIdentification) -> list[str]:
             f"{PLAUSIBLE[1]:g}. Is the payload's mass or centre, the run that carried it, a gear or the unit of effort "
             "another one (A RMS for peak A: 0.71 or 1.41)? Inertias, friction and torque constants are as much off then"
         )
-    kept = [name for k, name in enumerate(names) if k not in gains.told]
-    if kept:
+    unchanged = [name for k, name in enumerate(names) if k not in gains.told]
+    if unchanged:
         lines.append(
-            f"{', '.join(kept)} keep{'s' if len(kept) == 1 else ''} the given gain, whose scale may not fit "
+            f"{', '.join(unchanged)} keep{'s' if len(unchanged) == 1 else ''} the given gain, whose scale may not fit "
             "that of the identified ones: inertias, which all joints share, and torques there can be off by as much"
         )
     return lines

@@ -143,8 +143,8 @@ class ElementTrace:
     def of(cls, element: FrictionElement, speed: Array, step: float, steps: int = BLOCK) -> ElementTrace:
         """Return the trace of an element, c0 and c1 of which are not used, at input velocities in a record's steps."""
         plain = replace(element.without_parts(), c1=1.0, c2=0.0)
-        held = speed[: len(speed) // BLOCK * BLOCK].reshape(-1, BLOCK // steps).mean(axis=1)
-        return cls(plain, held, block_means(element.viscous_torque(speed)), step * BLOCK / steps, steps)
+        block_speed = speed[: len(speed) // BLOCK * BLOCK].reshape(-1, BLOCK // steps).mean(axis=1)
+        return cls(plain, block_speed, block_means(element.viscous_torque(speed)), step * BLOCK / steps, steps)
 
     @property
     def position(self) -> Array:
@@ -306,11 +306,11 @@ class GroupModel:
     def of_motion(self, x: Array, index: int) -> Array:
         """Return the residual spectrum of a motion in parts of the scale, shape (r, k)."""
         motion = self.motions[index]
-        left = motion.target - motion.inertial @ x[self.inertial]
+        residual = motion.target - motion.inertial @ x[self.inertial]
         for n, (place, start) in enumerate(zip(self.places, self.starts(x)[index], strict=True)):
             torque = self._spectra(x[place], n, index, start) @ (1.0, self._c1(x[place], n))
-            left = left - np.outer(torque, motion.inputs[n])
-        return np.asarray(left / self.scale)
+            residual = residual - np.outer(torque, motion.inputs[n])
+        return np.asarray(residual / self.scale)
 
     def of_all(self, x: Array) -> Array:
         """Return the residual spectra of all motions in parts of the scale, shape (sum of r, k)."""

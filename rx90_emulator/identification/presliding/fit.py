@@ -153,10 +153,10 @@ def identify_presliding(
     moved: list[MovedGroup] = []
     used = 0
     for group in groups:
-        seen = [motion for motion in motions if motion.joints == group.joints]
-        own = [motion for motion in seen if motion.driven]
+        of_group = [motion for motion in motions if motion.joints == group.joints]
+        own = [motion for motion in of_group if motion.driven]
         if not own:
-            reason = _MOVED_BY_REACTIONS if seen else "no micro-oscillation of its joints in the bags"
+            reason = _MOVED_BY_REACTIONS if of_group else "no micro-oscillation of its joints in the bags"
             for e in group.elements:
                 estimates[e] = ElementEstimate.unknown(arm.element_names[e], PRESLIDING, reason)
             continue
@@ -287,8 +287,8 @@ class _GroupFit:
         names, worst = [arm.names[joint] for joint in self._group.joints], int(np.argmax(scores))
         error = 100.0 * float(np.abs(inertia[worst]).max())
         # The torque residuals beyond noise over the friction, RMS, of each joint.
-        left = self.model.of_all(self.x)
-        power = np.sum(left**2, axis=0) - len(left) - _NOISE_POWER_SD * np.sqrt(2.0 * len(left))
+        residual = self.model.of_all(self.x)
+        power = np.sum(residual**2, axis=0) - len(residual) - _NOISE_POWER_SD * np.sqrt(2.0 * len(residual))
         friction = np.vstack(
             [
                 motion.traces[0].spectrum(self.model.friction(self.x, index))
@@ -355,11 +355,11 @@ def _cluster_robust(jacobian: Array, residual: Array, groupings: Sequence[NDArra
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
     inverse_root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) @ vectors.T
     noise = inverse_root @ inverse_root
-    wide = np.ones(len(noise))
+    inflation = np.ones(len(noise))
     for numbers in groupings:
         variance = cluster_variances(jacobian, residual, numbers, inverse_root, 0.5, _MIN_RESIDUAL_LEVERAGE)
-        wide = np.maximum(wide, np.sqrt(variance / np.diag(noise)))
-    return np.asarray(noise * np.outer(wide, wide))
+        inflation = np.maximum(inflation, np.sqrt(variance / np.diag(noise)))
+    return np.asarray(noise * np.outer(inflation, inflation))
 
 
 def _first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[FrictionElement]) -> Array:

@@ -147,13 +147,13 @@ class GroupFit:
     def seen(self, place: int, index: int) -> tuple[Array, Array]:
         """Return the measured torque of an element along a motion less all others', and its own, Nm, each (b,)."""
         motion = self.model.motions[index]
-        left = motion.measured @ np.concatenate([[1.0], -self.x[self.model.inertial]])
+        remaining = motion.measured @ np.concatenate([[1.0], -self.x[self.model.inertial]])
         torques = [self.model.torque(self.x, index, n)[:, 0] for n in range(len(motion.traces))]
         for n, torque in enumerate(torques):
             if n != place:
-                left = left - np.outer(torque, motion.inputs[n])
+                remaining = remaining - np.outer(torque, motion.inputs[n])
         row = motion.inputs[place]
-        return np.asarray(left @ row / (row @ row)), torques[place]
+        return np.asarray(remaining @ row / (row @ row)), torques[place]
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,8 +368,8 @@ def choose_kinds_of(
             def squares(fit: GroupFit, index: int, starts: Array = starts) -> Array:
                 """Return what a fit misses in each spectral line of a motion, shape (lines,)."""
                 lines = np.unique(motions[index].line, return_inverse=True)[1]
-                left = fit.left_over(motions[index], starts[index])
-                return np.bincount(lines, np.sum(left**2, axis=1)).astype(np.float64)
+                residual = fit.left_over(motions[index], starts[index])
+                return np.bincount(lines, np.sum(residual**2, axis=1)).astype(np.float64)
 
             without[chosen], power[chosen] = leave_out(range(len(motions)), whole.without, squares)
     errors = HeldOutErrors(power)

@@ -125,15 +125,15 @@ def identify_sliding(
             "the drive moves the joint (check the signs of gears and torque constants)"
         )
         raise IdentificationError("; ".join(filter(None, (error, zeros.text))))
-    asked = None if model is None else model_parts(model, SLIDING_PARTS)
-    fit = _with_shown_parameters(fit) if asked is None else _with_parts(fit, asked)
+    requested = None if model is None else model_parts(model, SLIDING_PARTS)
+    fit = _with_shown_parameters(fit) if requested is None else _with_parts(fit, requested)
     sources = tuple(record.bag for record in records)
     estimates, curves, quality = [], [], []
     for e, name in enumerate(names):
         if name in lacking:
             estimates.append(ElementEstimate.unknown(name, SLIDING, lacking[name], sources))
         else:
-            given = asked is None or "stribeck-rise" in asked
+            given = requested is None or "stribeck-rise" in requested
             estimates.append(_estimate(fit, names, e, usage, sources, rising=given))
         curves.append(_curve(fit, e))
         quality.append(
@@ -143,9 +143,9 @@ def identify_sliding(
         )
     # The covariance of the inertial errors is that of the prior where nothing is observed.
     scale, directions = arm.inertial_scale(), rows.directions
-    seen = directions / scale[:, None]
+    scaled = directions / scale[:, None]
     covariance = directions @ fit.nuisance_covariance @ directions.T
-    covariance += scale[:, None] * (np.eye(len(scale)) - seen @ seen.T) * scale
+    covariance += scale[:, None] * (np.eye(len(scale)) - scaled @ scaled.T) * scale
     inertial = directions @ fit.nuisance
     count = len(np.unique(rows.plateau))
     return SlidingFit(tuple(estimates), tuple(curves), inertial, covariance, count, usage, tuple(quality), zeros)
@@ -208,10 +208,10 @@ def _with_shown_parameters(fit: CurveFit) -> CurveFit:
     free[:, EXPONENT] = (np.array(_least_speeds(fit)) > LEAST_SPEEDS) & (linear.exponent_score > _MIN_EXPONENT_SCORE)
     while free[:, EXPONENT].any():
         fit = _drop_insignificant_stribeck(CurveFit(rows, free.copy()))
-        bent = np.array([_has_exponent(fit, e) for e in range(len(free))])
-        if (bent == free[:, EXPONENT]).all():
+        has_exponent = np.array([_has_exponent(fit, e) for e in range(len(free))])
+        if (has_exponent == free[:, EXPONENT]).all():
             return fit
-        free[:, EXPONENT] = bent
+        free[:, EXPONENT] = has_exponent
     return linear
 
 
@@ -221,8 +221,8 @@ def _drop_insignificant_stribeck(fit: CurveFit) -> CurveFit:
     for e in np.flatnonzero(free[:, SHAPE].all(axis=1)).tolist():
         deviation = np.sqrt(np.diag(fit.block(e)))[RISE]
         # At a bound the deviation means nothing; a rise of 0 is on it.
-        flat = (fit.parameters[e, RISE] < _SIGNIFICANT_SD * deviation).all()
-        if flat or fit.at_bound[e, OMEGA_S]:
+        insignificant = (fit.parameters[e, RISE] < _SIGNIFICANT_SD * deviation).all()
+        if insignificant or fit.at_bound[e, OMEGA_S]:
             free[e, RISE] = free[e, SHAPE] = False
     return fit if (free == fit.free).all() else CurveFit(fit.rows, free)
 
@@ -234,9 +234,9 @@ def _has_exponent(fit: CurveFit, element: int) -> bool:
     """
     if not fit.free[element, EXPONENT] or fit.at_bound[element, EXPONENT]:
         return False
-    away = abs(float(np.exp(fit.parameters[element, EXPONENT])) - 1.0)
+    deviation_from_one = abs(float(np.exp(fit.parameters[element, EXPONENT])) - 1.0)
     deviation = float(np.sqrt(_natural_covariance(fit, element)[-1, -1]))
-    return away > max(_MIN_EXPONENT_SHIFT, _SIGNIFICANT_SD * deviation)
+    return deviation_from_one > max(_MIN_EXPONENT_SHIFT, _SIGNIFICANT_SD * deviation)
 
 
 def _natural_covariance(fit: CurveFit, element: int) -> Array:
@@ -245,15 +245,15 @@ def _natural_covariance(fit: CurveFit, element: int) -> Array:
     It is that of the fit, times the squared t factor and the design effect of plateaus at one speed or, where it is
     larger, the factor of a misfit, plus what repetition does not show.
     """
-    mine = fit.rows.gain[:, element] != 0.0
-    design = float(fit.design_effect[mine].mean())
+    own_rows = fit.rows.gain[:, element] != 0.0
+    design = float(fit.design_effect[own_rows].mean())
     wider = np.sqrt(np.maximum(design, fit.widening[element]))
     # The degrees of freedom are Satterthwaite's: with the intraclass correlation of a plateau's blocks each plateau is
     # one observation, with the rest of the variance each block is one. The factor is that of the 97.5 % quantiles.
-    common = float(fit.common[mine].mean())
+    common = float(fit.common[own_rows].mean())
     fitted = int(fit.free[element].sum())
-    plateaus = max(1, len(np.unique(fit.rows.plateau[mine])) - fitted)
-    freedom = 1.0 / (common**2 / plateaus + (1.0 - common) ** 2 / max(1, int(mine.sum()) - fitted))
+    plateaus = max(1, len(np.unique(fit.rows.plateau[own_rows])) - fitted)
+    freedom = 1.0 / (common**2 / plateaus + (1.0 - common) ** 2 / max(1, int(own_rows.sum()) - fitted))
     factor = float(student.ppf(0.975, freedom) / student.ppf(0.975, np.inf))
     transform = natural_jacobian(fit.parameters[element])
     covariance = transform @ (wider[:, None] * fit.block(element) * wider) @ transform.T * factor**2
@@ -316,17 +316,17 @@ def _reason(
 def _curve(fit: CurveFit, element: int) -> CurvePoints:
     """Subtract everything but one element from the equations, and average over each plateau."""
     rows, parameters = fit.rows, fit.parameters[element]
-    mine = np.flatnonzero(rows.gain[:, element])
-    gain, along = rows.gain[mine, element], rows.velocity[mine, element]
-    left = fit.residual[mine] + gain * torque(along, parameters)
-    number = np.unique(rows.plateau[mine], return_inverse=True)[1]
+    own_rows = np.flatnonzero(rows.gain[:, element])
+    gain, along = rows.gain[own_rows, element], rows.velocity[own_rows, element]
+    own_torque = fit.residual[own_rows] + gain * torque(along, parameters)
+    number = np.unique(rows.plateau[own_rows], return_inverse=True)[1]
     power, weighted, pull, noise, time = (
         np.bincount(number, values)
-        for values in (gain**2, gain**2 * along, gain * left, (gain * fit.noise[mine]) ** 2, rows.time[mine])
+        for values in (gain**2, gain**2 * along, gain * own_torque, (gain * fit.noise[own_rows]) ** 2, rows.time[own_rows])
     )
     velocity = weighted / power
     line = np.zeros((3, 0))
-    if len(mine):  # velocity, torque and standard deviation of the identified curve
+    if len(own_rows):  # velocity, torque and standard deviation of the identified curve
         sides = [(sign, sign * velocity[sign * velocity > 0.0]) for sign in (-1.0, 1.0)]
         grids = [sign * np.geomspace(speed.min(), speed.max(), _LINE_POINTS) for sign, speed in sides if len(speed)]
         grid = np.sort(np.concatenate(grids))

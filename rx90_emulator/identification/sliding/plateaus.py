@@ -137,11 +137,11 @@ def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks
     usage, covariances = [], []
     # A record begins by its stamps, or one behind the other where these overlap.
     order = sorted(records, key=lambda record: float(record.time[0]))
-    apart = all(a.time[-1] <= b.time[0] for a, b in pairwise(order))
+    disjoint = all(a.time[-1] <= b.time[0] for a, b in pairwise(order))
     begin = 0.0
     for source, record in enumerate(records):
         state, cut = _plateaus(record, elements)
-        shift = 0.0 if apart else begin - float(record.time[0])
+        shift = 0.0 if disjoint else begin - float(record.time[0])
         velocities = []
         for rows, sliding in cut:
             part, covariance = _block_means(record, rows)
@@ -195,9 +195,9 @@ def _plateaus(record: JointRecord, elements: Array) -> tuple[Array, list[tuple[N
     return state, cut
 
 
-def _runs(held: Mask) -> list[list[int]]:
+def _runs(mask: Mask) -> list[list[int]]:
     """Return the first sample of each run in which something holds, and the one behind its last."""
-    return np.flatnonzero(np.diff(held, prepend=False, append=False)).reshape(-1, 2).tolist()
+    return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist()
 
 
 def _travel(record: JointRecord, elements: Array, rows: slice) -> tuple[float, Array]:
@@ -252,7 +252,7 @@ def _number_plateaus(
     bins, joints = velocity.shape
     relative, at_rest, steady = shares
     mean = velocity[0].copy()
-    held, current = 1, 0
+    samples, current = 1, 0
     number[0] = 0
     for k in range(1, bins):
         same = not gap[k] and not gap[k - 1]
@@ -262,12 +262,12 @@ def _number_plateaus(
             if abs(velocity[k, j] - mean[j]) > max(noise, relative * abs(mean[j]), at_rest * fastest):
                 same = False
         if same:
-            held += 1
+            samples += 1
             for j in range(joints):
-                mean[j] += (velocity[k, j] - mean[j]) / held
+                mean[j] += (velocity[k, j] - mean[j]) / samples
         else:
             current += 1
-            held = 1
+            samples = 1
             for j in range(joints):
                 mean[j] = velocity[k, j]
         number[k] = current
@@ -277,9 +277,9 @@ def _settled_part(record: JointRecord, elements: Array, rows: slice, size: int, 
     """Return the part of a plateau that is settled and keeps its velocity, and why it cannot be used, if it cannot."""
     inputs = record.position[rows] @ elements[sliding].T
     along = inputs * np.sign(inputs[-1] - inputs[0])
-    gone = (along - np.minimum.accumulate(along, axis=0)).min(axis=1)
+    travelled = (along - np.minimum.accumulate(along, axis=0)).min(axis=1)
     late = record.time[rows] - record.time[rows][0] >= _SETTLE_S
-    ready = np.flatnonzero(late & (gone >= SETTLE_DISTANCE))
+    ready = np.flatnonzero(late & (travelled >= SETTLE_DISTANCE))
     start = int(rows.start + ready[0]) if len(ready) else rows.stop
     if (rows.stop - start) // size < _TREND_BINS:
         return slice(start, rows.stop), SHORT
@@ -288,12 +288,12 @@ def _settled_part(record: JointRecord, elements: Array, rows: slice, size: int, 
     # Of a wave's crest a short half would look straight.
     long = float(record.time[rows.stop - 1] - record.time[half]) >= _HALF_S
     for begin in (start, half)[: 1 + long]:
-        kept = slice(begin, rows.stop)
-        if not _accelerates(record, kept, size, moving):
-            around = kept if long else _with_context(record, elements[sliding], kept, size)
-            if around == kept or not _accelerates(record, around, size, moving):
-                return kept, ""
-    return kept, ACCELERATES
+        settled = slice(begin, rows.stop)
+        if not _accelerates(record, settled, size, moving):
+            around = settled if long else _with_context(record, elements[sliding], settled, size)
+            if around == settled or not _accelerates(record, around, size, moving):
+                return settled, ""
+    return settled, ACCELERATES
 
 
 def _accelerates(record: JointRecord, rows: slice, size: int, moving: Mask) -> bool:
@@ -306,9 +306,9 @@ def _accelerates(record: JointRecord, rows: slice, size: int, moving: Mask) -> b
     velocity = record.velocity[rows.start : rows.start + count * size].reshape(count, size, -1).mean(axis=1)
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), 3))[0]
     fitted = basis @ (basis.T @ velocity)
-    left, mean = velocity - fitted, velocity.mean(axis=0)
-    power = np.maximum(np.sum(left**2, axis=0), 1e-24)
-    repeated = np.clip(np.sum(left[1:] * left[:-1], axis=0) / power, 0.0, 0.95)
+    residual, mean = velocity - fitted, velocity.mean(axis=0)
+    power = np.maximum(np.sum(residual**2, axis=0), 1e-24)
+    repeated = np.clip(np.sum(residual[1:] * residual[:-1], axis=0) / power, 0.0, 0.95)
     free = np.maximum((count - 3) * (1.0 - repeated) / (1.0 + repeated), 1.0)
     explained = np.sum((fitted - mean) ** 2, axis=0) / 2.0
     chance = fdtrc(2.0, free, explained / power * free)
@@ -362,10 +362,10 @@ def _blocks(record: JointRecord, elements: Array, kept: slice, sliding: Mask) ->
 
 def _block_means(record: JointRecord, rows: NDArray[np.int64]) -> tuple[dict[str, Array], Array]:
     """Return means over the blocks of a plateau, of its samples (b, m), and the covariance of the torque's samples."""
-    flat, mean_time = rows.ravel(), record.time[rows].mean(axis=1)
-    centre = record.time[flat].mean()
-    spread = record.time[flat] - centre
-    slope = spread @ record.velocity[flat] / (spread @ spread)
+    samples, mean_time = rows.ravel(), record.time[rows].mean(axis=1)
+    centre = record.time[samples].mean()
+    spread = record.time[samples] - centre
+    slope = spread @ record.velocity[samples] / (spread @ spread)
     torque = record.torque[rows]
     distance = np.abs(torque - np.median(torque, axis=1, keepdims=True))
     good = distance <= _OUTLIER_SD * 1.4826 * np.median(distance, axis=1, keepdims=True) + 1e-12
@@ -375,7 +375,7 @@ def _block_means(record: JointRecord, rows: NDArray[np.int64]) -> tuple[dict[str
     steps = steps[usual] if usual.any() else steps
     means = {
         "position": record.position[rows].mean(axis=1),
-        "velocity": record.velocity[flat].mean(axis=0) + (mean_time[:, None] - centre) * slope,
+        "velocity": record.velocity[samples].mean(axis=0) + (mean_time[:, None] - centre) * slope,
         "acceleration": np.tile(slope, (len(rows), 1)),
         "torque": np.where(good, torque, 0.0).sum(axis=1) / used,
         "count": used.min(axis=1).astype(np.float64),
@@ -389,9 +389,9 @@ def _account(record: JointRecord, elements: Array, state: Array, velocities: Seq
     period = float(np.median(np.diff(record.time))) if len(record.time) > 1 else 0.0
     speeds = np.zeros((len(elements), 2))
     for e in range(len(elements)):
-        mine = [abs(float(v[:, e].mean())) for v in velocities if v[:, e].any()]
-        if mine:
-            speeds[e] = min(mine), max(mine)
+        own_speeds = [abs(float(v[:, e].mean())) for v in velocities if v[:, e].any()]
+        if own_speeds:
+            speeds[e] = min(own_speeds), max(own_speeds)
     seconds = {why: float(np.sum(state == k)) * period for k, why in enumerate(REASONS)}
     used = seconds.pop(USED)
     listed = sorted(((why, s) for why, s in seconds.items() if s >= _LISTED_S), key=lambda pair: -pair[1])

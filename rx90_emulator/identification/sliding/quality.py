@@ -71,21 +71,21 @@ def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> tuple[Arr
     agreement, widening = np.zeros(len(free)), np.ones(free.shape)
     column = np.cumsum(free.ravel()).reshape(free.shape) - 1
     for e, own in enumerate(free):
-        mine = np.flatnonzero(residuals.velocity[:, e]) if own.any() else np.zeros(0, dtype=np.int64)
-        if len(mine):
-            speed = np.log(np.abs(residuals.velocity[mine, e]))
-            along, distance = residuals.along[mine, e], np.abs(speed[:, None] - speed)
+        own_rows = np.flatnonzero(residuals.velocity[:, e]) if own.any() else np.zeros(0, dtype=np.int64)
+        if len(own_rows):
+            speed = np.log(np.abs(residuals.velocity[own_rows, e]))
+            along, distance = residuals.along[own_rows, e], np.abs(speed[:, None] - speed)
             along = along / _scatter(along, np.argsort(speed))
             kernel = np.triu(np.maximum(0.0, 1.0 - distance / _CORRELATION_LENGTH) * (distance > _SAME_SPEED), 1)
             spread = float(np.sqrt(along**2 @ kernel**2 @ along**2))
             agreement[e] = float(along @ kernel @ along) / spread if spread > 0.0 else 0.0
             if agreement[e] > MISFIT_SD:
                 band = np.full(len(residuals.velocity), -1)
-                band[mine] = np.floor((speed - speed.min()) / _BAND_WIDTH)
+                band[own_rows] = np.floor((speed - speed.min()) / _BAND_WIDTH)
                 values, vectors = np.linalg.eigh(covariance)
                 root, bands = vectors * np.sqrt(np.maximum(values, 0.0)), band[residuals.plateau]
                 variance = cluster_variances(residuals.slope, residuals.left, bands, root, 1.0, _MIN_RESIDUAL_LEVERAGE)
-                variance *= 1.0 - 1.0 / len(np.unique(band[mine]))
+                variance *= 1.0 - 1.0 / len(np.unique(band[own_rows]))
                 chosen = column[e, own]
                 widening[e, own] = np.maximum(1.0, variance[chosen] / np.diag(covariance)[chosen])
     return agreement, widening
@@ -134,9 +134,9 @@ def drifts_of(residuals: Residuals, free: Mask) -> list[Drift]:
     quantile = 1.0 - 0.5 * FALSE_ALARMS / max(1, int(free.any(axis=1).sum()))
     found = []
     for e, fitted in enumerate(free.sum(axis=1).tolist()):
-        mine = np.flatnonzero(residuals.velocity[:, e])
-        time, gain, plateau = residuals.time[mine], residuals.gain[:, e], residuals.plateau
-        count, span = len(mine), float(np.ptp(time)) if len(mine) else 0.0
+        own_rows = np.flatnonzero(residuals.velocity[:, e])
+        time, gain, plateau = residuals.time[own_rows], residuals.gain[:, e], residuals.plateau
+        count, span = len(own_rows), float(np.ptp(time)) if len(own_rows) else 0.0
         power = 0.0
         if fitted and count >= max(_MIN_PLATEAUS, 2 * fitted) and span > 0.0:
             trend = gain * ((residuals.time - time.mean()) / span)[plateau]
@@ -146,9 +146,9 @@ def drifts_of(residuals: Residuals, free: Mask) -> list[Drift]:
             found.append(Drift())
             continue
         change = float(trend @ residuals.left) / power
-        left = residuals.left - change * trend
-        pull, weight = (np.bincount(plateau, values, len(residuals.time)) for values in (gain * left, gain**2))
-        along = (pull / np.sqrt(np.maximum(weight, 1e-300)))[mine[np.argsort(time, kind="stable")]]
+        residual = residuals.left - change * trend
+        pull, weight = (np.bincount(plateau, values, len(residuals.time)) for values in (gain * residual, gain**2))
+        along = (pull / np.sqrt(np.maximum(weight, 1e-300)))[own_rows[np.argsort(time, kind="stable")]]
         # What a fitted level and trend take from the first autocorrelation is given back (Kendall 1954).
         squares = float(along @ along)
         correlation = float(along[1:] @ along[:-1]) / max(squares, 1e-300)

@@ -171,18 +171,18 @@ class _Weights:
         inner = residual - mean[cluster]
         # Bessel's correction; a plateau of one block has no distance from its mean, and is left out.
         several = count[cluster] > 1
-        apart = inner / np.sqrt(1.0 - 1.0 / np.where(several, count[cluster], np.inf))
+        corrected = inner / np.sqrt(1.0 - 1.0 / np.where(several, count[cluster], np.inf))
         group = rows.group[self.first]
         for g in np.unique(group):
-            inside, mine = rows.group == g, group == g
-            known = apart[inside & several]
+            inside, of_group = rows.group == g, group == g
+            known = corrected[inside & several]
             # Without such plateaus the noise is that of the samples, by which the equations are scaled.
             noise = max(_robust_sd(known), 1e-9) if len(known) else 1.0
             # The mean square of the residuals' means is (1 - leverage) (s^2 / m + t^2).
-            left = np.maximum(_MIN_RESIDUAL_LEVERAGE, 1.0 - leverage[mine])
-            excess = np.sum(count[mine] * mean[mine] ** 2) - noise**2 * np.sum(left)
-            common = max(0.0, float(excess / np.sum(power[mine] * left)))
-            self.share[mine] = 1.0 - noise / np.sqrt(noise**2 + power[mine] * common)
+            residual_share = np.maximum(_MIN_RESIDUAL_LEVERAGE, 1.0 - leverage[of_group])
+            excess = np.sum(count[of_group] * mean[of_group] ** 2) - noise**2 * np.sum(residual_share)
+            common = max(0.0, float(excess / np.sum(power[of_group] * residual_share)))
+            self.share[of_group] = 1.0 - noise / np.sqrt(noise**2 + power[of_group] * common)
             size = np.abs(inner[inside]) / noise
             self.factor[inside] = np.sqrt(np.minimum(1.0, _HUBER_SD / np.maximum(size, 1e-12))) / noise
 
@@ -216,11 +216,11 @@ class _Weights:
             level = np.round(np.log(np.abs(velocity)) / _SPEED_CLASS_WIDTH)
         factor = np.ones(len(residual))
         for g in np.unique(group):
-            mine = np.flatnonzero((group == g) & (velocity != 0.0))
-            number = np.unique(np.column_stack([source[mine], level[mine]]), axis=0, return_inverse=True)[1].ravel()
-            power = float(np.sum(along[mine] ** 2))
+            of_group = np.flatnonzero((group == g) & (velocity != 0.0))
+            number = np.unique(np.column_stack([source[of_group], level[of_group]]), axis=0, return_inverse=True)[1].ravel()
+            power = float(np.sum(along[of_group] ** 2))
             if power > 0.0:
-                together = float(np.sum(np.bincount(number, along[mine]) ** 2))
+                together = float(np.sum(np.bincount(number, along[of_group]) ** 2))
                 factor[rows.group == g] = max(1.0, together / power)
         return factor
 
@@ -359,9 +359,9 @@ class CurveFit:
 
     def _residuals(self, operator: csr_array, slope: Array) -> Residuals:
         """Return what the fit leaves, by the derivatives of the equations by the free parameters, shape (r, q)."""
-        rows, left = self.rows, np.asarray(operator @ self.residual)
+        rows, residual = self.rows, np.asarray(operator @ self.residual)
         number = np.asarray(np.unique(rows.plateau, return_inverse=True)[1], dtype=np.int64)
-        gather = csr_array((np.ones(len(left)), (number, np.arange(len(left)))))
+        gather = csr_array((np.ones(len(residual)), (number, np.arange(len(residual)))))
         slides = rows.gain != 0.0
         shared = np.maximum(np.asarray(gather @ slides.astype(np.float64)), 1.0)
         gain = np.asarray(operator @ (np.sign(rows.velocity) * rows.gain))
@@ -369,12 +369,12 @@ class CurveFit:
         both = np.hstack([np.asarray(operator @ slope), gain])
         both = both - basis @ (basis.T @ both)
         return Residuals(
-            left=left,
+            left=residual,
             slope=both[:, : slope.shape[1]],
             gain=both[:, slope.shape[1] :],
             plateau=number,
             velocity=np.asarray(gather @ (rows.velocity * slides)) / shared,
-            along=np.asarray(gather @ (gain * left[:, None])) / np.sqrt(np.maximum(gather @ gain**2, 1e-300)),
+            along=np.asarray(gather @ (gain * residual[:, None])) / np.sqrt(np.maximum(gather @ gain**2, 1e-300)),
             time=np.asarray(gather @ rows.time) / np.bincount(number),
         )
 
@@ -413,9 +413,9 @@ class CurveFit:
         """Return the derivatives of the friction torques by the free, or the chosen, parameters, shape (c, p)."""
         parts = []
         chosen = self.free if chosen is None else chosen
-        for columns, values, mine in zip(self._columns, parameters, chosen, strict=True):
-            part = np.zeros((len(self._velocity), int(mine.sum())))
-            part[columns] = torque_jacobian(self._velocity[columns], values)[:, mine]
+        for columns, values, free in zip(self._columns, parameters, chosen, strict=True):
+            part = np.zeros((len(self._velocity), int(free.sum())))
+            part[columns] = torque_jacobian(self._velocity[columns], values)[:, free]
             parts.append(part)
         return np.hstack(parts)
 
@@ -495,5 +495,5 @@ def _leverage(slope: Array, nuisance: Array) -> Array:
     prior = np.hstack([np.zeros((count, slope.shape[1])), np.eye(count)])
     matrix = np.vstack([np.hstack([slope, nuisance]), prior])
     size = np.linalg.norm(matrix, axis=0)
-    left, values, _ = np.linalg.svd(matrix / np.where(size > 0.0, size, 1.0), full_matrices=False)
-    return np.asarray(np.sum(left[: len(slope), values > 1e-10 * values[0]] ** 2, axis=1))
+    left_vectors, values, _ = np.linalg.svd(matrix / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    return np.asarray(np.sum(left_vectors[: len(slope), values > 1e-10 * values[0]] ** 2, axis=1))

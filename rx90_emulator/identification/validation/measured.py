@@ -231,8 +231,8 @@ def compare_measured(
     run = max(pieces, key=lambda piece: len(piece.time))
     # A joint moves where every motor and friction element moves that it turns.
     matrix = setup.drives.turning.element_matrix
-    rests = element_states(run, matrix)[0] @ (matrix != 0.0)
-    moves = np.asarray(~rests & (np.ptp(run.position, axis=0) > _MIN_TRAVEL))
+    resting = element_states(run, matrix)[0] @ (matrix != 0.0)
+    moves = np.asarray(~resting & (np.ptp(run.position, axis=0) > _MIN_TRAVEL))
     nothing = IdentificationError(
         f"{path}: no joint moves, and torques at rest are not compared; accepted: a joint that slides over "
         f"{1e3 * _MIN_TRAVEL:g} mrad or more"
@@ -352,13 +352,13 @@ def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> _Se
     position, velocity, _ = values[0]
     lasting = max(_MIN_LEAD_S, float(np.max(2.0 * np.abs(velocity) / limits.acceleration)))
     lead, hold = round(lasting / period), round(_HOLD_S / period)
-    rest = np.clip(position - 0.5 * lead * period * velocity, limits.lower, limits.upper)
-    rest = np.where(np.abs(velocity) < _REST_SPEED, position, rest)
-    still = np.stack([rest, 0.0 * rest, 0.0 * rest])
+    start_pose = np.clip(position - 0.5 * lead * period * velocity, limits.lower, limits.upper)
+    start_pose = np.where(np.abs(velocity) < _REST_SPEED, position, start_pose)
+    still = np.stack([start_pose, 0.0 * start_pose, 0.0 * start_pose])
     curve, time = BPoly.from_derivatives([0.0, lead * period], np.stack([still, values[0]])), np.arange(lead) * period
     moving = np.stack([curve(time, nu) for nu in range(3)], axis=1)
     whole = np.ascontiguousarray(np.concatenate([np.broadcast_to(still, (hold, *still.shape)), moving, values]))
-    return _SetPoints(begin - (hold + lead) * period, whole, begin, rest, source)
+    return _SetPoints(begin - (hold + lead) * period, whole, begin, start_pose, source)
 
 
 def _beyond(setpoints: _SetPoints, bag: Path, setup: Setup) -> tuple[str, ...]:

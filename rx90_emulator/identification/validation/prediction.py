@@ -174,8 +174,8 @@ def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Ban
     highest = _MAX_BANDWIDTH_OVER_RATE / float(np.median(np.diff(record.time)))
     if chosen.position <= highest:
         return chosen
-    said = f"{chosen.reason}; no more than {_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"
-    return chosen._replace(position=highest, torque=min(chosen.torque, highest / 3.0), reason=said)
+    reason = f"{chosen.reason}; no more than {_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"
+    return chosen._replace(position=highest, torque=min(chosen.torque, highest / 3.0), reason=reason)
 
 
 def written_torque(problem: ExcitationProblem, arm: RigidArm, elements: Sequence[FrictionElement]) -> Array:

@@ -249,8 +249,8 @@ def verdict(source: object, words: tuple[str, str], *parts: Criterion | str) -> 
     """
     failed, kept = ([one.text for one in parts if isinstance(one, Criterion) and one.passed is good]
                     for good in (False, True))  # fmt: skip
-    said = [one for one in parts if isinstance(one, str)]
+    remarks = [one for one in parts if isinstance(one, str)]
     if not failed:
-        return f"{source}: {words[0]}: {'; '.join([', '.join(kept), *said])}"
+        return f"{source}: {words[0]}: {'; '.join([', '.join(kept), *remarks])}"
     within = [f"within the limits {', '.join(kept)}"] if kept else []
-    return f"{source}: {words[1]}: {'; '.join([', '.join(failed), *within, *said])}"
+    return f"{source}: {words[1]}: {'; '.join([', '.join(failed), *within, *remarks])}"
