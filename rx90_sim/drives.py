@@ -34,7 +34,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.description.coupling import add_drive_torques, to_motor
-from rx90_common.description.drives import MOST_TERMS, Cogging, CurrentSensor, Windings
+from rx90_common.description.drives import MAX_TERMS, Cogging, CurrentSensor, Windings
 from rx90_common.friction.bristle import decay
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import GOLDEN, WHOLE, mixed, nearly_normal, sine_cosine
@@ -50,9 +50,9 @@ def cogging_dtype(motors: int) -> np.dtype[np.void]:
     return np.dtype(
         [
             ("terms", np.int64),
-            ("harmonic", np.float64, MOST_TERMS),
-            ("cosine", np.float64, (MOST_TERMS, motors)),  # Nm, joint side
-            ("sine", np.float64, (MOST_TERMS, motors)),
+            ("harmonic", np.float64, MAX_TERMS),
+            ("cosine", np.float64, (MAX_TERMS, motors)),  # Nm, joint side
+            ("sine", np.float64, (MAX_TERMS, motors)),
         ],
         align=True,
     )

@@ -59,9 +59,9 @@ from rx90_sim.joint_friction import (
     take_last_friction,
 )
 
-_MOST_ITERATIONS = 50  # of Newton's method, which takes two or three
+_MAX_ITERATIONS = 50  # of Newton's method, which takes two or three
 _TOLERANCE = 1e-12  # of a transmitted torque, relative to the torques about it
-_MOST_SAG_ROUNDS = 100
+_MAX_SAG_ROUNDS = 100
 
 
 def transmission_dtype(drives: int) -> np.dtype[np.void]:
@@ -164,7 +164,7 @@ def hang_links(plant: Any, state: Any) -> None:
     for i in range(n):
         gears.motor_angle[i] = state.q[i]
     # The weight changes little with the sag: each round leaves a hundredth or so of the error.
-    for _ in range(_MOST_SAG_ROUNDS):
+    for _ in range(_MAX_SAG_ROUNDS):
         mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
         _twist_by_weight(plant, gears, state.bias)
         add_twist(plant.gear, gears.motor_angle, gears.twist, -1.0, state.q_mid)
@@ -279,7 +279,7 @@ def _add_friction(plant: Any, state: Any, step: float) -> None:
 def _balance(plant: Any, state: Any, step: float) -> None:
     """Find the accelerations of links and twists, and the transmitted torques, for the torques on links and motors."""
     constants, gears = plant.transmission, state.transmission
-    for _ in range(_MOST_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         _linearise(constants, gears, step)
         _accelerate_links(plant, gears, state)
         if _accelerate_twists(plant, gears, state.acceleration, step):

@@ -37,9 +37,9 @@ from rx90_sim.drives import (
 )
 from rx90_sim.elastic_gears import transmission_dtype, transmission_state_dtype
 from rx90_sim.plant_step import friction_states, plant_reset, plant_step
-from rx90_sim.plant_steps import MOST_STEPS, plant_steps
+from rx90_sim.plant_steps import MAX_STEPS, plant_steps
 
-_MOST_CORRECTIONS = 50
+_MAX_CORRECTIONS = 50
 
 
 @cache
@@ -147,8 +147,8 @@ def _plant_record(
 
 def _check(drives: DriveParameters, rates: Rates, substeps: int | None, seed: int) -> None:
     """Refuse what does not fit the tick."""
-    if substeps is not None and not (isinstance(substeps, int | np.integer) and 1 <= substeps <= MOST_STEPS):
-        raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1, up to {MOST_STEPS}")
+    if substeps is not None and not (isinstance(substeps, int | np.integer) and 1 <= substeps <= MAX_STEPS):
+        raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1, up to {MAX_STEPS}")
     if drives.velocity_bandwidth >= rates.base_hz / 2:
         raise ConfigError(
             f"velocity_bandwidth is {drives.velocity_bandwidth} Hz; accepted: below half the base rate, "
@@ -271,7 +271,7 @@ class Plant:
         """
         target = np.array(links, dtype=np.float64)
         position = target.copy()
-        for _ in range(_MOST_CORRECTIONS):
+        for _ in range(_MAX_CORRECTIONS):
             self.reset(position)
             off = target - self.state["q"][0]
             if not off.any():

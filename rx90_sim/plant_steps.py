@@ -50,10 +50,10 @@ from rx90_common.friction import FrictionSet
 from rx90_common.friction.element import SIGNS
 from rx90_common.kernels.compiled import kernel
 
-MOST_AUTOMATIC: Final = 64
+MAX_AUTOMATIC_STEPS: Final = 64
 """Steps in a tick that the plant takes without being asked to."""
 
-MOST_STEPS: Final = 1000
+MAX_STEPS: Final = 1000
 """Steps in a tick that it can be asked for."""
 
 GROWTH: Final = 0.1
@@ -118,7 +118,7 @@ def plant_steps(
     friction: FrictionSet,
     arm: Any,
     period: float,
-    asked: int | None = None,
+    requested: int | None = None,
     braked: bool = True,
 ) -> int:
     """Return how many steps the plant takes in a tick: those asked for, or as many as the arm needs.
@@ -129,31 +129,31 @@ def plant_steps(
         friction: the elements.
         arm: the rigid arm, shape (1,), of `manipulator_dtype(n)`; with the rotors.
         period: of a tick, s.
-        asked: steps in a tick, None for as many as it needs.
+        requested: steps in a tick, None for as many as it needs.
         braked: whether there are brakes and end stops.
 
     Raises:
         ConfigError: for torques of two directions too far apart; for less than the arm needs, and for more than
-            MOST_AUTOMATIC that nobody asked for, naming what asks for them, its value, what is accepted and the steps
-            that would do.
+            MAX_AUTOMATIC_STEPS without a request, naming what needs them, its value, what is accepted and the steps that
+            would do.
     """
     _check_directions(friction)
     rows = _rows(drives, friction, robot.max_velocity)
     numbers = robot.lower, robot.upper, drives.rotor_inertia, drives.turning.turns
     elastic, link_friction = drives.elasticity.elastic.tobytes(), drives.elasticity.friction_side == LINK
     gram = _compliance(arm.tobytes(), *(one.astype(np.float64).tobytes() for one in numbers), elastic, link_friction)
-    most = MOST_AUTOMATIC if asked is None else asked
+    most = MAX_AUTOMATIC_STEPS if requested is None else requested
 
     def bear(steps: int) -> bool:
         return all(load.largest <= load.most for load in _loads(rows, gram, period / steps, braked))
 
-    if bear(1 if asked is None else asked):
-        return 1 if asked is None else asked
+    if bear(1 if requested is None else requested):
+        return 1 if requested is None else requested
     needed = _first(bear)
     if needed is not None and needed <= most:
         return needed
     loads = sorted(_loads(rows, gram, period / most, braked), key=lambda one: one.largest / one.most)
-    raise ConfigError(_refusal(rows, gram, loads, period / most, most, asked, needed))
+    raise ConfigError(_refusal(rows, gram, loads, period / most, most, requested, needed))
 
 
 def _check_directions(friction: FrictionSet) -> None:
@@ -170,9 +170,9 @@ def _check_directions(friction: FrictionSet) -> None:
 
 def _first(bear: Any) -> int | None:
     """Return the least number of steps in a tick that will do, None if there is none: all bounds ease with the step."""
-    if not bear(MOST_STEPS):
+    if not bear(MAX_STEPS):
         return None
-    low, high = 1, MOST_STEPS
+    low, high = 1, MAX_STEPS
     while low < high:
         middle = (low + high) // 2
         low, high = (low, middle) if bear(middle) else (middle + 1, high)
@@ -299,7 +299,7 @@ def _raise_to_largest(arms: Record, bodies: Record, poses: Array, whole: Array, 
 
 
 def _refusal(
-    rows: _Rows, gram: Array, loads: Sequence[_Load], step: float, most: int, asked: int | None, needed: int | None
+    rows: _Rows, gram: Array, loads: Sequence[_Load], step: float, most: int, requested: int | None, needed: int | None
 ) -> str:
     """Return what is beyond `most` steps in a tick, the last of the loads most of all, and what is accepted."""
     load = loads[-1]
@@ -313,7 +313,9 @@ def _refusal(
     if load.cover and loads[-2].largest <= loads[-2].most:
         accepted.append(f"{rows.names[row][1]} from about {rows.stiffness[row] * step / load.cover:.3g}")
     if needed is not None:
-        accepted.append(f"substeps {needed}" + (f", more than the {most} used without asking" if asked is None else ""))
+        accepted.append(
+            f"substeps {needed}" + (f", more than the {most} used without asking" if requested is None else "")
+        )
     return (
         f"{name} is {size[row]:.6g} {unit}{slope}, {over:.3g} times what {steps} on {1.0 / gram[row, row]:.3g} kg m^2; "
         f"accepted: {', or '.join(accepted)}"

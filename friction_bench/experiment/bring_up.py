@@ -42,7 +42,7 @@ from rx90_common.base.errors import DONE, FAILED, VERDICT_NO
 from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.process.files import write_text
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 
 ENABLE_VOLTS = 0.5
 """Tolerance of the enable's levels, V: outputs of 0.45 V when low, 0.2 V for the port's own pull-up when high."""
@@ -52,7 +52,7 @@ AMPERES = 0.05, 0.03
 """Of a current: sense resistor and gain, 2.4 %, and a meter of 2 %; 30 mA for an untrimmed offset, or ripple."""
 READING = 0.05, 2.0
 """Of the mean of ADC codes, share and codes: gain and reference, 2.4 %, and noise; quantisation and offset."""
-TURN_SHARE = 0.05
+HAND_TURN_TOLERANCE = 0.05
 """Of a turn by hand: 18 degrees."""
 PARTS = 0.25, 0.5
 """Of the highest DAC code: those at which scales are compared."""
@@ -60,7 +60,7 @@ SIDES = 0.01, 1.0
 """Of the difference of the ADC codes forward and backward: one regulator and one resistor serve both; quantisation."""
 LISTENED_TICKS = 50
 SETTLING_TICKS, AVERAGED_TICKS = 15, 50
-TURNED_SHARE = 0.05
+MIN_TURN_SHARE = 0.05
 """Of a turn: a shaft that has moved so far turns, and has not only given way."""
 WRONG_SENSE = {
     "counts": "the torque counts down: the motor's leads are exchanged, or the encoder's lines",
@@ -314,7 +314,7 @@ class BringUp(Dialogue):
             before = self._listen(1)[0].counts
             self._ready(f"Turn it once in the {sense} sense")
             found[sense] = moved = self._listen(SETTLING_TICKS)[-1].counts - before
-            self._compare(f"one {sense} turn", "counts", sign * counts, TURN_SHARE * counts, moved)
+            self._compare(f"one {sense} turn", "counts", sign * counts, HAND_TURN_TOLERANCE * counts, moved)
         wrong = [sense for sense, moved in found.items() if moved * (1 if sense == "positive" else -1) < 0]
         if not any(found.values()):
             self._fault("no counts: the encoder's supply or line A, or the decoder's pulse, is missing")
@@ -336,8 +336,8 @@ class BringUp(Dialogue):
         most = self.codes[-1]
         self._say(
             "Close S1; keep a hand on it. The shaft must be free to turn. The torque rises code by code until the "
-            f"shaft has turned by {TURNED_SHARE:g} of a turn, at most to code {most}, {self.rig.torque(most):.3g} Nm, "
-            "and goes off. Watch the shaft."
+            f"shaft has turned by {MIN_TURN_SHARE:g} of a turn, at most to code {most}, "
+            f"{self.rig.torque(most):.3g} Nm, and goes off. Watch the shaft."
         )
         counted, senses = [], []
         for sense, way in self._ways.items():
@@ -365,7 +365,7 @@ class BringUp(Dialogue):
         rig, most, moved, code = self.rig, self.codes[-1], 0, 0
         wait_for_rest(self.client)
         start = self._listen(1)[0].counts
-        enough = max(2.0, TURNED_SHARE * rig.counts_per_revolution)
+        enough = max(2.0, MIN_TURN_SHARE * rig.counts_per_revolution)
         with self._stage_on():
             while abs(moved) < enough and code < most:
                 code += 1
@@ -446,7 +446,7 @@ def run(options: argparse.Namespace) -> int:
         print("Nothing is switched on before you say so; Ctrl-C takes the torque away. S1 is the emergency stop.")
         code = check.run()
     finally:
-        with interrupts_later():
+        with deferred_interrupts():
             port.close()
             if output is not None:
                 write_text(output, yaml_text(check.document()))

@@ -26,7 +26,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import VERDICT_NO, IdentificationError
 
 LEVEL = 0.95
-SAME_SLOPE = 0.02
+SLOPE_TOLERANCE = 0.02
 """Slopes closer than this, relative, are one slope."""
 
 _Item = TypeVar("_Item")
@@ -150,10 +150,10 @@ def source_formulas(a: float, b: float, m: float) -> tuple[float, float]:
 
 
 def slopes_of(ramps: Iterable[RampRecord | UsedRamp]) -> list[float]:
-    """Return the slopes of some ramps that differ by more than SAME_SLOPE, ascending."""
+    """Return the slopes of some ramps that differ by more than SLOPE_TOLERANCE, ascending."""
     distinct: list[float] = []
     for slope in sorted(ramp.slope for ramp in ramps):
-        if not distinct or slope > distinct[-1] * (1 + SAME_SLOPE):
+        if not distinct or slope > distinct[-1] * (1 + SLOPE_TOLERANCE):
             distinct.append(slope)
     return distinct
 

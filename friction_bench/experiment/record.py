@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, Rx90Error
 from rx90_common.base.quoting import quoted
-from rx90_common.process.files import written_beside
+from rx90_common.process.files import atomic_files
 
 CSV_COLUMNS = ("time", "counts", "torque", "measured_torque")
 TEXT_KINDS = ("increments", "counts", "velocity")
@@ -229,7 +229,7 @@ def write_table(path: Path, comment: str, columns: Mapping[str, Sequence[object]
     Raises:
         Rx90Error: if the file cannot be written.
     """
-    with written_beside(path) as (temporary,), temporary.open("w", newline="", encoding="utf-8") as stream:
+    with atomic_files(path) as (temporary,), temporary.open("w", newline="", encoding="utf-8") as stream:
         stream.write(f"# {comment}\n")
         writer = csv.writer(stream)
         writer.writerow(columns)

@@ -21,7 +21,7 @@ from friction_bench.experiment.four_way import (
     measured_velocity,
 )
 from friction_bench.experiment.identification import (
-    SAME_SLOPE,
+    SLOPE_TOLERANCE,
     SOURCE_STATES,
     IntervalEstimate,
     RampFriction,
@@ -57,7 +57,7 @@ def _velocity_plot(part: RampIdentification) -> Plot:
     panels: list[Panel] = []
     deviations: list[Mark] = []
     for j, slope in enumerate(slopes_of(part.ramps)):
-        ramps = [ramp for ramp in part.ramps if abs(ramp.slope - slope) <= SAME_SLOPE * slope]
+        ramps = [ramp for ramp in part.ramps if abs(ramp.slope - slope) <= SLOPE_TOLERANCE * slope]
         measured: list[Mark] = []
         fits: list[Mark] = []
         for k, ramp in enumerate(ramps):

@@ -29,7 +29,7 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError, FailureError, Rx90Error, write_error
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 
 EMULATED = "emulated"
 """As a port."""
@@ -53,7 +53,9 @@ def check_options(options: argparse.Namespace) -> None:
     if options.port != EMULATED:
         clock_option = "seed" if options.seed is not None else "real-time" if options.real_time else ""
         if clock_option:
-            raise ConfigError(f"--{clock_option} with --port {plain(options.port)}; accepted: with the emulated rig alone")
+            raise ConfigError(
+                f"--{clock_option} with --port {plain(options.port)}; accepted: with the emulated rig alone"
+            )
     elif options.baud is not None:
         raise ConfigError(f"--baud {options.baud} with the emulated rig; accepted: with --port of a serial line")
 
@@ -147,7 +149,7 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
                     session.client.clear()
                 yield session
         finally:
-            with interrupts_later():  # a second Ctrl-C does not cost the readings
+            with deferred_interrupts():  # a second Ctrl-C does not cost the readings
                 resources.close()
                 if session.samples:
                     write_joint_states(out / "bag", readings_series(session.samples, rig))

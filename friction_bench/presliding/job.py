@@ -34,7 +34,7 @@ from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, IdentificationError, Rx90Error
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import resolve_config
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 
 SWEEP_SPEEDS = np.array([0.02, 0.035, 0.06, 0.1, 0.16, 0.24, 0.34, 0.45])
 """Of the sweep, in parts of the fastest that the rig allows."""
@@ -108,7 +108,7 @@ class Campaign:
         chosen = [(run, trace) for run, trace in self.done if run.kind == kind and run.backward is backward]
         return [(run, trace.mirrored) for run, trace in chosen] if backward else chosen
 
-    def left(self) -> float:
+    def remaining_time(self) -> float:
         """Return how long what is not done yet may take, s, for a joint that breaks away at half of the torque."""
         pulls = [
             self._pull_ticks(speed, stiffness) for speed in PULL_SPEEDS * self.fastest for stiffness in PULL_STIFFNESSES
@@ -263,7 +263,7 @@ def run(options: argparse.Namespace) -> int:
     campaign = Campaign(rig, kinds, *sizes, origin_of(options))
     out: Path = options.output
     try:
-        with measuring(options, rig, out, campaign.left(), "rig") as session:
+        with measuring(options, rig, out, campaign.remaining_time(), "rig") as session:
             session.couple(True)
             _run_all(session, campaign, out)
     except (KeyboardInterrupt, Rx90Error):
@@ -273,7 +273,7 @@ def run(options: argparse.Namespace) -> int:
                 _report(campaign, out)
         raise
     result = _report(campaign, out)
-    undecided = "loops" in kinds and (result.choice is None or len(result.choice.left) > 1)
+    undecided = "loops" in kinds and (result.choice is None or len(result.choice.remaining) > 1)
     return VERDICT_NO if undecided or result.failures else DONE
 
 
@@ -287,7 +287,7 @@ def _run_all(session: Session, campaign: Campaign, out: Path) -> None:
     assert client.hello is not None  # it has been greeted
     try:
         for what in campaign.runs(client.hello.torque_limit_code):
-            bar.total = round(bar.n + campaign.left(), 1)
+            bar.total = round(bar.n + campaign.remaining_time(), 1)
             bar.set_postfix_str(what.label, refresh=False)
             wait_for_rest(client)
             first = len(session.samples)
@@ -296,7 +296,7 @@ def _run_all(session: Session, campaign: Campaign, out: Path) -> None:
                 done.append((what, follow(client, what.profile, what.label, session.keep)))
             except (KeyboardInterrupt, Rx90Error):
                 if len(session.samples) - first > 1:
-                    with interrupts_later(), contextlib.suppress(Rx90Error):  # the first reason is the one to tell
+                    with deferred_interrupts(), contextlib.suppress(Rx90Error):  # the first reason is the one to tell
                         unfinished = Trace.of(f"{what.label}, unfinished", session.samples[first:], campaign.rig)
                         if what.kind == "drift":
                             done.append((what, unfinished))

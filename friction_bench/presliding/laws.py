@@ -34,7 +34,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.held_out import HeldOutErrors, leave_out
-from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_common.friction.parts.bristles import MAX_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_common.friction.tracing import prescribed_torque
 
 SIGNIFICANCE = 0.01
@@ -175,7 +175,7 @@ ELASTO_PLASTIC = FrictionLaw(
     "elasto-plastic",
     6,
     starts=((1.0, -0.5), (1.0, 1.2)),
-    bristles=lambda values: ElastoPlastic(MOST_BREAK_AWAY / (1.0 + math.exp(-values[0]))),
+    bristles=lambda values: ElastoPlastic(MAX_BREAK_AWAY / (1.0 + math.exp(-values[0]))),
 )
 MAXWELL_SLIP = FrictionLaw(
     "Maxwell slip",
@@ -219,16 +219,16 @@ class Choice:
     """
 
     scores: tuple[LawScore, ...]
-    left: tuple[FrictionLaw, ...]
+    remaining: tuple[FrictionLaw, ...]
     by_loops: tuple[FrictionLaw, ...]
     sliding: SlidingFriction
 
     @property
     def text(self) -> str:
         """Return the verdict in words."""
-        if len(self.left) > 1:
-            return f"cannot tell: {' or '.join(law.name for law in self.left)}"
-        return self.left[0].name + (", by its drift" if len(self.by_loops) > 1 else "")
+        if len(self.remaining) > 1:
+            return f"cannot tell: {' or '.join(law.name for law in self.remaining)}"
+        return self.remaining[0].name + (", by its drift" if len(self.by_loops) > 1 else "")
 
 
 def choose(
@@ -263,11 +263,11 @@ def choose(
     for simple in (COULOMB, STRIBECK):  # each contained in all that follow
         if simple in by_loops:
             by_loops = [simple]
-    left = by_loops
+    remaining = by_loops
     if drift is not None and drift.verdict is not DriftVerdict.UNKNOWN and by_loops[0].bristles is not None:
         drifts = drift.verdict is DriftVerdict.DRIFTS
-        left = [law for law in by_loops if (law is LUGRE) is drifts] or by_loops
-    return Choice(tuple(scores), tuple(left), tuple(by_loops), sliding[True])
+        remaining = [law for law in by_loops if (law is LUGRE) is drifts] or by_loops
+    return Choice(tuple(scores), tuple(remaining), tuple(by_loops), sliding[True])
 
 
 def _score(

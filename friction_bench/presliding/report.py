@@ -197,9 +197,11 @@ def write_result(out: Path, result: PreslidingResult) -> None:
             lines.append(f"{score.law.name:22}{loops:16.1f}{sliding:18.1f}  {score.refuted or 'not refuted'}")
         lines.append(f"law of friction: {choice.text}")
         refuted = {score.law.name: score.refuted for score in choice.scores if score.refuted}
-        document["law"] = {"verdict": choice.text, "left": [law.name for law in choice.left], "refuted": refuted}
+        document["law"] = {"verdict": choice.text, "left": [law.name for law in choice.remaining], "refuted": refuted}
         fitted = {score.law.name: score.values[0] for score in choice.scores if score.law.bristles is not None}
-        stiffness = {law.name: float(f"{np.exp(fitted[law.name]):.4g}") for law in choice.left if law.name in fitted}
+        stiffness = {
+            law.name: float(f"{np.exp(fitted[law.name]):.4g}") for law in choice.remaining if law.name in fitted
+        }
         lines += [f"stiffness c0 of {name}: {value:g} Nm/rad" for name, value in stiffness.items()]
         document["law"]["c0_nm_per_rad"] = stiffness
     if result.pulls:

@@ -274,7 +274,7 @@ class DriftVerdict(str, Enum):
     """What the drift says."""
 
     DRIFTS = "LuGre"
-    STAYS = "no drift: elasto-plastic or Maxwell slip, not LuGre"
+    NO_DRIFT = "no drift: elasto-plastic or Maxwell slip, not LuGre"
     UNKNOWN = "cannot tell"
 
 
@@ -313,7 +313,10 @@ def _verdict(swing: float, least: float, largest: float, lowest: float, highest:
     mean is right; one that stays may be off by a count.
     """
     if largest < _NO_DRIFT_SHARE * lowest * (swing - 1.0) and swing >= _MIN_SWING:
-        return DriftVerdict.STAYS, f"the drift is less than {100 * _NO_DRIFT_SHARE:g} % of what LuGre's law would give"
+        return (
+            DriftVerdict.NO_DRIFT,
+            f"the drift is less than {100 * _NO_DRIFT_SHARE:g} % of what LuGre's law would give",
+        )
     if least > 0.0 and swing > 0.0 and 0.5 * lowest < least / swing and largest / swing < 2.0 * highest:
         return DriftVerdict.DRIFTS, "the joint drifts as LuGre's law says"
     if swing < _MIN_SWING and least <= 0.0:

@@ -111,7 +111,7 @@ class RigClient:
         self._sequence = 0
         self._sent_at = -1.0
         self._read_at = port.now()
-        self._listened = self._heard_at = 0.0  # time spent listening, s: what timeouts of the rig's answers count
+        self._listened = self._last_report_at = 0.0  # time spent listening, s: what timeouts of the rig's answers count
 
     @property
     def bad_frames(self) -> int:
@@ -177,8 +177,8 @@ class RigClient:
         before, self._read_at = self._read_at, self.port.now()
         self._listened += min(self._read_at - before, _LONGEST_LISTENING)
         if frames:
-            self._heard_at = self._listened
-        elif self._listened - self._heard_at > SILENCE:
+            self._last_report_at = self._listened
+        elif self._listened - self._last_report_at > SILENCE:
             raise RigLostError(f"the rig has not reported for {SILENCE} s")
         return frames
 
@@ -198,7 +198,7 @@ class RigClient:
             if self.port.now() >= greet_at:
                 self._send(Command.HELLO, PROTOCOL_VERSION)
                 greet_at = self.port.now() + HELLO_PERIOD
-            self._heard_at = self._listened
+            self._last_report_at = self._listened
             for frame in self._frames():
                 hello = parse_hello(frame)
                 if hello is not None and frame.sequence == self._sequence:
@@ -285,7 +285,7 @@ class RigClient:
         """Start the firmware's ramp of `slope` Nm/s up to `end_torque` Nm on an armed rig.
 
         On a bipolar rig the end may be backward, below 0, and the ramp may turn there, without a pause, and go on to
-        the opposite end, up to MOST_TURNS times.
+        the opposite end, up to MAX_TURNS times.
 
         Returns:
             The readings up to the ramp's first report.

@@ -127,7 +127,7 @@ class Command(IntEnum):
 _PAYLOADS = {Command.HELLO: "<B", Command.TORQUE: "<BB", Command.RAMP: "<HBB", Command.LIMITS: "<HH"}
 BACKWARD = 0x80
 """In the last byte of a bipolar rig's RAMP: its first end is backward; the other bits are the number of its turns."""
-MOST_TURNS = BACKWARD - 1
+MAX_TURNS = BACKWARD - 1
 
 
 def payload_of(command: Command, *values: int) -> bytes:

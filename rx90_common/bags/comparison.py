@@ -232,7 +232,9 @@ def _compare_topic(
     topic: str, found: tuple[list[JointSeries] | None, ...], tolerances: Tolerances, scope: Scope
 ) -> list[TopicComparison]:
     """Compare each set of joints of a topic; `found` is that of each bag, None where the bag lacks the topic."""
-    unpaired_a, unpaired_b = ([one for series in some or [] if len((one := scope.cut(series)).stamp_ns)] for some in found)
+    unpaired_a, unpaired_b = (
+        [one for series in some or [] if len((one := scope.cut(series)).stamp_ns)] for some in found
+    )
     if not unpaired_a and not unpaired_b:
         return [] if scope.topics is None else [_incomparable(topic, "no message of it is in either bag")]
     if not unpaired_a or not unpaired_b:
@@ -246,7 +248,10 @@ def _compare_topic(
             pairs.append((a, same[0]))
             unpaired_a, unpaired_b = ([s for s in some if s not in pairs[-1]] for some in (unpaired_a, unpaired_b))
     results = []
-    for first, second in [*pairs, *zip_longest(unpaired_a, unpaired_b)]:  # what is left on both sides is paired in its order
+    for first, second in [
+        *pairs,
+        *zip_longest(unpaired_a, unpaired_b),
+    ]:  # what is left on both sides is paired in its order
         only = first or second
         if first is not None and second is not None:
             results.append(compare_series(first, second, tolerances, scope))

@@ -143,7 +143,9 @@ class SeriesBuilder:
         lengths = np.array([len(message) for message in messages])
         for length in np.unique(lengths):
             remaining = np.flatnonzero(lengths == length)
-            block = np.frombuffer(b"".join([messages[i] for i in remaining]), dtype=np.uint8).reshape(len(remaining), -1)
+            block = np.frombuffer(b"".join([messages[i] for i in remaining]), dtype=np.uint8).reshape(
+                len(remaining), -1
+            )
             tried = 0
             while len(remaining):
                 if tried == len(self._patterns):  # a new one may be learnt of this message

@@ -26,7 +26,7 @@ from rx90_common.base.rates import NANOSECONDS
 
 _TIME, _STAMP = "time [s]", "stamp [ns]"
 _ROWS_AT_ONCE = 8192  # of a CSV file
-_OTHERS = (".mat", ".xls", ".xlsx", ".txt", ".tsv", ".json", ".gz", ".zip", ".h5", ".feather")  # no folder's name
+_UNSUPPORTED = (".mat", ".xls", ".xlsx", ".txt", ".tsv", ".json", ".gz", ".zip", ".h5", ".feather")  # no folder's name
 _ONE_TOPIC = (".csv", ".parquet")
 _LONGEST_NAME = 63  # of a variable in MATLAB
 
@@ -65,7 +65,7 @@ def export_bag(
     single = output.suffix.lower() in FORMATS
     if single:
         kind = output.suffix.lower()
-    elif output.suffix.lower() in _OTHERS:
+    elif output.suffix.lower() in _UNSUPPORTED:
         raise BagError(f"{plain(output)}: the suffix says the format; accepted: {listed(FORMATS)}, or none")
     with BagReader(path) as bag:
         chosen = bag.series_topics(topics)

@@ -59,8 +59,8 @@ TABLES: Final = (".csv", ".tsv", ".txt", ".dat", *ARRAYS)
 """Suffixes of logs in columns."""
 UNNAMED: Final = "joint_states"
 """Topic of a table whose map names none."""
-_MOST_FILES = 100
-_MOST_COLUMNS = 100_000
+_MAX_FILES = 100
+_MAX_COLUMNS = 100_000
 _NAMES = (
     r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*\Z",
     "topics as ROS names them, of letters, digits, _ and /, no part of which begins with a digit",
@@ -71,10 +71,10 @@ _NOT_0 = Number("", nonzero=True).rules()
 _COLUMN = Other(
     "Number of a column, from 1 on, or its name in the header.",
     accepted="the number of a column, from 1 on, or its name in the header",
-    good=lambda v: isinstance(v, str) or (type(v) is int and 1 <= v <= _MOST_COLUMNS),
-    fragment={"anyOf": [{"type": "integer", "minimum": 1, "maximum": _MOST_COLUMNS}, {"type": "string"}]},
+    good=lambda v: isinstance(v, str) or (type(v) is int and 1 <= v <= _MAX_COLUMNS),
+    fragment={"anyOf": [{"type": "integer", "minimum": 1, "maximum": _MAX_COLUMNS}, {"type": "string"}]},
 )
-_FILE = Integer("Number of the log, from 1 on, where several belong together.", low=1, high=_MOST_FILES, default=1)
+_FILE = Integer("Number of the log, from 1 on, where several belong together.", low=1, high=_MAX_FILES, default=1)
 
 
 def _for_each(about: str) -> Other:
@@ -310,8 +310,8 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
     default_file = path.with_suffix(".yaml")
     if mapping is None and not default_file.is_file():
         raise BagError(
-            f"{plain(path)}: no {plain(default_file.name)} beside it, which says what its columns hold; accepted: that file, "
-            "or --signals FILE"
+            f"{plain(path)}: no {plain(default_file.name)} beside it, which says what its columns hold; accepted: "
+            "that file, or --signals FILE"
         )
     found = LogMapping.load(default_file) if mapping is None else mapping
     if not found.topics:

@@ -96,7 +96,9 @@ def plot_bags(
     if len(bags) > 1:
         bags[1] = bags[1].moved(time_shift(align, *bags))
     if topics is None and joints is not None:  # of the usual topics those that have these joints
-        recorded = {name: [[set(joints) <= set(one.names) for one in bag.series[name]] for bag in bags] for name in names}
+        recorded = {
+            name: [[set(joints) <= set(one.names) for one in bag.series[name]] for bag in bags] for name in names
+        }
         names = [name for name in names if all(map(any, recorded[name]))] or names[:1]
     chosen = [[bag.one(name, joints, "say which with --joint") for bag in bags] for name in names]
     robots = tuple(name for name in map(robot_of, paths) if name is not None) if len(bags) > 1 else ()

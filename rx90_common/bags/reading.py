@@ -94,7 +94,9 @@ class BagReader:
                 counted_messages: Counter[tuple[str, str]] = Counter()
                 for topic in self.topics:
                     counted_messages[topic.name, topic.msgtype] += topic.count
-                for key in sorted(key for key in counts.keys() | counted_messages.keys() if counts[key] != counted_messages[key]):
+                for key in sorted(
+                    key for key in counts.keys() | counted_messages.keys() if counts[key] != counted_messages[key]
+                ):
                     topic_, msgtype = map(plain, key)
                     raise self._disagreement(
                         f"{counts[key]} messages of {topic_} ({msgtype}), the storage holds {counted_messages[key]}"

@@ -16,7 +16,7 @@ import numpy as np
 
 from rx90_common.bags.mapping import is_table
 from rx90_common.bags.reading import BagReader
-from rx90_common.bags.topics import JOINT_TRAJECTORY, POINT_FIELDS, STRING, tells_changes
+from rx90_common.bags.topics import JOINT_TRAJECTORY, POINT_FIELDS, STRING, reports_changes
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.stamps import message_time_ns
@@ -100,7 +100,7 @@ def read_values(path: Path | str) -> dict[str, Any]:
 
 def _events(path: Path | str) -> list[Any]:
     with BagReader(path) as bag:
-        topics = [topic for topic in bag.topics if tells_changes(topic.name, topic.msgtype)]
+        topics = [topic for topic in bag.topics if reports_changes(topic.name, topic.msgtype)]
         return [bag.deserialize(topic, data) for topic, _, data in bag.messages(topics)] if topics else []
 
 

@@ -13,7 +13,7 @@ from rosbags.interfaces import Nodetype
 from rx90_common.bags.ordering import OTHER_CLOCK_NS
 from rx90_common.bags.reading import BagReader, BagTopic
 from rx90_common.bags.recorded import ParameterChange, TrajectoryCount, changes_of
-from rx90_common.bags.topics import JOINT_TRAJECTORY, tells_changes
+from rx90_common.bags.topics import JOINT_TRAJECTORY, reports_changes
 from rx90_common.bags.writing import typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
@@ -116,7 +116,7 @@ def summarise(path: Path | str) -> BagSummary:
                 other_clock[topic] += 1
             if topic.msgtype == JOINT_TRAJECTORY and topic.encoding == "cdr":
                 trajectories.add(topic.name, bag.deserialize(topic, data))
-            if tells_changes(topic.name, topic.msgtype):
+            if reports_changes(topic.name, topic.msgtype):
                 changes += changes_of(bag.deserialize(topic, data))
         files = [bag.path] if bag.path.is_file() else [file for file in bag.path.iterdir() if file.is_file()]
         size = sum(file.stat().st_size for file in files)

@@ -65,7 +65,7 @@ _QUANTITIES: Final = {
 """What the fields of a topic's messages hold where it is not what they are called."""
 
 
-def tells_changes(topic: str, msgtype: str) -> bool:
+def reports_changes(topic: str, msgtype: str) -> bool:
     """Return whether a topic's messages are changes of parameters, stamped with simulated time."""
     return msgtype == PARAMETER_EVENT and topic.rpartition("/")[2] == PARAMETERS
 

@@ -36,7 +36,7 @@ from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.kernels.compiled import c_function
-from rx90_common.process.files import hidden_beside
+from rx90_common.process.files import hidden_folder
 
 STORAGES: Final = ("mcap", "sqlite3")
 
@@ -226,7 +226,7 @@ class BagWriter:
             )
         self._unchecked_bytes = 0
         self._checkpoint_ns = 0
-        self._opened = self._closed = self._begun = False
+        self._opened = self._closed = self._has_messages = False
         self._above = [folder for folder in self.path.parents if not folder.exists()]  # made with it
         with self._failures():
             self._writer = _BatchWriter(
@@ -244,7 +244,7 @@ class BagWriter:
         else:
             with suppress(BagError):  # the first error is the one to report
                 self.close()
-            if not self._begun:
+            if not self._has_messages:
                 shutil.rmtree(self.path, ignore_errors=True)
                 with suppress(OSError):
                     for folder in self._above:
@@ -290,7 +290,7 @@ class BagWriter:
         """
         begin, writer = 0, self._writer
         storage: Any = writer.storage
-        self._begun = self._begun or len(messages) > 0
+        self._has_messages = self._has_messages or len(messages) > 0
         while begin < len(messages):
             # Up to where the disk is to be looked at, or a checkpoint to be made.
             full = np.cumsum(messages.size[begin:]) + self._unchecked_bytes > _BYTES_PER_SPACE_CHECK
@@ -420,7 +420,7 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
         if os.path.lexists(path):
             raise FileExistsError
         path.parent.mkdir(parents=True, exist_ok=True)
-        with hidden_beside(path) as folder:
+        with hidden_folder(path) as folder:
             yield folder
             for one in folder.iterdir():
                 target = path.parent / one.name

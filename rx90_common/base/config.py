@@ -15,8 +15,8 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.section import Section
 
-_MOST_BYTES = 16 << 20
-_MOST_VALUES = 400_000  # as often as aliases repeat them: 12,000 points of a trajectory. 40,000 are read in a second
+_MAX_BYTES = 16 << 20
+_MAX_VALUES = 400_000  # as often as aliases repeat them: 12,000 points of a trajectory. 40,000 are read in a second
 _DEEPEST = 64
 _LONGEST_INTEGER = 400  # characters; the largest finite number has 309 digits
 _IN_FILE = re.compile(r',? in "<file>", ')
@@ -53,8 +53,8 @@ class _Loader(yaml.SafeLoader):
             self._values[node] = 1 + sum(self._values[child] for child in _children(node))
         elif node not in self._values:
             raise _Fault(None, None, f"{quoted(event.anchor)} stands for something that contains it", event.start_mark)
-        if self._values[node] > _MOST_VALUES:
-            raise _Fault(None, None, f"more than {_MOST_VALUES:,} values", event.start_mark)
+        if self._values[node] > _MAX_VALUES:
+            raise _Fault(None, None, f"more than {_MAX_VALUES:,} values", event.start_mark)
         return node  # type: ignore[no-any-return]
 
 
@@ -196,16 +196,16 @@ def _note_lines(node: yaml.Node, path: str, lines: dict[str, int]) -> None:
 def _read(path: Path) -> str:
     try:
         with path.open("rb") as stream:
-            content = stream.read(_MOST_BYTES + 1)
-        if len(content) > _MOST_BYTES:
-            raise ConfigError(f"{plain(path)}: larger than {_MOST_BYTES >> 20} MiB; accepted: up to that")
+            content = stream.read(_MAX_BYTES + 1)
+        if len(content) > _MAX_BYTES:
+            raise ConfigError(f"{plain(path)}: larger than {_MAX_BYTES >> 20} MiB; accepted: up to that")
         text = content.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{plain(path)}: cannot be read ({getattr(error, 'strerror', error)})") from error
     separators = text.count(",") + text.count("\n")
-    if separators > _MOST_VALUES:  # before it is parsed, which would take a minute
+    if separators > _MAX_VALUES:  # before it is parsed, which would take a minute
         what = f"has {separators:,} commas and line ends"
-        raise ConfigError(f"{plain(path)}: {what}; accepted: up to {_MOST_VALUES:,}, and as many values")
+        raise ConfigError(f"{plain(path)}: {what}; accepted: up to {_MAX_VALUES:,}, and as many values")
     return text
 
 

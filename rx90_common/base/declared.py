@@ -173,7 +173,12 @@ def _declared_by(owner: type[Any]) -> dict[str, Declaration]:
             continue
         keys = tuple(next((each for each in annotations if isinstance(each, str)), own_field.name).split("."))
         one = Declaration(own_field.name, keys, entry, in_python, kind, own_field)
-        if entry is not None and entry.default is REQUIRED and REQUIRED not in annotations and one.default is not MISSING:
+        if (
+            entry is not None
+            and entry.default is REQUIRED
+            and REQUIRED not in annotations
+            and one.default is not MISSING
+        ):
             one = replace(one, entry=replace(entry, default=_as_read(one.default)))
         found[own_field.name] = one
     return found

@@ -133,7 +133,7 @@ class Number(Entry):
         return {"type": "number", **least, **most, **other}
 
 
-MOST_JOINTS: Final = 7
+MAX_JOINTS: Final = 7
 """Joints that an arm may have."""
 
 
@@ -142,15 +142,15 @@ PER_JOINT: Final = 0
 
 
 def _count_text(count: int) -> str:
-    return f"1 to {MOST_JOINTS}" if count == PER_JOINT else f"{count}"
+    return f"1 to {MAX_JOINTS}" if count == PER_JOINT else f"{count}"
 
 
 def _fits(count: int, value: Sequence[Any]) -> bool:
-    return 1 <= len(value) <= MOST_JOINTS if count == PER_JOINT else len(value) == count
+    return 1 <= len(value) <= MAX_JOINTS if count == PER_JOINT else len(value) == count
 
 
 def _count_rules(count: int) -> JsonSchema:
-    least, most = (1, MOST_JOINTS) if count == PER_JOINT else (count, count)
+    least, most = (1, MAX_JOINTS) if count == PER_JOINT else (count, count)
     return {"minItems": least, "maxItems": most}
 
 

@@ -18,7 +18,7 @@ LINE_LIMIT: Final = 2000
 """Characters of a whole message."""
 
 _ELLIPSIS = "…"
-_MOST_NAMES = 20
+_MAX_NAMES = 20
 _LONGEST_INTEGER = 400  # decimal digits; Python itself refuses to write more than 4300
 
 
@@ -48,7 +48,7 @@ def plain(text: object, limit: int = LIMIT) -> str:
     return f"{_escaped(whole[:head])}{_ELLIPSIS}{_escaped(whole[len(whole) - tail :])} ({len(whole):,} characters)"
 
 
-def listed(names: Iterable[object], most: int = _MOST_NAMES) -> str:
+def listed(names: Iterable[object], most: int = _MAX_NAMES) -> str:
     """Return names with commas between them; of more than `most`, the first ones and how many others there are."""
     every = list(names)
     shown = ", ".join(plain(name) for name in every[:most])

@@ -24,13 +24,13 @@ import numpy as np
 from numba.core import types
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.entries import MOST_JOINTS
+from rx90_common.base.entries import MAX_JOINTS
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import listed
 from rx90_common.kernels.compiled import by_type, inlined, kernel
 from rx90_common.kernels.lanes import Lanes, append, first, fma, lane, load, size, store
 
-MOST_ELEMENTS = 8
+MAX_ELEMENTS = 8
 """Friction elements that an arm may have: joints, and motors that turn with several of them."""
 
 _SINGULAR = 1e-9  # determinant below which motors do not tell the joints
@@ -62,15 +62,15 @@ class Coupling:
 
     Raises:
         ConfigError: for a matrix that is not square, or singular; for a motor that turns with one joint, but not its
-            own, or not as often; for more than MOST_ELEMENTS elements.
+            own, or not as often; for more than MAX_ELEMENTS elements.
     """
 
     turns: Array
 
     def __post_init__(self) -> None:
         turns = self.turns
-        if turns.ndim != 2 or turns.shape[0] != turns.shape[1] or not 1 <= len(turns) <= MOST_JOINTS:
-            raise ConfigError(f"coupling has shape {turns.shape}; accepted: square, of 1 to {MOST_JOINTS} rows")
+        if turns.ndim != 2 or turns.shape[0] != turns.shape[1] or not 1 <= len(turns) <= MAX_JOINTS:
+            raise ConfigError(f"coupling has shape {turns.shape}; accepted: square, of 1 to {MAX_JOINTS} rows")
         for i, row in enumerate(turns.tolist()):
             alone = sum(value != 0.0 for value in row) == 1
             if alone and row[i] != 1.0:
@@ -80,10 +80,10 @@ class Coupling:
                 )
         if not abs(np.linalg.det(turns)) > _SINGULAR:
             raise ConfigError(f"coupling is {turns.tolist()}; accepted: an invertible matrix")
-        if len(turns) + len(self.sums) > MOST_ELEMENTS:
+        if len(turns) + len(self.sums) > MAX_ELEMENTS:
             raise ConfigError(
                 f"coupling has {len(self.sums)} motors that turn with several of {len(turns)} joints; accepted: up to "
-                f"{MOST_ELEMENTS - len(turns)}, for {MOST_ELEMENTS} friction elements in all"
+                f"{MAX_ELEMENTS - len(turns)}, for {MAX_ELEMENTS} friction elements in all"
             )
 
     @classmethod

@@ -22,7 +22,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import counted
 from rx90_common.description.coupling import Coupling
 
-MOST_TERMS = 8
+MAX_TERMS = 8
 """Of the Fourier series."""
 
 _waves = ListOf(
@@ -61,8 +61,8 @@ class Cogging(Declared):
     def __post_init__(self) -> None:
         super().__post_init__()
         terms = len(self.harmonic)
-        if terms > MOST_TERMS:
-            raise ConfigError(f"cogging: harmonic has {counted(terms, 'number')}; accepted: up to {MOST_TERMS}")
+        if terms > MAX_TERMS:
+            raise ConfigError(f"cogging: harmonic has {counted(terms, 'number')}; accepted: up to {MAX_TERMS}")
         shape = terms, np.shape(self.amplitude)[-1]
         for name in ("amplitude", "phase"):
             value = getattr(self, name)
@@ -195,7 +195,7 @@ SIDES = (MOTOR, LINK)
 
 # rad: what a tooth and its gap take up of a wheel with 12 teeth. Gears of robots have an arc minute, 0.0003 rad, common
 # planetary ones half a degree; more than this is a slip of the unit.
-_MOST_PLAY = 0.5
+_MAX_PLAY = 0.5
 
 
 _rigid_or_soft = _above_0(
@@ -203,7 +203,7 @@ _rigid_or_soft = _above_0(
     infinite=True,
 )  # fmt: skip
 _play = Numbers(
-    "Play: the way, at the joint, from one flank to the other.", "rad", count=PER_JOINT, low=0.0, high=_MOST_PLAY
+    "Play: the way, at the joint, from one flank to the other.", "rad", count=PER_JOINT, low=0.0, high=_MAX_PLAY
 )
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from rx90_common.base.entries import MOST_JOINTS
+from rx90_common.base.entries import MAX_JOINTS
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 
@@ -204,7 +204,7 @@ class UrdfFile:
         for name, joint in self._joints.items():
             kind = joint.get("type")
             if kind not in {"revolute", "fixed"}:
-                self.refuse(f"joint '{name}' type", kind, f"revolute (1 to {MOST_JOINTS} of them in series) or fixed")
+                self.refuse(f"joint '{name}' type", kind, f"revolute (1 to {MAX_JOINTS} of them in series) or fixed")
             if joint.find("mimic") is not None:
                 self.refuse(f"joint '{name}'", "mimic", "joints that move by themselves")
             self._origin(joint, f"joint '{name}'")
@@ -241,8 +241,8 @@ class UrdfFile:
     def _chain(self) -> list[str]:
         """Return the revolute joints from base to tip; check that there are not too many, in series, with mass."""
         moving = [name for name, joint in self._joints.items() if joint.get("type") == "revolute"]
-        if not 1 <= len(moving) <= MOST_JOINTS:
-            self.refuse("the number of revolute joints", len(moving), f"1 to {MOST_JOINTS}, in series")
+        if not 1 <= len(moving) <= MAX_JOINTS:
+            self.refuse("the number of revolute joints", len(moving), f"1 to {MAX_JOINTS}, in series")
         paths = {
             name: [j for j in self._path(self._end(self._joints[name], "child"), self._parent_joint) if j in moving]
             for name in moving

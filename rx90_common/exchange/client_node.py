@@ -27,7 +27,7 @@ from rclpy.task import Future
 
 from rx90_common.base.errors import ConfigError, ExchangeError
 from rx90_common.exchange.ros_start import start_ros
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 
 POLL = 0.05
 """The longest time without a look for Ctrl-C, s."""
@@ -68,13 +68,13 @@ class ClientNode:
         Raises:
             ExchangeError: after the timeout.
         """
-        allowed, asked = self.timeout, False
+        allowed, request = self.timeout, False
         begin = time.monotonic()
         if not ready():
             self.say(f"waiting for {what}")
         while not ready():
-            if not asked and time.monotonic() >= begin + allowed:
-                allowed, asked = allowed + more(), True
+            if not request and time.monotonic() >= begin + allowed:
+                allowed, request = allowed + more(), True
             if time.monotonic() >= begin + allowed:
                 raise ExchangeError(f"found no {what.removeprefix('a ')} within {allowed:g} s")
             self.spin()
@@ -104,7 +104,7 @@ def client_node(
     if not (math.isfinite(timeout) and timeout > 0.0):
         raise ConfigError(f"the timeout is {timeout:g} s; accepted: a number > 0")
     context = Context()
-    with interrupts_later() as check_interrupt:
+    with deferred_interrupts() as check_interrupt:
         start_ros(ros_args, context)
         try:
             node = rclpy.create_node(name, context=context)
@@ -151,18 +151,18 @@ class ServiceCalls:
         self._callers: dict[str, Client] = {}
         self._open: list[tuple[ServiceRequest, Future, float, Outcome]] = []  # with the latest time of the answer
 
-    def there(self, asked: ServiceRequest) -> bool:
+    def there(self, request: ServiceRequest) -> bool:
         """Return whether somebody serves what is asked."""
-        if asked.service not in self._callers:
-            self._callers[asked.service] = self._client.node.create_client(asked.kind, asked.service)
-        return bool(self._callers[asked.service].service_is_ready())
+        if request.service not in self._callers:
+            self._callers[request.service] = self._client.node.create_client(request.kind, request.service)
+        return bool(self._callers[request.service].service_is_ready())
 
-    def ask(self, asked: ServiceRequest, then: Outcome) -> None:
+    def ask(self, request: ServiceRequest, then: Outcome) -> None:
         """Call a service; `then` gets what it says."""
-        there, caller = self.there(asked), self._callers[asked.service]
+        there, caller = self.there(request), self._callers[request.service]
         if there:
             deadline = time.monotonic() + self._client.timeout
-            self._open.append((asked, caller.call_async(asked.request), deadline, then))
+            self._open.append((request, caller.call_async(request.request), deadline, then))
         else:
             then(ExchangeError(f"there is no service {caller.srv_name}; accepted: while its node runs"))
 
@@ -170,15 +170,15 @@ class ServiceCalls:
         """Hand over the answers that have come, and say of the calls that are too old that none has."""
         now, calls, self._open = time.monotonic(), self._open, []
         for call in calls:
-            asked, answer, deadline, then = call
+            request, answer, deadline, then = call
             outcome: str | ExchangeError
             if answer.done():
                 try:
-                    outcome = asked.read(answer.result())
+                    outcome = request.read(answer.result())
                 except ExchangeError as error:
                     outcome = error
             elif now >= deadline:
-                caller = self._callers[asked.service]
+                caller = self._callers[request.service]
                 caller.remove_pending_request(answer)
                 outcome = ExchangeError(f"no answer of {caller.srv_name} within {self._client.timeout:g} s")
             else:
@@ -278,7 +278,7 @@ class NodeWatch:
         self.state = str(event.goal_state.label)
 
 
-def hear_log(client: ClientNode, nodes: Sequence[str], heard: Callable[[str, str, bool], None]) -> None:
+def subscribe_log(client: ClientNode, nodes: Sequence[str], heard: Callable[[str, str, bool], None]) -> None:
     """Call `heard` with each line that one of some nodes logs from now on.
 
     Args:

@@ -45,7 +45,7 @@ _ACCEPTED = {
 _LOOK = 0.05  # s between two looks at the graph
 _SETTLED_LOOKS = 10
 _SLICE = Duration(nanoseconds=50_000_000)
-_RECEIVED_WITHIN = 4.0  # s; shorter than the wait for the end of a ticking thread
+_DELIVERY_TIMEOUT = 4.0  # s; shorter than the wait for the end of a ticking thread
 _SHARE = 0.75  # of the publishers' history that is sent before the next wait
 _PATIENCE = 6.0  # s; the lease of a process that was killed, in config/dds, is 5 s
 
@@ -205,7 +205,7 @@ def wait_until_matched(
 
 def wait_until_received(publishers: Sequence[Publisher]) -> None:
     """Let the last messages reach their subscribers, a recorder for example; at most 4 s for all topics together."""
-    deadline = time.monotonic() + _RECEIVED_WITHIN
+    deadline = time.monotonic() + _DELIVERY_TIMEOUT
     for publisher in publishers:
         while not publisher.wait_for_all_acked(_SLICE) and time.monotonic() < deadline:
             pass

@@ -20,8 +20,8 @@ from rx90_common.exchange.channel import TickChannel
 
 _SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at
 _PATIENCE = 1.0  # s of silence before it is announced and, with a peer there, the message is sent again
-_CLOCKS_APART = 3600 * NANOSECONDS
-_OTHERS = 3  # commands with other stamps in one wait that are no repetitions, nor from before a reset
+_OTHER_CLOCK_NS = 3600 * NANOSECONDS
+_MAX_FOREIGN = 3  # commands with other stamps in one wait that are no repetitions, nor from before a reset
 _CONFLICTS = 3  # different commands for a stamp that make two controllers; a restart in mid-tick makes one at most
 
 
@@ -29,7 +29,7 @@ def stamped(stamp_ns: int, now_ns: int) -> str:
     """Return what is to say of a stamp that is not the simulation's."""
     if stamp_ns == 0:
         return f"header.stamp is 0, not set, at {now_ns / NANOSECONDS:.6g} s"
-    of = ", of another clock," if abs(stamp_ns - now_ns) > _CLOCKS_APART else ""
+    of = ", of another clock," if abs(stamp_ns - now_ns) > _OTHER_CLOCK_NS else ""
     return f"the stamp is {stamp_ns / NANOSECONDS:.10g} s{of} at {now_ns / NANOSECONDS:.6g} s"
 
 
@@ -82,7 +82,7 @@ class LockstepSimulation:
         self._accepted = b""
         self._conflicts = 0
         self._two_controllers = False
-        self._others = 0  # commands with other stamps since one came at once, but repetitions
+        self._foreign = 0  # commands with other stamps since one came at once, but repetitions
         self.ignored = 0
 
     def exchange(
@@ -101,7 +101,7 @@ class LockstepSimulation:
         meanwhile()
         raw = self._channel.receive(_SLICE)
         if raw is not None and self._answers(raw, stamp_ns):
-            self._others = 0
+            self._foreign = 0
             return raw
         return self._wait_for(stamp_ns, state, interrupted, raw)
 
@@ -123,10 +123,10 @@ class LockstepSimulation:
         channel = self._channel
         matches = channel.matches()
         began = sent = looked = time.monotonic()
-        others, wrong_ns, complained = 0, 0, False  # commands with other stamps; whether that was said
+        foreign, wrong_ns, complained = 0, 0, False  # commands with other stamps; whether that was said
         while True:
             if raw is not None and cdr_stamp_ns(raw) != stamp_ns and not self._two_controllers:
-                others, wrong_ns = others + 1, cdr_stamp_ns(raw)
+                foreign, wrong_ns = foreign + 1, cdr_stamp_ns(raw)
             now = time.monotonic()
             # Looked at by the clock: a stream of foreign commands must not keep it from being looked at.
             if raw is None or now - looked >= _SLICE:
@@ -136,16 +136,16 @@ class LockstepSimulation:
                 current = channel.matches()
                 there = current.publishers > 0 and current.subscriptions > 0
                 # Who always answers with the stamp before is right when the states come again, once a second.
-                if others and max(others, self._others) >= _OTHERS and now - began > _PATIENCE:
+                if foreign and max(foreign, self._foreign) >= _MAX_FOREIGN and now - began > _PATIENCE:
                     if not complained:
                         complained = True
-                        if others >= _OTHERS:
+                        if foreign >= _MAX_FOREIGN:
                             self._wait.explained()
                         self._complain(
                             f"{channel.subscribe_topic}: {stamped(wrong_ns, stamp_ns)}; accepted in lock_step: that of "
                             "the states that a command answers; time stands still"
                         )
-                elif now - began > (_PATIENCE if others == 0 else _OTHERS * _PATIENCE) or current.publishers == 0:
+                elif now - began > (_PATIENCE if foreign == 0 else _MAX_FOREIGN * _PATIENCE) or current.publishers == 0:
                     self._announce_wait(stamp_ns, current.publishers > 0)
                 if there and (current != matches or now - sent > _PATIENCE):
                     self._two_controllers = self._two_controllers and current.publishers > 1
@@ -169,7 +169,7 @@ class LockstepSimulation:
     def _ignore(self, raw: bytes) -> None:
         """Count a command that nobody waits for; a repetition of the accepted one is usual, another one is not."""
         self.ignored += 1
-        self._others += raw != self._accepted
+        self._foreign += raw != self._accepted
         if raw == self._accepted or cdr_stamp_ns(raw) != cdr_stamp_ns(self._accepted) or self._two_controllers:
             return
         self._conflicts += 1

@@ -21,7 +21,7 @@ from rx90_common.base.groups import Either, Group
 from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay, viscous_torque
 from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY, BristlesPart
 from rx90_common.friction.parts.load import LoadPart
-from rx90_common.friction.parts.part import LEAST_SPEED, FrictionPart, in_words
+from rx90_common.friction.parts.part import MIN_SPEED, FrictionPart, in_words
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
@@ -71,14 +71,14 @@ class FrictionElement(Declared):
     tau_c_negative: Annotated[float, _coulomb]
     tau_s_positive: Annotated[float, _static]
     tau_s_negative: Annotated[float, _static]
-    omega_s: Annotated[float, Number("Stribeck velocity.", "rad/s", low=LEAST_SPEED), INVERSE]
+    omega_s: Annotated[float, Number("Stribeck velocity.", "rad/s", low=MIN_SPEED), INVERSE]
     delta: Annotated[float, Number("Stribeck exponent.", "1", low=0.0, above=True)]
     c0: Annotated[float, Number("Bristle stiffness.", "Nm/rad", low=0.0, above=True)]
     c1: Annotated[float, Number("Micro-viscous damping at rest.", "Nm s/rad", low=0.0)]
     c2: Annotated[float, Number("Viscous friction.", "Nm (s/rad)^alpha", low=0.0)]
     omega_d: Annotated[
         float,
-        Number("Velocity in the fading c1 exp(-(v/omega_d)^2).", "rad/s", low=LEAST_SPEED, infinite=True),
+        Number("Velocity in the fading c1 exp(-(v/omega_d)^2).", "rad/s", low=MIN_SPEED, infinite=True),
         INVERSE,
     ] = math.inf
     alpha: Annotated[float, Number("Viscous exponent.", "1", low=ALPHA_BOUNDS[0], high=ALPHA_BOUNDS[1])] = 1.0

@@ -174,7 +174,7 @@ def _passivity_warning(name: str, element: FrictionElement, speed: float) -> str
     limit = element.passivity_limit(speed)
     if math.isinf(limit):
         return ""
-    reducing = [part_name for part_name, part in element.parts.items() if part.leaves_less]
+    reducing = [part_name for part_name, part in element.parts.items() if part.lowers_friction]
     leave = "leaves" if len(reducing) == 1 else "leave"
     least = f", where {conjoined(reducing)} {leave} least friction" if reducing else ""
     blocks = isinstance(element.bristles, MaxwellSlip)

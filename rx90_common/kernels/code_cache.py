@@ -35,7 +35,7 @@ _LONGEST_S = 120.0  # until a process compiles itself what another one never fin
 _LOOK_S = 0.02
 
 
-class CompileTurn:
+class CompileLock:
     """The turn to compile one kernel, held by at most one process. It ends with the process, however that ends.
 
     Args:
@@ -185,7 +185,7 @@ class KernelCache(caching.FunctionCache):
         super().__init__(function)  # type: ignore[no-untyped-call]  # numba has no types there
         place = self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp()
         self._cache_file = _CodeFiles(*place)  # type: ignore[no-untyped-call]  # numba has no types there
-        self._turn = CompileTurn(Path(self._cache_path) / f"{self._impl.filename_base}.lock")
+        self._turn = CompileLock(Path(self._cache_path) / f"{self._impl.filename_base}.lock")
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the code, also what another process is just compiling; with None it is this one's turn to compile."""

@@ -16,7 +16,7 @@ from weakref import WeakSet
 
 from rx90_common.base.errors import ProcessError
 from rx90_common.base.share import PACKAGE
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 
 TIMEOUT = 120.0
 """Longest wait for a line or an end, s: generous, for a loaded machine with nothing compiled yet."""
@@ -167,7 +167,7 @@ class ProcessGroup:
         """Start a command as a member of the group."""
         log = None if self._folder is None else self._folder / f"{name}.log"
         # A process that was started but is not known yet could not be ended.
-        with interrupts_later():
+        with deferred_interrupts():
             member = ChildProcess(name, command, log)
             self._members.append(member)
         return member
@@ -177,7 +177,7 @@ class ProcessGroup:
 
     def __exit__(self, *_: object) -> None:
         # A second Ctrl-C must not leave the children behind.
-        with interrupts_later():
+        with deferred_interrupts():
             self.end()
 
     def end(self) -> list[ChildProcess]:

@@ -14,16 +14,16 @@ from pathlib import Path
 from typing import Any
 
 from rx90_common.base.errors import OutputError, write_error
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 
 _LONGEST_PREFIX = 50  # characters of a name, which may take four bytes each
 _MARK = ".rx90-"
 _RANDOM = "?" * 8  # of `mkdtemp`
-_READER_GONE = 141  # as a shell reports the end by SIGPIPE
+_BROKEN_PIPE_CODE = 141  # as a shell reports the end by SIGPIPE
 
 
 @contextmanager
-def hidden_beside(target: Path) -> Iterator[Path]:
+def hidden_folder(target: Path) -> Iterator[Path]:
     """Yield a new hidden folder beside a file or folder that is being made; it goes with the block.
 
     Its process holds a lock on it, which a kill releases: folders that were left so are swept first.
@@ -66,7 +66,7 @@ def _lock(folder: Path, *, wait: bool) -> int:
 
 
 @contextmanager
-def written_beside(*files: Path) -> Iterator[list[Path]]:
+def atomic_files(*files: Path) -> Iterator[list[Path]]:
     """Yield where to write the new contents of files; after the block all of these get their names, or none.
 
     Until then, and after an error, an interrupt or a kill, what stood under the names still does. Files that exist keep
@@ -85,11 +85,11 @@ def written_beside(*files: Path) -> Iterator[list[Path]]:
                     if target.exists():
                         with target.open("ab"):  # what may not be written may not be replaced either
                             pass
-                    place = folders.enter_context(hidden_beside(target)) / target.name
+                    place = folders.enter_context(hidden_folder(target)) / target.name
                 places.append((place, target))
             yield [place for place, _ in places]
             # All names or none; an interrupt that comes so late has nothing left to stop.
-            with suppress(KeyboardInterrupt), interrupts_later():
+            with suppress(KeyboardInterrupt), deferred_interrupts():
                 for file, (place, target) in zip(files, places, strict=True):
                     current = file
                     if place != target:
@@ -111,7 +111,7 @@ def write_all(contents: Mapping[Path, bytes]) -> None:
     Raises:
         Rx90Error: if one cannot be written; every file that existed is as it was.
     """
-    with written_beside(*contents) as places:
+    with atomic_files(*contents) as places:
         for place, (file, content) in zip(places, contents.items(), strict=True):
             try:
                 place.write_bytes(content)
@@ -131,7 +131,7 @@ class _Output(io.FileIO):
             return super().write(data) or 0
         except BrokenPipeError:
             self._failed = True
-            raise SystemExit(_READER_GONE) from None
+            raise SystemExit(_BROKEN_PIPE_CODE) from None
         except OSError as error:
             self._failed = True
             raise OutputError(f"standard output cannot be written: {error.strerror}") from error

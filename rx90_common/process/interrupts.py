@@ -94,7 +94,7 @@ def stop_request() -> StopRequest:
     return stopped
 
 
-def leave_when_asked() -> None:
+def exit_on_signal() -> None:
     """From now on Ctrl-C, SIGTERM and SIGHUP end the process at once with 0, without any clean-up."""
     _take_over(lambda _number, _frame: os._exit(0))
 
@@ -116,7 +116,7 @@ def _take_over(handler: Callable[[int, FrameType | None], object] | signal.Handl
 
 
 @contextmanager
-def interrupts_later() -> Iterator[Callable[[], None]]:
+def deferred_interrupts() -> Iterator[Callable[[], None]]:
     """Hold interrupts back within the block; they are raised when the yielded function is called, or after the block.
 
     Raised in the middle of a constructor, KeyboardInterrupt leaves half an object behind: a child process that nobody

@@ -11,7 +11,7 @@ from pathlib import Path, PurePath
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 
-_MOST_CPUS = 8192  # Linux has no more
+_MAX_CPUS = 8192  # Linux has no more
 NICEST = 19
 """The largest niceness: what runs at it gives way to everything else."""
 
@@ -58,7 +58,7 @@ def run_on(cpus: str) -> None:
 def _numbers(part: str) -> range:
     first, dash, last = part.partition("-")
     numbers = range(int(first), int(last if dash else first) + 1)
-    if not 0 < len(numbers) <= _MOST_CPUS:  # a range of millions would fill the memory
+    if not 0 < len(numbers) <= _MAX_CPUS:  # a range of millions would fill the memory
         raise ValueError(part)
     return numbers
 

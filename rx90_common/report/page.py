@@ -44,8 +44,8 @@ from rx90_common.report.plot import (
 
 _POINTS_TO_ZOOM, _POINTS_OF_PICTURES = 80_000, 40_000  # in all curves of a page: about 900 and 500 KB
 _POINTS_A_CURVE = 100  # what Bokeh writes about a curve takes as many bytes
-_FEWEST_POINTS = 40  # of a curve
-_MOST_POINTS = 8000  # of a curve
+_MIN_POINTS = 40  # of a curve
+_MAX_POINTS = 8000  # of a curve
 _DOTS_PER_INCH = 96
 _EXACT = 0.01  # of its size: what a curve varies by at least where single precision is enough to zoom in
 _PLACE = "<!--plot {}-->"  # text from outside is escaped, so that nobody else writes it
@@ -118,9 +118,9 @@ def _share(lengths: Sequence[int], together: int) -> int:
     for k, size in enumerate(sizes):
         share = together // (len(sizes) - k)
         if size > share:
-            return min(max(share, _FEWEST_POINTS), _MOST_POINTS)
+            return min(max(share, _MIN_POINTS), _MAX_POINTS)
         together -= size
-    return _MOST_POINTS
+    return _MAX_POINTS
 
 
 def plot_json(plot: Plot) -> str:

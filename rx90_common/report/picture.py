@@ -30,7 +30,7 @@ from rx90_common.report.plot import (
 PICTURES: Final = (".png", ".svg", ".pdf")
 _WIDTH = 8.2  # inches
 _DPI = 160
-_MOST_POINTS = 8000  # of a curve: 2000 columns, more than the dots of a panel
+_MAX_POINTS = 8000  # of a curve: 2000 columns, more than the dots of a panel
 _LEGEND_ROW = 12.0  # points
 _CHARACTER, _HANDLE = 0.062, 0.42  # inches of a legend's entry: a character on average, the line before it
 _TITLE_CHARACTER = 0.072  # inches
@@ -61,7 +61,7 @@ _STYLE: Any = {
 }
 
 
-def as_svg(plot: Plot, most: int = _MOST_POINTS) -> str:
+def as_svg(plot: Plot, most: int = _MAX_POINTS) -> str:
     """Return the plot, up to about `most` points of a curve, as an <svg> element."""
 
     def shorter(found: re.Match[str]) -> str:
@@ -87,13 +87,13 @@ def write_picture(plot: Plot, path: Path, title: str = "") -> None:
     date = {".svg": "Date", ".pdf": "CreationDate"}.get(path.suffix.lower())
     buffer = io.BytesIO()  # in memory: of a full disk matplotlib makes other errors
     with mpl.rc_context(_STYLE):
-        drawn(plot, _MOST_POINTS, title).savefig(
+        drawn(plot, _MAX_POINTS, title).savefig(
             buffer, format=path.suffix[1:].lower(), dpi=_DPI, metadata=None if date is None else {date: None}
         )
     write_all({path: buffer.getvalue()})
 
 
-def drawn(plot: Plot, most: int = _MOST_POINTS, title: str = "") -> Figure:
+def drawn(plot: Plot, most: int = _MAX_POINTS, title: str = "") -> Figure:
     """Return the plot, up to about `most` points of a curve, as Matplotlib's figure, below a title."""
     plot = with_fewer_points(plot, most)
     rows = -(-len(plot.panels) // plot.columns)

@@ -37,7 +37,7 @@ from rx90_controller.trajectory.request import Feedback, State, TrajectoryReques
 
 _WATCH_PERIOD = 0.5  # s between two looks for the simulation, while there is a goal
 _SIMULATION_TIMEOUT = 2.0  # s without one, after which the goal is given up
-_RESULT_KEPT = 60.0  # s for which results are kept for clients that ask late; a goal may be large
+_RESULT_TIMEOUT = 60.0  # s for which results are kept for clients that ask late; a goal may be large
 _RESULT_GRACE = 2.0  # s in which the client of the last goal may ask for its result
 _FLUSH_SPINS, _SPIN_TIMEOUT = 10, 0.01  # turns of the executor in which a result is sent, and s of each at the most
 _ENDS = "the controller ends"
@@ -91,11 +91,11 @@ class ClientInterfaces:
         self._node, self._loop, self._cs7b, self._channel = node, loop, cs7b, channel
         self._names, self._tick_ns = list(cs7b.joint_names), cs7b.rates.period_ns * cs7b.rates.ratio
         self._goals: dict[bytes, TrajectoryRequest] = {}  # that may still be cancelled
-        self._asked: set[bytes] = set()  # goals whose client has asked for the result
+        self._result_requested: set[bytes] = set()  # goals whose client has asked for the result
         self._checked: TrajectoryRequest | None = None  # the goal that is accepted next
         self._checking = threading.Lock()  # an executor of several threads goes on while the node ends
         self._ending = False
-        self._seen = time.monotonic()  # when the simulation was there
+        self._simulation_seen = time.monotonic()  # when the simulation was there
         qos = REQUEST_QOS
         self._server = _Server(
             node,
@@ -108,7 +108,7 @@ class ClientInterfaces:
             goal_service_qos_profile=qos,
             result_service_qos_profile=qos,
             cancel_service_qos_profile=qos,
-            result_timeout=_RESULT_KEPT,
+            result_timeout=_RESULT_TIMEOUT,
         )
         self._server.on_result_request = self._on_result_request
         node.create_timer(_WATCH_PERIOD, self._watch_simulation)
@@ -131,7 +131,7 @@ class ClientInterfaces:
         # A client that asked while another goal was checked has not been answered yet.
         while executor is not None and spins > 0:
             executor.spin_once(timeout_sec=_SPIN_TIMEOUT if ending else 0.0)
-            if (ending <= self._asked and not self._goals) or time.monotonic() > until:
+            if (ending <= self._result_requested and not self._goals) or time.monotonic() > until:
                 spins -= 1
 
     def close(self) -> None:
@@ -163,7 +163,7 @@ class ClientInterfaces:
 
     def _on_result_request(self, name: bytes) -> None:
         if name in self._goals or self._ending:
-            self._asked.add(name)
+            self._result_requested.add(name)
 
     def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
         """Cancel a goal; where its end is on the way already, its client gets that."""
@@ -176,8 +176,8 @@ class ClientInterfaces:
         """Give the goal up whose simulation is gone."""
         now = time.monotonic()
         if not self._loop.has_goal or self._channel.matches().publishers > 0:
-            self._seen = now
-        elif now - self._seen > _SIMULATION_TIMEOUT:
+            self._simulation_seen = now
+        elif now - self._simulation_seen > _SIMULATION_TIMEOUT:
             self._loop.drop(f"the simulation is gone, for more than {_SIMULATION_TIMEOUT:g} s", halt=True)
 
     def _on_scaling(self, message: SpeedScalingFactor) -> None:
@@ -225,7 +225,7 @@ class ClientInterfaces:
         name = bytes(handle.goal_id.uuid)
         self._goals.pop(name)
         if not self._ending:
-            self._asked.discard(name)
+            self._result_requested.discard(name)
 
     def _send_feedback(self, handle: ServerGoalHandle, feedback: Feedback) -> None:
         message = FollowJointTrajectory.Feedback(

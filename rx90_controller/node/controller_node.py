@@ -113,9 +113,9 @@ class Control:
             max(1, round(rates.position_hz / hertz)) for hertz in (goals.action_monitor_rate, goals.state_publish_rate)
         )
         declare_joints(node, cs7b.joint_names)
-        if goals.without_use:
+        if goals.unused:
             self._log.warning(
-                f"not used, parameters of joint_trajectory_controller: {', '.join(goals.without_use)}; the law is the "
+                f"not used, parameters of joint_trajectory_controller: {', '.join(goals.unused)}; the law is the "
                 "CS7B's, set-points go on from set-points along splines, and whatever stops decelerates"
             )
         self.ready = (

@@ -64,7 +64,7 @@ class ManagerServices:
         self._name, self._loop, self._robot, self._rates = node.get_name(), loop, robot, rates
         self._command = [f"{joint}/{each}" for joint in joint_names for each in COMMAND_INTERFACES]
         self._states = [f"{joint}/{each}" for joint in joint_names for each in STATE_INTERFACES]
-        self._asked = ThrottledLog(lambda text: node.get_logger().info(text))
+        self._requests = ThrottledLog(lambda text: node.get_logger().info(text))
 
         def serve(kind: Any, name: str, answer: Callable[[Any, Any], Any]) -> None:
             node.create_service(kind, f"{manager}/{name}", answer, qos_profile=REQUEST_QOS)
@@ -154,7 +154,7 @@ class ManagerServices:
         else:
             others = f"; unknown: {', '.join(map(quoted, unknown))}" if unknown else ""
             response.message = f"{self._name} is {state}{others}; it {_FIXED}; accepted: {_ANOTHER_WAY}"
-            self._asked.say("switch_controller", f"switch_controller: {response.message}")
+            self._requests.say("switch_controller", f"switch_controller: {response.message}")
         return response
 
     def _set_component_state(
@@ -171,7 +171,7 @@ class ManagerServices:
     def _refuse(self, name: str, _: Any, response: Any) -> Any:
         """Answer no, which has no room for a reason; the log has."""
         response.ok = False
-        self._asked.say(name, f"{name}: {self._name} {_FIXED}; accepted: {_ANOTHER_WAY}")
+        self._requests.say(name, f"{name}: {self._name} {_FIXED}; accepted: {_ANOTHER_WAY}")
         return response
 
 

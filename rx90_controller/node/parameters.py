@@ -32,7 +32,7 @@ from rx90_controller.trajectory.stream import StreamOptions
 FILE_PARAMETERS: Final = ("urdf", "drives", "controller")
 """Files of the robot that the node can be given."""
 _LARGEST = 1e6  # rad, rad/s, s
-_WITHOUT_USE = re.compile(
+_UNUSED_PARAMETERS = re.compile(
     r"(command_joints|update_rate|is_async|speed_scaling\.(command|state)_interface|open_loop_control|cmd_timeout"
     r"|interpolate_from_desired_state|interpolation_method|allow_integration_in_goal_trajectories"
     r"|set_last_command_interface_value_as_state_on_activation|gains\..+"
@@ -59,14 +59,14 @@ class GoalParameters:
         options: what else is accepted.
         tolerances: of trajectories, and of goals that have none of their own.
         streaming: how set-points become a stream.
-        without_use: parameters of joint_trajectory_controller that were given and have no counterpart here.
+        unused: parameters of joint_trajectory_controller that were given and have no counterpart here.
         scaling: `speed_scaling.initial_scaling_factor`.
     """
 
     options: GoalOptions
     tolerances: GoalTolerances
     streaming: StreamOptions
-    without_use: tuple[str, ...]
+    unused: tuple[str, ...]
     scaling: float
     action_monitor_rate: float = option(20.0, f"rate of the action's feedback, {_SIMULATED_RATE}", 0.1, 20000.0)
     state_publish_rate: float = option(50.0, f"rate of ~/controller_state, {_SIMULATED_RATE}", 0.1, 20000.0)
@@ -86,15 +86,15 @@ _OF_THE_ARM: Final = {
 }
 
 
-def has_no_use(name: str) -> bool:
+def is_unused(name: str) -> bool:
     """Return whether a parameter is joint_trajectory_controller's, taken so that its files serve, and not used."""
-    return name in _OF_THE_ARM or _WITHOUT_USE.fullmatch(name) is not None
+    return name in _OF_THE_ARM or _UNUSED_PARAMETERS.fullmatch(name) is not None
 
 
 def _take_out(node: Node, names: Sequence[str]) -> tuple[str, ...]:
     """Take what has no use out of the parameters given to a node, and return it; refuse what another arm would have."""
     given = node._parameter_overrides
-    found = {name: given.pop(name).value for name in sorted(given) if has_no_use(name)}
+    found = {name: given.pop(name).value for name in sorted(given) if is_unused(name)}
     for name, own in zip(_OF_THE_ARM, (names, COMMAND_INTERFACES, STATE_INTERFACES), strict=True):
         value = found.pop(name, own)
         if not (isinstance(value, Sequence) and sorted(map(str, value)) == sorted(own)):

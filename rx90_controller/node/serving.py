@@ -91,7 +91,7 @@ class Serving:
         self._stamp: int | None = None
         self._state: bytes | None = None  # as received; an empty message must not pass for a repetition
         self._command = b""
-        self._heard = time.monotonic()
+        self._last_message = time.monotonic()
         # In free-running time.
         self._lag_ns = max(round(_MAX_LAG * NANOSECONDS), 2 * self._slow_ns)
         self._next: int | None = None  # the stamp of the next tick, once the loops have begun
@@ -166,7 +166,7 @@ class Serving:
             loop.after_command(stamp)
         else:
             self._channel.publish(self._command)
-        self._heard = time.monotonic()
+        self._last_message = time.monotonic()
         assert self._stamp is not None
         self._wait.end(self._stamp)
 
@@ -281,7 +281,7 @@ class Serving:
 
     def _announce_silence(self) -> None:
         """Say that there is no simulation, if there has been none for a while."""
-        if self._channel.matches().publishers == 0 and time.monotonic() - self._heard > _PATIENCE:
+        if self._channel.matches().publishers == 0 and time.monotonic() - self._last_message > _PATIENCE:
             self._wait.begin(f"waiting for a simulation on {self._topic}")
 
     # Any thread.

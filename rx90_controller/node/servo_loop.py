@@ -486,7 +486,7 @@ class ServoLoop:
             self._stream = stream
             self._note(f"stream begins at {now * self._period:.3f} s: {points.interface} set-points from {source}")
         cs7b.trajectory.follow_stream(stream, points, now)
-        for line in stream.news(self.streaming.delay):
+        for line in stream.notes(self.streaming.delay):
             self._note(f"stream: {line}", wrong=True)
 
     def _end_stream(self, what: str) -> None:

@@ -33,7 +33,7 @@ FIXED, TANGENT, INTERPOLATED = ORIENTATIONS = ("fixed", "tangent", "interpolated
 _FARTHEST = 1e3  # m
 _SHORTEST_PATH = 1e-6  # m: far below what an arm resolves; phases of less vanish in rounding
 _TURN = 0.02  # rad of the path between two places at which it is examined
-_MOST_PARTS = 50
+_MAX_PARTS = 50
 _JUMP = 1e-3  # rad/m: a smaller change of the tool's turn by the distance is rounding
 _BLOCK = 5e-3  # m of the path that have one lowered speed, at least
 _BLOCKS = 40  # in a stretch of one speed, at most
@@ -203,7 +203,9 @@ class Path:
                 "orientation"
             )
         grid = np.linspace(0.0, self.length, 400)
-        horizontal = np.linalg.norm(rotated(transposed(rpy_rotation(self.start_rpy)), self.curve.at(grid, 1))[:, :2], axis=1)
+        horizontal = np.linalg.norm(
+            rotated(transposed(rpy_rotation(self.start_rpy)), self.curve.at(grid, 1))[:, :2], axis=1
+        )
         if horizontal.min() < 0.05:
             at = float(grid[int(np.argmin(horizontal))])
             raise LineError(
@@ -237,7 +239,7 @@ class Path:
         """Return distances at which the path is examined, m: as of a line, and closer where it bends."""
         distance = np.linspace(0.0, self.length, max(least, math.ceil(self.length / step)) + 1)
         turn = np.linalg.norm(self.curve.at(distance, 2), axis=1) * (distance[1] - distance[0])
-        parts = np.minimum(np.ceil(np.maximum(turn[1:], turn[:-1]) / _TURN).astype(int), _MOST_PARTS)
+        parts = np.minimum(np.ceil(np.maximum(turn[1:], turn[:-1]) / _TURN).astype(int), _MAX_PARTS)
         inner = [np.linspace(distance[k], distance[k + 1], parts[k] + 1)[1:-1] for k in np.flatnonzero(parts > 1)]
         return np.unique(np.concatenate([distance, *inner]))
 

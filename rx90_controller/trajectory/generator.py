@@ -375,7 +375,9 @@ class TrajectoryGenerator:
         allowed = np.where(outside > 0.0, outside + limits.start_tolerance, 0.0)
         points = points.held_at(reference[0])
         limits.check_points(points, allowed)
-        spline = connect(points, np.where(points.named, reference, [reference[0], 0.0 * reference[1], 0.0 * reference[2]]), limits)
+        spline = connect(
+            points, np.where(points.named, reference, [reference[0], 0.0 * reference[1], 0.0 * reference[2]]), limits
+        )
         last = spline.duration
         if points.velocity is not None and points.velocity[-1].any():
             spline = joined(spline, last, stop(spline.final, points.velocity[-1], limits.acceleration))

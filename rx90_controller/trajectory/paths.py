@@ -155,7 +155,7 @@ class JointLimits:
         Raises:
             TrajectoryError: naming joint, point, time, amount and limit.
         """
-        if not allowed.any() and self._surely_kept(spline):
+        if not allowed.any() and self._certainly_within(spline):
             return
         last = int(np.ceil(spline.duration / period - 1e-6))
         for first in range(0, last, _CHECKED_AT_ONCE):
@@ -175,7 +175,7 @@ class JointLimits:
             allowed = reach[-1]
         self._check_between(spline, points)
 
-    def _surely_kept(self, spline: Spline) -> bool:
+    def _certainly_within(self, spline: Spline) -> bool:
         """Return whether bounds of the spline, and so its set-points and the steps between them, are within limits."""
         quantities, extremes = self._quantities(self.lower, self.upper), np.stack(spline.bounds(), axis=1)
         return all(each.first_outside(pair) is None for each, pair in zip(quantities, extremes, strict=True))

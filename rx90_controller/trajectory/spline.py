@@ -19,7 +19,7 @@ from rx90_common.kernels.compiled import inlined, kernel
 _BLOCK = 64  # ticks that are computed at once, at least
 _HALVINGS = 20
 _SLACK = 1e-3  # of the limit, as accelerations between two set-points of a path have it
-_KEPT = 64  # changes of the rate that questions about the past may go back to
+_MAX_PAST_LAWS = 64  # changes of the rate that questions about the past may go back to
 
 
 @dataclass(frozen=True)
@@ -459,7 +459,7 @@ class FollowedPath:
         self.laws = [law for law in self.laws if law.tick < begin]
         if self.laws or not rate == wanted == 1.0:
             self.laws.append(_Law(self, begin, time, rate, wanted))
-        if len(self.laws) > _KEPT:
+        if len(self.laws) > _MAX_PAST_LAWS:
             self.oldest = self.laws[1].tick
             del self.laws[0]
 

@@ -175,7 +175,7 @@ class Stream:
         self.latest = 0.0
         self.own_clock, self._offset = False, 0  # ns, from the stamps of another clock to the controller's time
         self.beyond = ""
-        self.said: set[str] = set()
+        self.reported: set[str] = set()
         self._times = np.zeros(0)
         self._values = self._slopes = np.zeros((0, len(named)))
 
@@ -240,7 +240,7 @@ class Stream:
             self._offset = -ahead  # the clocks have run apart, or the stream has paused
         return np.asarray(now + (ahead + self._offset) / tick_ns + times)
 
-    def news(self, delay: float) -> list[str]:
+    def notes(self, delay: float) -> list[str]:
         """Return what is wrong with the stream and has not been said yet, a line for each kind; `delay` is in s."""
         notes = {
             "late": f"a set-point came {self.latest:.3g} s after it was due: the last one was held; accepted: within "
@@ -249,8 +249,8 @@ class Stream:
             "accepted: simulated time (use_sim_time), or no stamps" if self.own_clock else "",
             "beyond": f"{self.beyond}; followed within the limits" if self.beyond else "",
         }  # fmt: skip
-        fresh = {kind: line for kind, line in notes.items() if line and kind not in self.said}
-        self.said |= fresh.keys()
+        fresh = {kind: line for kind, line in notes.items() if line and kind not in self.reported}
+        self.reported |= fresh.keys()
         return list(fresh.values())
 
     @property

@@ -35,7 +35,7 @@ _STEP_ACCELERATION = 0.8  # times the least of the joints' largest accelerations
 _REST_SPEED = 0.02  # rad/s
 _WATCHED_REST = 6.0  # s
 _DERATED = 0.8  # of what the CS7B needs
-_LOST, _TWICE = 0.02, 0.01  # of the ticks
+_LOSS_RATE, _DUPLICATE_RATE = 0.02, 0.01  # of the ticks
 _LINE_REST = 0.3  # s, before and after a line
 
 _SLIDING = 0.06  # of the nominal speeds: all joints slide in one direction while the torques are swept
@@ -233,9 +233,11 @@ def _saturation(nominal: Nominal, name: str) -> Case:
 
 
 def _dropped(nominal: Nominal, name: str) -> Case:
-    case = _line(nominal, name, f"{_LOST:.0%} of the commands are lost, {_TWICE:.0%} of the states come twice")
+    case = _line(
+        nominal, name, f"{_LOSS_RATE:.0%} of the commands are lost, {_DUPLICATE_RATE:.0%} of the states come twice"
+    )
     chance = np.random.default_rng(1)
-    lost, twice = chance.random(case.ticks) < _LOST, chance.random(case.ticks) < _TWICE
+    lost, twice = chance.random(case.ticks) < _LOSS_RATE, chance.random(case.ticks) < _DUPLICATE_RATE
     lost[: case.setup.rates.ticks_of(START)] = False
     return replace(case, lost=lost, twice=twice)
 

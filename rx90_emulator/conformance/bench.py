@@ -28,7 +28,7 @@ from rx90_common.exchange.ros_start import controller_topic
 from rx90_common.exchange.topics import TRAJECTORY_ACCEPTED, motor_names
 from rx90_common.process.children import ChildProcess, ProcessGroup
 from rx90_common.process.files import write_text
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 from rx90_controller.node.trajectory_client import trajectory_message
 from rx90_emulator.conformance.battery import START, Case, Record, files_of
 from rx90_sim.node.simulation import Simulation
@@ -82,8 +82,8 @@ class _Run:
         self.record = Record(case, candidate.at_joints, candidate.ticks)
         self._set_points, self._sent = set_points, 0
         self._gate = case.setup.rates.ticks_of(START / 2.0)
-        self._stopped = self._told = self._accepted = False
-        self._heard = time.monotonic()
+        self._stopped = self._trajectory_sent = self._accepted = False
+        self._last_activity = time.monotonic()
         self._channel: Channel | None = None
 
     def make(self) -> list[_Run]:
@@ -132,10 +132,10 @@ class _Run:
         self._progress(tick)
         if self.candidate.reference is not None:
             self._publish_set_points(tick)
-        elif tick >= self._gate and not self._told:
-            self._told = True
+        elif tick >= self._gate and not self._trajectory_sent:
+            self._trajectory_sent = True
             self._send_trajectory()
-        self.heard()
+        self.note_activity()
 
     def _publish_set_points(self, tick: int) -> None:
         if tick == 0:
@@ -165,17 +165,17 @@ class _Run:
         self._wait(lambda: time.monotonic() > handed_over, "has it")
 
     def _note_accepted(self, _message: object) -> None:
-        self._accepted = self._told  # what is latched of a case before does not count
+        self._accepted = self._trajectory_sent  # what is latched of a case before does not count
 
     def _wait(self, ready: Callable[[], object], what: str) -> None:
-        self.heard()
+        self.note_activity()
         while not ready():
             self.look(f"nobody {what}, on {self._publisher.topic_name},")
             time.sleep(_SLICE)
 
-    def heard(self) -> None:
+    def note_activity(self) -> None:
         """Note that the controller is there."""
-        self._heard = time.monotonic()
+        self._last_activity = time.monotonic()
 
     def look(self, wrong: str = "the controller sent no command that the simulation takes") -> None:
         """Give up a controller that has ended, or is silent for too long, with what is wrong then."""
@@ -186,8 +186,10 @@ class _Run:
         log = "" if child is None else f"; see {child.log}"
         if child is not None and child.returncode is not None:
             last_line = child.lines[-1] if child.lines else "it printed nothing"
-            raise ExchangeError(f"case {name}: the controller has ended with exit code {child.returncode}: {last_line}{log}")
-        if time.monotonic() - self._heard > timeout:
+            raise ExchangeError(
+                f"case {name}: the controller has ended with exit code {child.returncode}: {last_line}{log}"
+            )
+        if time.monotonic() - self._last_activity > timeout:
             raise ExchangeError(f"case {name}: {wrong} within {timeout:g} s{log}")
 
 
@@ -224,7 +226,7 @@ class _CheckedChannel(Channel):
         if raw is None:
             self._run.look()
         elif cdr_stamp_ns(raw) == self._stamp:
-            self._run.heard()
+            self._run.note_activity()
             try:
                 effort = self._commands.decode(raw)[3]
             except ExchangeError:  # the simulation says what is wrong with it
@@ -259,7 +261,7 @@ def run_on_topics(
         child = group.start(case.name, candidate.command) if candidate.command else None
         run = _Run(case, set_points, candidate, child, progress)
         try:
-            with interrupts_later() as run.check_interrupt:  # which puts back the handlers that the nodes set
+            with deferred_interrupts() as run.check_interrupt:  # which puts back the handlers that the nodes set
                 lifecycle.spin(run.make, arguments)
         except DivergenceError as error:
             run.record.fault = str(error)

@@ -27,7 +27,7 @@ _RIPPLE_WINDOW = 0.02  # s
 _HUNTED = 5.0  # s at the end of a run
 _COUNTS = 3  # of the encoder, that are no motion
 _AT_REST = 0.1  # s at the end of a run
-_WITHIN_NYQUIST = 0.96
+_NYQUIST_SHARE = 0.96
 
 
 def _factor(what: str) -> Number:
@@ -310,7 +310,7 @@ def loops(record: Record) -> list[Loop]:
     )
     found = []
     for j, frequency in enumerate(sines.frequency):
-        known = frequency[frequency < _WITHIN_NYQUIST * 0.5 / record.period]
+        known = frequency[frequency < _NYQUIST_SHARE * 0.5 / record.period]
         rows = np.round(known * count * record.period).astype(np.intp)
         u, d = answered[rows, j], added[rows, j]
         found.append(Loop(known, -u / (u + d)))

@@ -23,11 +23,11 @@ from rx90_common.base.quoting import plain
 from rx90_common.process.files import write_all
 from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.points import trajectory_identity
-from rx90_emulator.correction.learning import SEEN, LearnedCorrection
+from rx90_emulator.correction.learning import MEASUREMENTS, LearnedCorrection
 from rx90_emulator.correction.path import CorrectablePath, TrajectoryPath
 from rx90_emulator.loop.setup import Setup
 
-_MOST_BYTES = 256 * 2**20  # of the offsets: more than an hour
+_MAX_BYTES = 256 * 2**20  # of the offsets: more than an hour
 _SPEED_SHARE = 1e-3  # of the speed: set-points sample its peak, files round it
 _DURATION = 1e-3  # s: a set-point period, to which a trajectory is rounded
 _START = 1e-4  # rad: what a controller takes for the same start
@@ -58,7 +58,7 @@ CORRECTION = Group(
         "method": Text("How it was learned, with the options."),
         "seen": ListOf(
             "By what each trial was measured, and where.",
-            item=Text("", choices=SEEN),
+            item=Text("", choices=MEASUREMENTS),
             accepted="a list of them",
         ),
         "worst": ListOf(
@@ -157,8 +157,8 @@ class CorrectionFile:
         return str(self.head["method"])
 
     @property
-    def seen(self) -> tuple[str, ...]:
-        """Return by what each trial was measured, and where, of SEEN."""
+    def measurements(self) -> tuple[str, ...]:
+        """Return by what each trial was measured, and where, of MEASUREMENTS."""
         return tuple(self.head["seen"])
 
     @property
@@ -166,9 +166,9 @@ class CorrectionFile:
         """Return the largest distance from the path by trial, m."""
         return tuple(self.head["worst"])
 
-    def last_seen(self, how: str) -> tuple[float, ...]:
+    def last_worst(self, how: str) -> tuple[float, ...]:
         """Return the worst distances of the last trials, m, as far back as all of them were seen in this way."""
-        other = max((k + 1 for k, seen in enumerate(self.seen) if seen != how), default=0)
+        other = max((k + 1 for k, measurements in enumerate(self.measurements) if measurements != how), default=0)
         return self.worst[other:]
 
     def fitting(self, setup: Setup, path: CorrectablePath, *, go_on: bool = False) -> Correction:
@@ -220,10 +220,10 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
     """
     (head, offsets_file), of = correction_files(file), learned.path
     distance = np.array([trial.distance for trial in learned.trials])
-    worst, seen = [trial.worst for trial in learned.trials], [learned.seen] * len(learned.trials)
+    worst, measurements = [trial.worst for trial in learned.trials], [learned.measurement] * len(learned.trials)
     if earlier is not None:
         distance = np.concatenate([earlier.distance, distance])
-        worst, seen = [*earlier.worst, *worst], [*earlier.seen, *seen]
+        worst, measurements = [*earlier.worst, *worst], [*earlier.measurements, *measurements]
     buffer = io.BytesIO()
     np.savez_compressed(buffer, offsets=learned.correction.offsets, best=learned.best_offsets, distance=distance)
     options = asdict(learned.method)  # type: ignore[call-overload]
@@ -232,7 +232,7 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
         **identity_of(learned.setup, TrajectoryPath.of(learned.setup, of.points, of.counted)),
         "period": learned.correction.period,
         "method": f"{type(learned.method).__name__}: {', '.join(options)}",
-        "seen": seen,
+        "seen": measurements,
         "worst": worst,
         "offsets": {"file": offsets_file.name, "sha256": hashlib.sha256(buffer.getvalue()).hexdigest()},
     }
@@ -261,15 +261,19 @@ def load_correction(name: Path | str) -> CorrectionFile:
     content = CORRECTION.read(load_yaml(file))
     offsets_file = file.parent / Path(content["offsets"]["file"]).name
     try:
-        if offsets_file.stat().st_size > _MOST_BYTES:
-            raise ConfigError(f"{plain(offsets_file)}: {offsets_file.stat().st_size} bytes; accepted: up to {_MOST_BYTES}")
+        if offsets_file.stat().st_size > _MAX_BYTES:
+            raise ConfigError(
+                f"{plain(offsets_file)}: {offsets_file.stat().st_size} bytes; accepted: up to {_MAX_BYTES}"
+            )
         data = offsets_file.read_bytes()
     except OSError as error:
         raise ConfigError(
             f"{plain(offsets_file)}: {error.strerror}; accepted: the file written with {plain(file)}"
         ) from error
     if hashlib.sha256(data).hexdigest() != content["offsets"]["sha256"]:
-        raise ConfigError(f"{plain(offsets_file)}: other offsets than {plain(file)} has; accepted: the file written with it")
+        raise ConfigError(
+            f"{plain(offsets_file)}: other offsets than {plain(file)} has; accepted: the file written with it"
+        )
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             offsets, best, distance = (

@@ -39,14 +39,14 @@ NOISE = 1e-6
 """By how much the worst distance may grow, m, unless another noise is given: of about encoder counts."""
 ENCODERS, TIP = "encoders", "tip"
 ENGINE, NODES, RECORD = "engine", "nodes", "record"
-SEEN: Final = tuple(f"{what}, {where}" for what in (ENCODERS, TIP) for where in (ENGINE, NODES, RECORD))
-"""What a trial was measured by, and where; path errors that were seen otherwise cannot be compared."""
+MEASUREMENTS: Final = tuple(f"{what}, {where}" for what in (ENCODERS, TIP) for where in (ENGINE, NODES, RECORD))
+"""What a trial was measured by, and where; path errors that were measured in another way cannot be compared."""
 _LONGEST = 600_000  # set-points: the feedback of norm-optimal takes 1.5 kB for each
-MOST_WORSE: Final = 4
+MAX_WORSE_TRIALS: Final = 4
 """Trials in a row that make the path worse, after which learning has failed: an eighth of a step that is still worse is
 not too long, but points the wrong way."""
-_SAME = 1e-7  # rad: of offsets, far below an encoder's count
-_HELD = 1.0  # s from the release of the brakes to where the path error counts: the integrators take some 0.1 s
+_OFFSET_TOLERANCE = 1e-7  # rad: of offsets, far below an encoder's count
+_SETTLING_S = 1.0  # s from the release of the brakes to where the path error counts: the integrators take some 0.1 s
 
 
 class CorrectionError(FailureError):
@@ -145,8 +145,8 @@ class Learner:
         self._worse = len(worst) - 1 - max(k for k, one in enumerate(worst) if one <= self._least + self.noise)
         self._gain = 0.5**self._worse
 
-    def seen(self, where: str) -> str:
-        """Return by what trials are measured, and where, as SEEN has it."""
+    def measurement(self, where: str) -> str:
+        """Return by what trials are measured, and where, as in MEASUREMENTS."""
         return f"{TIP if self.tip else ENCODERS}, {where}"
 
     @property
@@ -189,10 +189,10 @@ class Learner:
             full = np.flatnonzero(self.nominal.counts)
             full = full[full * self.nominal.period >= FADE]  # before, it may be on its way
             difference = float(np.abs(measured.played - self.offsets)[full].max(initial=0.0))
-            if difference > _SAME:
+            if difference > _OFFSET_TOLERANCE:
                 raise ConfigError(
-                    f"the offsets that were played are up to {difference:.3g} rad from those that are learned from, up to "
-                    f"{np.abs(self.offsets).max():.3g} rad; accepted: a trial with this correction, --previous"
+                    f"the offsets that were played are up to {difference:.3g} rad from those that are learned from, up "
+                    f"to {np.abs(self.offsets).max():.3g} rad; accepted: a trial with this correction, --previous"
                 )
         distance = self.distance(measured)
         worst, rms = float(distance.max()), math.sqrt(float(np.mean(distance**2)))
@@ -205,7 +205,7 @@ class Learner:
             self.offsets = self._update(self.best, error, self._gain)
             return trial
         self._worse, self._gain = self._worse + 1, 0.5 * self._gain
-        if self._worse >= MOST_WORSE:
+        if self._worse >= MAX_WORSE_TRIALS:
             raise CorrectionError(
                 f"{self._worse} trials in a row have made the path worse, the last one {worst * 1e3:.4f} mm after "
                 f"{self._least * 1e3:.4f} mm; accepted: another model, method or gain"
@@ -222,7 +222,7 @@ class LearnedCorrection:
         setup: what was learned with.
         path: what is corrected.
         method: how.
-        seen: by what the trials were measured, and where, of SEEN.
+        measurement: by what the trials were measured, and where, of MEASUREMENTS.
         correction: the best one; from a record, the one for the next trial.
         trials: all of them; the first is without correction, or with the one that was gone on from.
         best_offsets: of the best trial, rad, shape (n, j).
@@ -232,7 +232,7 @@ class LearnedCorrection:
     setup: Setup
     path: CorrectablePath
     method: Method
-    seen: str
+    measurement: str
     correction: Correction
     trials: tuple[TrialRecord, ...]
     best_offsets: Array = field(repr=False)
@@ -242,8 +242,8 @@ class LearnedCorrection:
     def of(cls, learner: Learner, where: str, offsets: Array, remark: str = "") -> LearnedCorrection:
         """Return what a learner has learned from trials somewhere, with the offsets that are to be played, rad."""
         played = Correction(offsets, learner.nominal.period)
-        return cls(learner.setup, learner.path, learner.method, learner.seen(where), played, tuple(learner.trials),
-                   learner.best, remark)  # fmt: skip
+        return cls(learner.setup, learner.path, learner.method, learner.measurement(where), played,
+                   tuple(learner.trials), learner.best, remark)  # fmt: skip
 
     @property
     def best(self) -> TrialRecord:
@@ -253,7 +253,7 @@ class LearnedCorrection:
 
 def learn(
     learner: Learner, play: Callable[[Correction], Measured], trials: int, where: str,
-    told: Callable[[TrialRecord], None] | None,
+    on_trial: Callable[[TrialRecord], None] | None,
 ) -> LearnedCorrection:  # fmt: skip
     """Play and learn: one trial as it begins, then `trials` more, each with what the one before has taught.
 
@@ -262,7 +262,7 @@ def learn(
         play: runs one trial.
         trials: how many after the first.
         where: they run, ENGINE or NODES.
-        told: is told of each.
+        on_trial: called with each trial.
 
     What ends a later trial, such as an offset beyond the limits, ends learning with what it has kept.
 
@@ -279,8 +279,8 @@ def learn(
             if not learner.trials:
                 raise
             remark = str(error)
-        if told is not None:
-            told(learner.trials[-1])
+        if on_trial is not None:
+            on_trial(learner.trials[-1])
         if remark:
             break
     return LearnedCorrection.of(learner, where, learner.best, remark)
@@ -300,7 +300,7 @@ def run_corrected(
         TrajectoryError: if trajectory or correction is refused.
     """
     points, period = replace(path.points, correction=correction), setup.rates.position_period
-    lead = math.ceil(max(0.0, _HELD - path.counted[0]) / period)
+    lead = math.ceil(max(0.0, _SETTLING_S - path.counted[0]) / period)
     trajectory = path if isinstance(path, TrajectoryPath) else TrajectoryPath.of(setup, path.points, path.counted)
     count = len(trajectory.counts)
     run = simulate(setup, points, start_time=lead * period, duration=(lead + count) * period)
@@ -320,7 +320,7 @@ def learn_correction(
     tip: bool = False,
     noise: float = NOISE,
     previous: Correction | None = None,
-    told: Callable[[TrialRecord], None] | None = None,
+    on_trial: Callable[[TrialRecord], None] | None = None,
 ) -> LearnedCorrection:
     """Learn a correction on the engine.
 
@@ -333,7 +333,7 @@ def learn_correction(
         tip: learn from the tip's error, as a sensor at the tip sees it, in place of the encoders'.
         noise: by how much the worst distance may grow from trial to trial, m.
         previous: a correction to go on from.
-        told: is told of each trial.
+        on_trial: called with each trial.
 
     Raises:
         ConfigError: for values that are not accepted.
@@ -345,7 +345,7 @@ def learn_correction(
     before = None if previous is None else previous.offsets
     learner = Learner(model or setup, planned, method, tip=tip, noise=noise, previous=before)
     trajectory = learner.nominal if model is None else TrajectoryPath.of(setup, planned.points, planned.counted)
-    return learn(learner, lambda played: run_corrected(setup, trajectory, played)[1], trials, ENGINE, told)
+    return learn(learner, lambda played: run_corrected(setup, trajectory, played)[1], trials, ENGINE, on_trial)
 
 
 def summary(trials: Iterable[TrialRecord]) -> str:

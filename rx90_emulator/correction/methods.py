@@ -30,7 +30,7 @@ from rx90_emulator.loop.setup import Setup
 
 LEAD_IN = 0.3
 """Errors count from so long before the path on, s, gradually: what rests wrong there is put right by its begin."""
-_LEAST_SHARE = 0.05  # of the largest singular value: directions that take 20 times the joints' motion are hardly used
+_MIN_SHARE = 0.05  # of the largest singular value: directions that take 20 times the joints' motion are hardly used
 _ORDER = 2  # of the Butterworth filter, which is run forwards and backwards
 
 Update: TypeAlias = Callable[[Array, Array, float], Array]
@@ -158,7 +158,7 @@ def _to_joints(setup: Setup, nominal: TrajectoryPath) -> Array:
     """Return the damped pseudo-inverse of the tip's Jacobian along the motion, rad/m, shape (n, joints, 3)."""
     slopes = jacobian(setup.robot.chain, nominal.setpoints[:, 0])[:, :3]
     square = slopes @ np.swapaxes(slopes, 1, 2)
-    damping = (_LEAST_SHARE**2 * np.linalg.eigvalsh(square)[:, -1])[:, None, None] * np.eye(3)
+    damping = (_MIN_SHARE**2 * np.linalg.eigvalsh(square)[:, -1])[:, None, None] * np.eye(3)
     return np.asarray(np.swapaxes(slopes, 1, 2) @ np.linalg.inv(square + damping))
 
 

@@ -25,7 +25,7 @@ from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.nodes import follow_trajectory
 
 _APPROACH_SPEED, _APPROACH_ACCELERATION = 0.25, 2.0  # share of the joints' speeds; rad/s^2: as rx90_line's
-_HELD = 0.5  # s at the start of the path: the integrators take some 0.1 s, then the arm stands
+_REST_S = 0.5  # s at the start of the path: the integrators take some 0.1 s, then the arm stands
 _SENSOR = 0.5  # s for which a sensor of the tip may lag: a camera with its evaluation
 _GRACE = 20.0  # s for a recorder to write what it holds
 
@@ -66,7 +66,7 @@ def node_trials(
             motion = Motion(np.asarray(set_points.position))
             motion.move(points.position[0], robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION)
             if motion.duration > 0.0:
-                motion.rest(_HELD)
+                motion.rest(_REST_S)
                 follow(motion.points(robot.joint_names), lambda _: None)
             bag = Path(name) / f"trial_{next(numbers)}"
             recorder = recorders.start(

@@ -14,7 +14,7 @@ from rx90_common.description.kinematics import forward, polyline_error
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 
-_STANDS = 1e-9  # m from one set-point to the next: the tip stands
+_AT_REST_STEP = 1e-9  # m from one set-point to the next: the tip stands
 
 
 class CorrectablePath(Protocol):
@@ -81,7 +81,7 @@ class TrajectoryPath:
     @cached_property
     def _corners(self) -> Array:
         tip = self.tip[self.counts]
-        return np.asarray(tip[np.append(True, np.linalg.norm(np.diff(tip, axis=0), axis=1) > _STANDS)])
+        return np.asarray(tip[np.append(True, np.linalg.norm(np.diff(tip, axis=0), axis=1) > _AT_REST_STEP)])
 
     def distance(self, tip: Array) -> Array:
         """Return the distance of the tip's positions, m, shape (n, 3), from the path, m, shape (n,).

@@ -22,9 +22,8 @@ from rx90_emulator.loop.setup import Setup
 CUTOFF = 5.0
 """Of the filter that smooths the offsets, Hz, where no other is given: what is faster turns the sign of the Coulomb
 feed-forward on the shipped tasks, and makes the path worse."""
-_APART = (
-    2  # set-points between points of the trajectory; quintics through them miss the smooth offsets by next to nothing
-)
+_STRIDE = 2
+"""Set-points from one point of the trajectory to the next: quintics through these deviate hardly from smooth offsets."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +67,7 @@ def precompensate(
     offsets[:, 1] = np.gradient(offsets[:, 0], period, axis=0)
     offsets[:, 2] = np.gradient(offsets[:, 1], period, axis=0)
     offsets[[0, -1], 1:] = 0.0
-    rows = np.unique(np.append(np.arange(0, count, _APART), count - 1))
+    rows = np.unique(np.append(np.arange(0, count, _STRIDE), count - 1))
     motion = (nominal.setpoints + offsets)[rows]
     motion[-1, 1:] = 0.0
     names = setup.robot.joint_names

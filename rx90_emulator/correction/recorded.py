@@ -33,8 +33,8 @@ REFERENCE, TRACKING, CORRECTION = (f"rx90_controller/{name}" for name in ("refer
 _GAP = (
     3.5  # times the median interval, or the set-points' own: fewer than three samples that are missing are interpolated
 )
-_MOST_APART = 0.02  # of the range of a motion, root mean square: what is further off is another motion
-_MOST_ROWS = 10_000_000  # set-points that a record may last: what the search for the motion in it holds takes some GB
+_MAX_DIFFERENCE = 0.02  # of the range of a motion, root mean square: what is further off is another motion
+_MAX_ROWS = 10_000_000  # set-points that a record may last: what the search for the motion in it holds takes some GB
 _POSITIONS = {
     "geometry_msgs/msg/PointStamped": "point",
     "geometry_msgs/msg/PoseStamped": "pose.position",
@@ -54,7 +54,7 @@ class Laid(NamedTuple):
 
     values: Array
     shift: float
-    apart: float
+    difference: float
 
 
 def laid_under(times: Array, values: Array, nominal: Array, period: float, counts: Mask, what: str) -> Laid:
@@ -75,8 +75,8 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
         raise ConfigError(f"{what}: {len(times)} rows; accepted: two or more, finite, with increasing times")
     count = len(nominal)
     # Beyond its ends the record is held, so that a rest before or after the motion may be missing.
-    if not times[-1] - times[0] <= _MOST_ROWS * period:
-        raise ConfigError(f"{what}: {times[-1] - times[0]:.6g} s; accepted: up to {_MOST_ROWS * period:g} s")
+    if not times[-1] - times[0] <= _MAX_ROWS * period:
+        raise ConfigError(f"{what}: {times[-1] - times[0]:.6g} s; accepted: up to {_MAX_ROWS * period:g} s")
     grid = times[0] + np.arange(-count, round((times[-1] - times[0]) / period) + count) * period
     record = np.column_stack([np.interp(grid, times, column) for column in values.T])
     middle = nominal.mean(axis=0)
@@ -106,10 +106,10 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
         )
     found = np.column_stack([np.interp(rows, times, column) for column in values.T])
     difference = float(np.sqrt(np.mean((found - nominal)[counts] ** 2)) / max(np.ptp(nominal, axis=0).max(), 1e-12))
-    if difference > _MOST_APART:
+    if difference > _MAX_DIFFERENCE:
         raise ConfigError(
             f"{what}: {difference:.1%} of the motion's range away from the path where they fit best, at {shift:.6g} s; "
-            f"accepted: up to {_MOST_APART:.0%}, a record of this path"
+            f"accepted: up to {_MAX_DIFFERENCE:.0%}, a record of this path"
         )
     return Laid(found, float(shift), difference)
 
@@ -134,10 +134,16 @@ def joints_of_bag(
         if series.position is None:
             raise BagError(f"{plain(bag)}: {topic} without positions; accepted: joint positions") from None
         laid = laid_under(series.time, series.position, reference_positions, nominal.period, nominal.counts, plain(bag))
-        return reference_positions - laid.values, None, f"{topic}, begun at {laid.shift:.6f} s of its time, {laid.apart:.2%} apart"
+        return (
+            reference_positions - laid.values,
+            None,
+            f"{topic}, begun at {laid.shift:.6f} s of its time, {laid.difference:.2%} apart",
+        )
     assert reference.position is not None
     assert tracking.position is not None
-    laid = laid_under(reference.time, reference.position, reference_positions, nominal.period, nominal.counts, plain(bag))
+    laid = laid_under(
+        reference.time, reference.position, reference_positions, nominal.period, nominal.counts, plain(bag)
+    )
     added = np.zeros_like(tracking.position)
     with suppress(BagError):  # no such topic, or no message on it: no correction was played
         played = read_joint_states(bag, CORRECTION, names)
@@ -233,7 +239,7 @@ def learn_from_record(
     Raises:
         ConfigError, CorrectionError: as `Learner.take`.
     """
-    before = () if earlier is None else earlier.last_seen(learner.seen(RECORD))
+    before = () if earlier is None else earlier.last_worst(learner.measurement(RECORD))
     if earlier is not None and before:
         learner.go_on(earlier.best, before)
     why = "" if learner.take(found).kept else f"worse than {min(before) * 1e3:.4f} mm before"

@@ -87,7 +87,7 @@ def gains(
     """Return the feedback K, shape (m, n, 4n), and the factors of R + B' P B, shape (m,): the Riccati recursion.
 
     Args:
-        a: A, shape (points, 4n, 4n).
+        stride: set-points from one of them to the next.
         b: B, shape (points, 4n, n).
         apart: set-points for which each of them holds.
         error: Q of the joints, m^2/rad^2, shape (points, n, n).
@@ -146,7 +146,7 @@ def best_change(a: Array, b: Array, stride: int, feedback: Array, factors: NDArr
     Args:
         a: A, shape (points, 4n, 4n).
         b: B, shape (points, 4n, n).
-        apart: set-points for which each of them holds.
+        stride: set-points from one of them to the next.
         feedback: K of `gains`.
         factors: of `gains`.
         weighted: C' Q e of the last trial, m^2/rad, shape (m, n): 0 where the error does not count.

@@ -17,7 +17,7 @@ from rx90_common.base.errors import BagError, ConfigError, check_type, write_err
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay, viscous_torque
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.process.files import written_beside
+from rx90_common.process.files import atomic_files
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Panel, Plot
 from rx90_emulator.configuration.origins import aligned
 from rx90_emulator.export.files import creep, files_of
@@ -29,7 +29,7 @@ REPORT = "export.yaml"
 """The file beside those of the simulator that says what the export costs."""
 
 _FEWEST = 20  # samples of a bag that say how fast a joint moves
-_WITHIN = 1e-9  # Nm: of a difference that is rounding
+_ROUNDING = 1e-9  # Nm: of a difference that is rounding
 _OTHER_SHAPE = (TypeError, ValueError, KeyError, IndexError, AttributeError)
 _UNREAD = "its identification has another shape; accepted: as rx90_identify writes it"
 _OF_CURVE = ("tau_c_positive", "tau_s_positive", "omega_s", "delta", "c2", "alpha")
@@ -67,7 +67,7 @@ class Export:
             break_away = [_both(one) for one in fit.break_away]
             stiffness = ["rigid" if math.isinf(one) else f"{one:.3g}" for one in fit.stiffness]
             over = f"{fit.speeds.min():.2g} to {fit.speeds.max():.2g}"
-            numbers = [f"{value:.2g}" if value > _WITHIN else "0" for value in (fit.largest, fit.rms)]
+            numbers = [f"{value:.2g}" if value > _ROUNDING else "0" for value in (fit.largest, fit.rms)]
             rows.append((fit.name, *numbers, over, " -> ".join(break_away), " -> ".join(stiffness)))
         lines = [f"{self.target.name}: {self.target.about}", f"speeds: {self.speeds}", ""]
         lines += aligned(rows, right=range(1, 4))
@@ -138,7 +138,7 @@ def export_robot(
     for k, (name, speed) in enumerate(zip(names, used, strict=True)):
         fit = fit_friction(one, name, [arm.friction.elements[e] for e in np.flatnonzero(felt[:, k])], speed)
         fits.append(fit if one.coupled else _with_coupling(fit, arm, k))
-    files, lost = files_of(arm, one, fits), _arm_lost(arm, one)
+    files, lost = files_of(arm, one, fits), _arm_losses(arm, one)
     if target == "mujoco-classic":
         (text,) = files.values()
         most = f"{creep(text, arm, fits):.2g} rad/s"
@@ -205,7 +205,7 @@ def _with_coupling(fit: FrictionFit, arm: Arm, joint: int) -> FrictionFit:
     return replace(fit, lost=tuple(lost), coupled=coupled)
 
 
-def _arm_lost(arm: Arm, target: Target) -> list[str]:
+def _arm_losses(arm: Arm, target: Target) -> list[str]:
     """Return what a target does not hold of the drives."""
     drives, lost = arm.drives, []
     if not target.arm:
@@ -251,7 +251,7 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
         folder.absolute().parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise write_error(folder, error) from error
-    with written_beside(folder) as (place,):
+    with atomic_files(folder) as (place,):
         place.mkdir()
         for name, text in texts.items():
             (place / name).write_text(text, encoding="utf-8")

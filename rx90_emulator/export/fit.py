@@ -222,9 +222,14 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
     """Return what a target does not hold of an element, with its size; up to the fastest speed in use, rad/s."""
     lost = []
     if not target.everything:
-        differences = [abs(getattr(element, f"{p}_positive") - getattr(element, f"{p}_negative")) for p in ("tau_c", "tau_s")]
+        differences = [
+            abs(getattr(element, f"{p}_positive") - getattr(element, f"{p}_negative")) for p in ("tau_c", "tau_s")
+        ]
         if any(differences):
-            lost.append(f"signs: tau_c and tau_s differ by {differences[0]:.3g} and {differences[1]:.3g} Nm, their means are kept")
+            lost.append(
+                f"signs: tau_c and tau_s differ by {differences[0]:.3g} and {differences[1]:.3g} Nm, their means are "
+                "kept"
+            )
         rise = max(getattr(element, f"tau_s_{sign}") - getattr(element, f"tau_c_{sign}") for sign in SIGNS)
         if rise and not target.stribeck:
             kept = "kept as break-away torque alone" if target.breaks_away else "left out"
@@ -244,7 +249,7 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
         lost.append(f"bristles of the kind {type(element.bristles).__name__}: those of LuGre")
     if (load := element.load) is not None:
         lost += (
-            _load_lost(load)
+            _load_losses(load)
             if target.loaded
             else [
                 f"load: friction grows by {load.driving:.3g} (driving), {load.driven:.3g} (driven) of the load torque"
@@ -259,7 +264,7 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
     return lost
 
 
-def _load_lost(load: LoadPart) -> list[str]:
+def _load_losses(load: LoadPart) -> list[str]:
     """Return what a target does not hold of a load part whose means of both directions it has."""
     lost = []
     for at, driving, driven in (

@@ -38,7 +38,7 @@ _FADING = 1.0  # rad/s: omega_d of elements without bristles, assumed
 _BAM = ("friction_base", "friction_stribeck", "dtheta_stribeck", "alpha", "friction_viscous")
 _BAM_LOAD = tuple(f"load_friction_{of}{at}" for of in ("external", "motor") for at in ("", "_stribeck"))
 _EXACT = {"m1": (_BAM[0], _BAM[4]), "m2": _BAM, "m5": _BAM + _BAM_LOAD}
-_KNOWN = ("c2", "delta", "omega_s", "tau_c", "tau_s")
+_DERIVED = ("c2", "delta", "omega_s", "tau_c", "tau_s")
 _BRISTLES = {
     "c0": f"tau_s over a guessed deflection at break-away, {DEFLECTION:g} rad",
     "c1": f"{_DAMPING_TIME:g} s c0",
@@ -99,7 +99,7 @@ def _rigid(
 
 def _file(elements: Mapping[str, FrictionElement], source: str) -> FrictionFile:
     """Return a file of elements, in which the bristles of those that had none are assumed."""
-    about: dict[str, dict[str, Any]] = {ALL_ELEMENTS: {"provenance": dict.fromkeys(_KNOWN, "derived")}}
+    about: dict[str, dict[str, Any]] = {ALL_ELEMENTS: {"provenance": dict.fromkeys(_DERIVED, "derived")}}
     for name, one in elements.items():
         assumed = math.isfinite(one.omega_d)
         about[name] = {"source": dict(_BRISTLES)} if assumed else {"provenance": {"c0": "derived", "c1": "derived"}}

@@ -26,7 +26,7 @@ from rx90_common.description.coupling import sum_name
 from rx90_common.description.rigid_torque import configurations, rigid_torque, rotor_and_spring_torque
 from rx90_emulator.loop.setup import Setup
 
-_LEAST_MASS = 1e-12  # kg
+_MIN_MASS = 1e-12  # kg
 _TURNING = ("revolute", "continuous")
 _STDERR = 2
 
@@ -194,7 +194,7 @@ class RigidArm:
         model = self.model.copy()
         for k, (mass, *rest) in enumerate(inertial.reshape(-1, 10).tolist()):
             # It divides by the mass, which may be 0; below 0 it may be.
-            model.inertias[k + 1] = pin.Inertia.FromDynamicParameters(np.array([mass or _LEAST_MASS, *rest]))
+            model.inertias[k + 1] = pin.Inertia.FromDynamicParameters(np.array([mass or _MIN_MASS, *rest]))
         data, found = model.createData(), np.empty((*position.shape, position.shape[1]))
         motion = zip(configurations(model, position), velocity, acceleration, strict=True)
         for k, row in enumerate(motion):

@@ -22,7 +22,7 @@ LARGEST_DEVIATION = 0.3
 """Relative standard deviation of c0 or c1, up to which it is identifiable."""
 NOT_IN_MODEL = "the model that was asked for does not have it"
 """Why a parameter of a part is not known that a person's model leaves out: the part is off."""
-_MOST_DECIMALS = 7
+_MAX_DECIMALS = 7
 LARGEST = 1e12
 """Largest value or deviation that is written, SI units: no bristle is so stiff, and no arm so strong."""
 
@@ -88,8 +88,8 @@ class ParameterEstimate:
     def texts(self) -> tuple[str, str]:
         """Return value and deviation, rounded to the second significant digit of the deviation: 28.03 and 0.10."""
         value, deviation = self.value, self.deviation
-        decimals = 1 - math.floor(math.log10(deviation)) if 0.0 < deviation < math.inf else _MOST_DECIMALS + 1
-        if decimals > _MOST_DECIMALS:
+        decimals = 1 - math.floor(math.log10(deviation)) if 0.0 < deviation < math.inf else _MAX_DECIMALS + 1
+        if decimals > _MAX_DECIMALS:
             return f"{value:.4g}", f"{deviation:.2g}"
         shown = max(0, decimals)
         return f"{round(value, decimals):.{shown}f}", f"{round(deviation, decimals):.{shown}f}"

@@ -105,7 +105,7 @@ class FrictionIdentification:
         return all(check.passed for check in self.validations)
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def identified_elements(self) -> tuple[str, ...]:
         """Return the elements of which the bags identify any parameter."""
         return tuple(name for name, one in self._named() if any(each.identifiable for each in one.estimates.values()))
 
@@ -114,7 +114,11 @@ class FrictionIdentification:
         """Return what a verdict is about, " for joint_3, with 54 of 63 values assumed"; "" where none is assumed."""
         identifiable = [each.identifiable for one in self.elements for each in one.estimates.values()]
         assumed = identifiable.count(False)
-        return f" for {', '.join(self.told)}, with {assumed} of {len(identifiable)} values assumed" if assumed else ""
+        return (
+            f" for {', '.join(self.identified_elements)}, with {assumed} of {len(identifiable)} values assumed"
+            if assumed
+            else ""
+        )
 
     @property
     def unidentifiable(self) -> dict[str, dict[str, list[str]]]:
@@ -421,7 +425,7 @@ def identify_records(
     return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name, kinds=kinds)
 
 
-_WITHOUT_RISE = {"omega_s": 0.1, "delta": 1.0}  # of no effect while tau_s = tau_c
+_NO_RISE_VALUES = {"omega_s": 0.1, "delta": 1.0}  # of no effect while tau_s = tau_c
 
 
 def _element(
@@ -433,7 +437,7 @@ def _element(
     for name in PARAMETERS:
         estimate = estimates[name]
         if estimate.reason == NOT_IN_MODEL:
-            values[name] = _WITHOUT_RISE.get(name, 0.0)
+            values[name] = _NO_RISE_VALUES.get(name, 0.0)
             continue
         if not estimate.identifiable and fallback is None:
             raise IdentificationError(

@@ -58,7 +58,7 @@ class ZeroCheck:
         zero: that were used, rad, shape (n,).
         error: of them, rad, shape (n,): 0 where nothing speaks against one.
         deviation: standard deviation of small errors, rad, shape (n,); 0 where it is not known, as of quarter turns.
-        told: whether the torques tell an error of the joint's zero at all, shape (n,).
+        identifiable: whether the torques determine an error of the zero of the joint at all, shape (n,).
         before: RMS of the torque that is left, over that of the torque, all joints together.
         after: the same with the better zeros.
         of: what is left, where that is not what the best fit leaves of all joints, such as " of joint_3".
@@ -68,7 +68,7 @@ class ZeroCheck:
     zero: Array
     error: Array
     deviation: Array
-    told: Mask
+    identifiable: Mask
     before: float
     after: float
     of: str = ""
@@ -76,7 +76,7 @@ class ZeroCheck:
     def of_joints(self, some: Mask) -> ZeroCheck:
         """Return what it says of some of the joints, shape (n,)."""
         names = tuple(name for name, one in zip(self.names, some.tolist(), strict=True) if one)
-        arrays = {name: getattr(self, name)[some] for name in ("zero", "error", "deviation", "told")}
+        arrays = {name: getattr(self, name)[some] for name in ("zero", "error", "deviation", "identifiable")}
         return replace(self, names=names, **arrays)
 
     @property
@@ -90,7 +90,9 @@ class ZeroCheck:
         if not wrong:
             return ""
         better = (np.round(self.zero + self.error, 6) + 0.0).tolist()
-        silent = [name for name, identifiable in zip(self.names, self.told.tolist(), strict=True) if not identifiable]
+        silent = [
+            name for name, identifiable in zip(self.names, self.identifiable.tolist(), strict=True) if not identifiable
+        ]
         unidentified = f"; the torques do not tell the zero of {', '.join(silent)}" if silent else ""
         return (
             f"zeros: {', '.join(wrong)} {'seem' if len(wrong) > 1 else 'seems'} to be off (unexplained torque"
@@ -107,7 +109,7 @@ def encoder_error(shift: Array) -> Array:
     return np.array([math.remainder(-value, 2.0 * math.pi) if value else 0.0 for value in shift.tolist()])
 
 
-Left = Mapping[str, Array]
+ResidualPower = Mapping[str, Array]
 """Mean square of the torque of each joint that fits leave, Nm^2, shape (n,), by what the fits hold fixed, in words.
 
 The first is that of the fit in which all is free, "".
@@ -121,7 +123,7 @@ class ZeroFits(Protocol):
     def torque(self) -> Array:
         """Return the mean square of the torque of each joint, Nm^2, shape (n,)."""
 
-    def left(self, shift: Array) -> Left:
+    def residual_power(self, shift: Array) -> ResidualPower:
         """Return the mean square of what fits with such angles leave of it."""
 
     def best(self, trials: list[Array], start: Array) -> Array:
@@ -133,7 +135,7 @@ class ZeroFits(Protocol):
     def small(self, start: Array) -> tuple[Array, Array]:
         """Return what is missing beside such angles, by derivatives, and its standard deviations, rad, each (n,)."""
 
-    def told(self, deviation: Array) -> Mask:
+    def identifiable(self, deviation: Array) -> Mask:
         """Return the joints whose zero the torques tell, by the deviations of `small`, shape (n,)."""
 
 
@@ -158,9 +160,9 @@ def find_zeros(fits: ZeroFits, names: tuple[str, ...], zero: Array | None, joint
         quarter_shift = best
     small, deviation = fits.small(quarter_shift)
     significant = joints & is_error(small, deviation) & (np.abs(small) < _MAX_SMALL_ERROR)
-    identifiable, known = fits.told(deviation), np.where(significant, deviation, 0.0)
+    identifiable, known = fits.identifiable(deviation), np.where(significant, deviation, 0.0)
     check = ZeroCheck(names, none if zero is None else zero, none, known, identifiable, 0.0, 0.0)
-    return check_of(check, quarter_shift + np.where(significant, small, 0.0), fits.left, fits.torque)
+    return check_of(check, quarter_shift + np.where(significant, small, 0.0), fits.residual_power, fits.torque)
 
 
 def is_error(small: Array, deviation: Array) -> Mask:
@@ -168,7 +170,9 @@ def is_error(small: Array, deviation: Array) -> Mask:
     return np.asarray(np.abs(small) > np.maximum(SMALLEST, _SIGNIFICANT_SD * deviation))
 
 
-def check_of(check: ZeroCheck, shift: Array, left: Callable[[Array], Left], torque: Array) -> ZeroCheck:
+def check_of(
+    check: ZeroCheck, shift: Array, residual_power: Callable[[Array], ResidualPower], torque: Array
+) -> ZeroCheck:
     """Return which angles are doubted: those without which a fit would be worse, and what they make of it.
 
     An error may be many of its deviations large and still explain nothing that matters. One by one, the angle that does
@@ -177,13 +181,15 @@ def check_of(check: ZeroCheck, shift: Array, left: Callable[[Array], Left], torq
     Args:
         check: joints, zeros and deviations.
         shift: angles that are doubted, rad, shape (n,).
-        left: by fits with such angles.
+        residual_power: of fits with such angles.
         torque: mean square of the torque of each joint, Nm^2, shape (n,).
     """
     shift, none = shift.copy(), np.zeros(len(check.names))
-    before, after = left(none), left(shift)
+    before, after = residual_power(none), residual_power(shift)
     while shift.any():
-        others = {k: left(np.where(np.arange(len(none)) == k, 0.0, shift)) for k in np.flatnonzero(shift).tolist()}
+        others = {
+            k: residual_power(np.where(np.arange(len(none)) == k, 0.0, shift)) for k in np.flatnonzero(shift).tolist()
+        }
         gains = {k: _gain(other, after)[0] for k, other in others.items()}
         least = min(gains, key=lambda k: gains[k])
         if min(gains[least], _gain(before, after)[0]) >= _MIN_GAIN:
@@ -198,7 +204,7 @@ def check_of(check: ZeroCheck, shift: Array, left: Callable[[Array], Left], torq
     return replace(check, error=encoder_error(shift), before=float(both[0]), after=float(both[1]), of=of)
 
 
-def _gain(before: Left, after: Left) -> tuple[float, str]:
+def _gain(before: ResidualPower, after: ResidualPower) -> tuple[float, str]:
     """Return by which share the RMS of some joint falls in some fit, all joints together no worse, and in which.
 
     Where all is free, nothing may become worse: zeros may spare the inertials an error, as that of a heavy payload.
@@ -303,7 +309,7 @@ class _SlidingFits:
         """Return the mean square of the torque of each joint where no element sticks, Nm^2, shape (n,)."""
         return self._mean_square(self._at.torque[self._usable])
 
-    def left(self, shift: Array) -> Left:
+    def residual_power(self, shift: Array) -> ResidualPower:
         """Return the mean square that friction does not explain of it, with free and with the described inertials."""
         weight, target = self.weight(shift), self._cached_rigid(tuple(shift.tolist()), 1)[0]
         friction = self._friction * weight[:, None]
@@ -334,7 +340,7 @@ class _SlidingFits:
         weight = self.weight(shift)
         return self.fit(than, weight).squares - self.fit(shift, weight).squares > _CHI2_DROP
 
-    def told(self, deviation: Array) -> Mask:
+    def identifiable(self, deviation: Array) -> Mask:
         """Return the joints of whose zero more is known than before."""
         return deviation < _UNINFORMATIVE_SHARE * _ZERO_PRIOR_SD
 
@@ -362,12 +368,12 @@ class _SlidingFits:
             weight = self._weight_of(self.fit(np.array(shift), weight).residual)
         return weight
 
-    def _weight_of(self, left: Array) -> Array:
+    def _weight_of(self, residual_power: Array) -> Array:
         """Return the weight of each row by the residuals' scatter and Kish's factor for stretches that err together."""
-        sums, joints = np.bincount(self._cluster, left), len(self._arm.names)
+        sums, joints = np.bincount(self._cluster, residual_power), len(self._arm.names)
         owner = np.zeros(len(sums), dtype=np.int64)
         owner[self._cluster] = self._joint
-        squares, together = np.bincount(self._joint, left**2, joints), np.bincount(owner, sums**2, joints)
+        squares, together = np.bincount(self._joint, residual_power**2, joints), np.bincount(owner, sums**2, joints)
         power = np.maximum(squares, together) / np.maximum(np.bincount(self._joint, minlength=joints), 1)
         return np.asarray(1.0 / np.sqrt(np.maximum(power, _MIN_TORQUE_SD**2 * self._power + 1e-18))[self._joint])
 

@@ -13,18 +13,18 @@ from rx90_common.base.stamps import cdr_stamp_ns
 from rx90_common.exchange.channel import TickChannel
 from rx90_common.exchange.lockstep import stamped
 
-MOST_AGE = 3
+MAX_AGE = 3
 """Ticks from the states that a command answers to the last that it is applied in: docs/explanation/free_running.md."""
 _LINES = 4  # about the brakes in _LINES_WINDOW; more changes are counted
 _LINES_WINDOW = 10.0  # s
-_OUT_OF_TURN = 3  # commands that are not newer than the one before, within _WINDOW, that make two controllers
+_MAX_OUT_OF_ORDER = 3  # commands that are not newer than the one before, within _WINDOW, that make two controllers
 _WINDOW = 5.0  # s
 _ELSEWHERE = 3  # stamps in a row that make another clock; commands from before a reset are fewer
 _SLICE = 0.05  # s of a wait after which interruptions are looked at
 
 
 class HeldCommand:
-    """Takes the newest command, and waits for one only when the newest is older than `MOST_AGE` ticks.
+    """Takes the newest command, and waits for one only when the newest is older than `MAX_AGE` ticks.
 
     A command's age is counted from the states that it answers, by its stamp: it stays the same while time stands still.
     The loops bear a few ticks of delay and no more. So a controller that is late for longer holds time up rather than
@@ -60,7 +60,7 @@ class HeldCommand:
         self._announce, self._complain, self._interrupted = announce, complain, interrupted
         self.wait_for(timeout)
         self.forget()
-        self._out_of_turn: deque[float] = deque(maxlen=_OUT_OF_TURN)
+        self._out_of_order: deque[float] = deque(maxlen=_MAX_OUT_OF_ORDER)
         self.two_controllers = False
         self.missed = self.waited = 0
         self._closed = False  # the brakes, as far as changes were noted
@@ -69,8 +69,8 @@ class HeldCommand:
 
     def wait_for(self, timeout: float) -> None:
         """Wait so long for a command, s, from the next tick on; callable from every thread."""
-        self._timeout, self._oldest = timeout, max(MOST_AGE, round(timeout * NANOSECONDS / self._period_ns))
-        self._most_age = MOST_AGE
+        self._timeout, self._oldest = timeout, max(MAX_AGE, round(timeout * NANOSECONDS / self._period_ns))
+        self._most_age = MAX_AGE
 
     def forget(self) -> None:
         """Drop the command, after a reset."""
@@ -86,9 +86,9 @@ class HeldCommand:
         elif self._answered is not None:
             self.missed += 1
         if self.two_controllers:
-            if time.monotonic() - self._out_of_turn[-1] > _WINDOW:
+            if time.monotonic() - self._out_of_order[-1] > _WINDOW:
                 self.two_controllers = False
-                self._out_of_turn.clear()
+                self._out_of_order.clear()
                 self._announce(f"one controller is left on {self._topic}")
         elif self._followed and self._too_old(tick):
             self._followed = self._wait(tick)
@@ -142,7 +142,7 @@ class HeldCommand:
     def _tick_answered(self, stamp: int, tick: int) -> int | None:
         """Return the tick whose states a command with this stamp, ns, answers; None for one that is out of turn."""
         if stamp <= self._stamp:
-            self._note_out_of_turn()
+            self._note_out_of_order()
             return None
         answered = stamp // self._period_ns
         if not (stamp >= 0 and 0 <= tick - answered <= self._oldest):
@@ -153,11 +153,11 @@ class HeldCommand:
         self._stamp = stamp
         return answered
 
-    def _note_out_of_turn(self) -> None:
+    def _note_out_of_order(self) -> None:
         """A controller answers each tick once and in order, but for the moment in which it begins again."""
         now = time.monotonic()
-        self._out_of_turn.append(now)
-        often = len(self._out_of_turn) == _OUT_OF_TURN and now - self._out_of_turn[0] < _WINDOW
+        self._out_of_order.append(now)
+        often = len(self._out_of_order) == _MAX_OUT_OF_ORDER and now - self._out_of_order[0] < _WINDOW
         if often and not self.two_controllers and self._channel.matches().publishers > 1:
             self.two_controllers = True
             self._announce(f"two controllers publish on {self._topic}: no torque until one is left")
@@ -209,7 +209,7 @@ class NewestCommand(HeldCommand):
         if stamp >= 0 and 0 <= tick - answered <= self._oldest:
             self._elsewhere = 0
             if stamp < self._stamp:  # the same again is usual where /clock is slower than the commands
-                self._note_out_of_turn()
+                self._note_out_of_order()
                 return None
             self._stamp = stamp
             return answered

@@ -28,7 +28,7 @@ from rx90_common.exchange.topics import (
 from rx90_common.friction import load_friction
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_sim.plant import Plant
-from rx90_sim.plant_steps import MOST_STEPS
+from rx90_sim.plant_steps import MAX_STEPS
 
 FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
 """Files of the robot that the node can be given."""
@@ -67,9 +67,7 @@ class SimulationParameters:
     )
     duration: float = option(0.0, "simulated time after which the node ends, s; 0: never", 0.0, 1e9)
     paused: bool = option(False, "begin with time standing still")
-    substeps: int = option(
-        0, "steps of the plant in a tick; 0: as many as friction, mass and gears need", 0, MOST_STEPS
-    )
+    substeps: int = option(0, "steps of the plant in a tick; 0: as many as friction, mass and gears need", 0, MAX_STEPS)
     seed: int = option(
         0,
         "of all that is random in the arm, such as the scatter of its friction; a reset begins with it again",

@@ -41,8 +41,8 @@ class SimulationClient:
         """Begin again at tick 0."""
         self._ask(reset_request(_NAME))
 
-    def _ask(self, asked: ServiceRequest) -> None:
-        asked.read(self._client.call(asked.kind, asked.service, asked.request))
+    def _ask(self, request: ServiceRequest) -> None:
+        request.read(self._client.call(request.kind, request.service, request.request))
 
 
 def pause_request(node: str, paused: bool) -> ServiceRequest:

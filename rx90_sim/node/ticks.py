@@ -30,7 +30,7 @@ _MATCH_ATTEMPTS = 100  # of 50 ms
 _HEARTBEAT_PERIOD = 0.25  # s on the wall clock
 
 
-class Turn(Enum):
+class NextAction(Enum):
     """What the ticking thread does next."""
 
     STEP = auto()
@@ -42,7 +42,7 @@ class Turn(Enum):
 class RunControl:
     """Requests to the ticking thread; every request returns once it has been carried out.
 
-    The ticking thread calls `next_turn` before each tick; services call the others from their own thread.
+    The ticking thread calls `next_action` before each tick; services call the others from their own thread.
 
     Args:
         paused: whether time stands still at first.
@@ -72,12 +72,12 @@ class RunControl:
         """Return whether the ticking thread should come back from a wait: for a reset or the end."""
         return self.stopped or self._reset
 
-    def next_turn(self, tick: int, timeout: float) -> Turn:
+    def next_action(self, tick: int, timeout: float) -> NextAction:
         """Return what to do before tick `tick`; waits up to `timeout` seconds while paused."""
         last = self._last_tick is not None and tick >= self._last_tick
         # Without the lock, which costs the tick as much as the law: a request that comes now counts before the next.
         if self._undisturbed and not last:
-            return Turn.STEP
+            return NextAction.STEP
         with self._changed:
             if last:
                 self.stopped = True
@@ -87,10 +87,10 @@ class RunControl:
             if not self._runnable():
                 self._changed.wait(timeout)
             if self.stopped:
-                return Turn.STOP
+                return NextAction.STOP
             if self._reset:
-                return Turn.RESET
-            return Turn.STEP if self._runnable() else Turn.WAIT
+                return NextAction.RESET
+            return NextAction.STEP if self._runnable() else NextAction.WAIT
 
     def pause(self) -> None:
         """Stop time before the next tick."""
@@ -127,11 +127,11 @@ class RunControl:
         return self._wait_until(lambda: not self._reset, timeout)
 
     def reset_done(self) -> None:
-        """Say that the reset that `next_turn` asked for has been carried out."""
+        """Say that the reset that `next_action` asked for has been carried out."""
         self._change(_reset=False, _steps=0)
 
     def step_done(self) -> None:
-        """Say that the tick that `next_turn` asked for has been carried out."""
+        """Say that the tick that `next_action` asked for has been carried out."""
         if self._undisturbed:
             return
         with self._changed:
@@ -243,12 +243,12 @@ class Ticks:
         advance = self._step_in_lock_step if self._lock_step else self._step_free_running
         moving = False
         while True:
-            turn = self.control.next_turn(self._plant.tick, _WAIT_SLICE)
-            if turn is Turn.STOP:
+            action = self.control.next_action(self._plant.tick, _WAIT_SLICE)
+            if action is NextAction.STOP:
                 break
-            if turn is Turn.RESET:
+            if action is NextAction.RESET:
                 self._reset()
-            elif turn is Turn.STEP:
+            elif action is NextAction.STEP:
                 if not moving:
                     if self._plant.tick == 0:
                         stop = self.control.interrupting
@@ -260,7 +260,7 @@ class Ticks:
                     self.control.step_done()
             else:
                 self._beat()
-            moving = turn is Turn.STEP
+            moving = action is NextAction.STEP
         wait_until_received(self._publishers)
 
     def _step_in_lock_step(self) -> bool:

@@ -21,7 +21,7 @@ class Ticking:
         self.thread.start()
 
     def _run(self) -> None:
-        while (turn := self.control.next_turn(self.tick, 0.01)) is not Turn.STOP:
+        while (turn := self.control.next_action(self.tick, 0.01)) is not Turn.STOP:
             if turn is Turn.RESET:
                 self.tick = 0
                 self.control.reset_done()

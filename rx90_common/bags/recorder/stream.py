@@ -20,7 +20,7 @@ from rosbags.interfaces import Qos
 from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.bags.ordering import Arrived, TimeSource
 from rx90_common.bags.recorded import TrajectoryCount
-from rx90_common.bags.topics import CLOCK, JOINT_STATE, JOINT_TRAJECTORY, TRANSFORMS, tells_changes
+from rx90_common.bags.topics import CLOCK, JOINT_STATE, JOINT_TRAJECTORY, TRANSFORMS, reports_changes
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
@@ -31,7 +31,7 @@ from rx90_common.exchange.ros_start import reason
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
 _NEVER = 1 << 63  # ns
 _PAUSE = 0.002  # s; what comes meanwhile at 30,000 messages a second fits into a socket as Linux makes it by default
-_MOST_AT_ONCE = 512  # messages of a take
+_MAX_BATCH = 512  # messages of a take
 _HEADER = "std_msgs/Header"
 _INFO = ("publication_sequence_number", "received_timestamp", "source_timestamp")
 _BASE = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
@@ -195,7 +195,7 @@ class Stream:
         self.time_source = TimeSource.LIST if self.msgtype == TRANSFORMS else TimeSource.NEWEST
         if self.msgtype == JOINT_STATE:
             self.time_source = TimeSource.CLOCK
-        elif tells_changes(topic, self.msgtype) or [*kind.get_fields_and_field_types().values()][:1] == [_HEADER]:
+        elif reports_changes(topic, self.msgtype) or [*kind.get_fields_and_field_types().values()][:1] == [_HEADER]:
             self.time_source = TimeSource.STAMP
         known = typestore().fielddefs
         self.definition = "" if self.msgtype in known else definition(kind, known)
@@ -243,7 +243,7 @@ class Stream:
         found: list[tuple[bytes, dict[str, int]]] = []
         handle: Any = self.subscription.handle
         with handle:
-            while len(found) < _MOST_AT_ONCE and (message := handle.take_message(self._kind, True)) is not None:
+            while len(found) < _MAX_BATCH and (message := handle.take_message(self._kind, True)) is not None:
                 found.append(message)
         numbers, received_ns, sent_ns = (np.array([info[name] for _, info in found], dtype=np.int64) for name in _INFO)
         self.counter.add(numbers)

@@ -68,7 +68,7 @@ _SETTLED = 1e-8  # of the way from break-away to steady sliding: nearer, LuGre's
 _LEAST = 1e-300  # of n = n0 exp(-u): 0 would be divided by
 _HALF_PI = 1.5707963267948966
 _CLOSE = 1e-8  # relative correction after which Newton's next one is below rounding
-_MOST_CORRECTIONS = 30
+_MAX_CORRECTIONS = 30
 
 
 @kernel
@@ -157,7 +157,7 @@ def _transition(n0: Number, travel: Number, sharpness: Number) -> tuple[Number, 
     """
     u = travel * (1.0 + n0 * _bend(n0, sharpness))
     moving, mean = 1.0 + 0.0 * u, 0.0 * u
-    for _ in range(_MOST_CORRECTIONS):
+    for _ in range(_MAX_CORRECTIONS):
         after = n0 * exponential(-u)
         after = select(after < _LEAST, _LEAST, after)
         shortfall, inverse = _integrals(n0, after, -n0 * exponential_less_one(-u), sharpness)

@@ -9,7 +9,7 @@ import numpy as np
 from rx90_common.friction.bristle import bristle_step, friction_torque
 from rx90_common.friction.bristles.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.friction.bristles.maxwell_slip import (
-    MOST_BLOCKS,
+    MAX_BLOCKS,
     blocks_dtype,
     maxwell_slip_step,
     maxwell_slip_torque,
@@ -39,7 +39,7 @@ def bristles_state_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of what bristles remember beside the deflection that every element has."""
     return np.dtype(
         [
-            ("blocks", np.float64, (width, 2, MOST_BLOCKS)),  # deflections and senses, as `maxwell_slip_step` has them
+            ("blocks", np.float64, (width, 2, MAX_BLOCKS)),  # deflections and senses, as `maxwell_slip_step` has them
             ("deflection", np.float64, (width,)),  # workspace of a step
             ("torque", np.float64, (width,)),
         ],

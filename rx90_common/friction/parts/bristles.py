@@ -18,13 +18,13 @@ from rx90_common.base.entries import LEFT_OUT, ListOf, Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Variants
 from rx90_common.base.quoting import counted
-from rx90_common.friction.bristles.maxwell_slip import MOST_BLOCKS
+from rx90_common.friction.bristles.maxwell_slip import MAX_BLOCKS
 from rx90_common.friction.parts.part import FrictionPart
 
 LUGRE_PASSIVITY: Final = 4.0
 """Of `passivity_factor`: LuGre's bristle is passive where c1 |v| < 4 c0 g(v) (Barahanov and Ortega 2000)."""
 
-MOST_BREAK_AWAY: Final = 0.9
+MAX_BREAK_AWAY: Final = 0.9
 """Of `break_away`: nearer to 1 the way from break-away to sliding is a corner."""
 
 _SUM_ERROR = 1e-9  # of stiffnesses and shares, which are given in decimals
@@ -85,19 +85,19 @@ class ElastoPlastic(BristlesPart):
         float,
         Number(
             "Deflection up to which the bristles are purely elastic, in parts of tau_c / c0.", "1",
-            low=0.0, high=MOST_BREAK_AWAY,
+            low=0.0, high=MAX_BREAK_AWAY,
         ),
     ]  # fmt: skip
 
 
 def _parts(about: str) -> ListOf:
     number = Number(about, "1", low=0.0, high=1.0, above=True)
-    return ListOf(about, "1", item=number, accepted=f"a list of 1 to {MOST_BLOCKS} numbers", least=1)
+    return ListOf(about, "1", item=number, accepted=f"a list of 1 to {MAX_BLOCKS} numbers", least=1)
 
 
 @dataclass(frozen=True)
 class MaxwellSlip(BristlesPart):
-    """Blocks side by side, 1 to MOST_BLOCKS, each of which sticks or slips.
+    """Blocks side by side, 1 to MAX_BLOCKS, each of which sticks or slips.
 
     Raises:
         ConfigError: also for another number of blocks, and another sum.
@@ -119,9 +119,9 @@ class MaxwellSlip(BristlesPart):
     def __post_init__(self) -> None:
         super().__post_init__()
         count = len(self.stiffness)
-        if count > MOST_BLOCKS:
+        if count > MAX_BLOCKS:
             raise ConfigError(
-                f"bristles: stiffness has {counted(count, 'number')}; accepted: 1 to {MOST_BLOCKS}, one for a block"
+                f"bristles: stiffness has {counted(count, 'number')}; accepted: 1 to {MAX_BLOCKS}, one for a block"
             )
         if len(self.share) != count:
             raise ConfigError(

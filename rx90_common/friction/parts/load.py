@@ -44,7 +44,7 @@ import numpy as np
 
 from rx90_common.base.entries import Number
 from rx90_common.base.errors import ConfigError
-from rx90_common.friction.parts.part import LEAST_SPEED, FrictionPart
+from rx90_common.friction.parts.part import MIN_SPEED, FrictionPart
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import exponential, power
 from rx90_common.kernels.lanes import Lanes, absolute, load, select, store
@@ -93,10 +93,10 @@ class LoadPart(FrictionPart):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if 0.0 < self.omega_s < LEAST_SPEED:
+        if 0.0 < self.omega_s < MIN_SPEED:
             raise ConfigError(
                 f"load: omega_s is {self.omega_s:g} rad/s; accepted: 0 for that of the element, or a number in "
-                f"[{LEAST_SPEED:g}, 1e+06]"
+                f"[{MIN_SPEED:g}, 1e+06]"
             )
 
 

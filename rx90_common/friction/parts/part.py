@@ -10,7 +10,7 @@ from typing import Any, Final
 from rx90_common.base.declared import Declared, declarations, in_file
 from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, ListOf, Number, range_text
 
-LEAST_SPEED: Final = 1e-9
+MIN_SPEED: Final = 1e-9
 """Of Stribeck and fading velocities, rad/s: an arm that goes so far in a second stands, and 1 / v is still a number."""
 
 
@@ -38,7 +38,7 @@ class FrictionPart(Declared):
         return 1.0
 
     @property
-    def leaves_less(self) -> bool:
+    def lowers_friction(self) -> bool:
         """Return whether the part may leave less of Coulomb and static torque than the element has."""
         return self.least_factor < 1.0
 
@@ -49,7 +49,9 @@ class FrictionPart(Declared):
     def values(self) -> dict[str, Any]:
         """Return the block as it stands in a file, without what has its default."""
         own_entries = declarations(type(self)).values()
-        return {one.name: in_file(getattr(self, one.name)) for one in own_entries if getattr(self, one.name) != one.default}
+        return {
+            one.name: in_file(getattr(self, one.name)) for one in own_entries if getattr(self, one.name) != one.default
+        }
 
     def numbers(self) -> dict[str, Any]:
         """Return all values by their names, those of a list one by one: share[0]."""

@@ -98,7 +98,7 @@ class TemperaturePart(FrictionPart):
                     )
 
     @property
-    def leaves_less(self) -> bool:
+    def lowers_friction(self) -> bool:
         """Return whether static friction changes with the temperature."""
         return self.speed_slope != 0.0 or self.static_slope != 0.0
 

@@ -34,7 +34,7 @@ Equations = Callable[[Sequence[JointRecord], Bandwidths], ExcitationProblem]
 """Returns the equations of records behind filters of these bandwidths."""
 
 _NARROWER = 3  # bandwidths that are tried beside the widest, at most
-_LEAST_RATIO = 2.0  # between two of them
+_MIN_RATIO = 2.0  # between two of them
 _ROWS_PER_PARAMETER = 2.0  # of the narrowest, at least: fewer predict nothing
 _ACCEPTED_RATIO, _ACCEPTED_SE = 1.1, 2.0  # over the least error; standard errors beyond it
 _SINGULAR = 1e-10  # relative: directions that the remaining rows do not determine stay 0
@@ -139,7 +139,7 @@ def _compared(widest: Bandwidths, records: Sequence[JointRecord], equations: Equ
     What is between them is tried where the narrowest predicts clearly better than the widest.
     """
     ratio = max(widest.position / least_bandwidth(records), 1.0)
-    count = min(_NARROWER, math.floor(math.log(ratio, _LEAST_RATIO) + 1e-9))
+    count = min(_NARROWER, math.floor(math.log(ratio, _MIN_RATIO) + 1e-9))
     narrower = [widest.position * ratio ** (-step / count) for step in range(1, count + 1)]
 
     def at(position: float) -> tuple[Bandwidths, ExcitationProblem] | None:

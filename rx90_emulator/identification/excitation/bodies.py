@@ -426,7 +426,7 @@ class _Search:
         initial = np.concatenate([prior.rotors, prior.springs])
         self.behind = np.append(initial, np.zeros(whitened.shape[1] - len(self._known) - len(initial)))
         self._positive = self.behind > 0.0
-        self._inverse, self._begun = np.linalg.inv(self.pseudo), np.where(self._positive, self.behind, 1.0)
+        self._inverse, self._initial = np.linalg.inv(self.pseudo), np.where(self._positive, self.behind, 1.0)
         share = np.where(prior.guessed, _GUESS_WEIGHT, 1.0)
         other_shares = np.append(share[len(self.pseudo) :], np.ones(len(self.behind) - len(prior.rotors)))
         self._share = np.append(np.repeat(share[: len(self.pseudo)], 10), np.where(self._positive, other_shares, 0.0))
@@ -459,7 +459,7 @@ class _Search:
             factors, residual = np.linalg.cholesky(self.pseudo), self.residual
             transposed = np.swapaxes(factors, 1, 2)
             slopes = np.einsum("kij,bij->bk", _BASIS, transposed @ self._inverse @ factors - np.eye(4)).ravel()
-            slopes = np.append(slopes, np.where(self._positive, self.behind / self._begun - 1.0, 0.0))
+            slopes = np.append(slopes, np.where(self._positive, self.behind / self._initial - 1.0, 0.0))
             tangent = self._tangent(factors)
             rows, sides = np.vstack([tangent, np.diag(near)]), np.append(residual, near * slopes)
             size, step = np.linalg.norm(rows, axis=0), np.zeros(rows.shape[1])

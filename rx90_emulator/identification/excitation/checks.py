@@ -27,7 +27,7 @@ from rx90_emulator.identification.excitation.fit import nonnegative, solve, time
 from rx90_emulator.identification.excitation.law import COULOMB, VISCOUS, ElementShape, joint_columns
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.options import RobotOptions
-from rx90_emulator.identification.zeros import ROUNDS, SMALLEST, Left, ZeroCheck, find_zeros, is_error
+from rx90_emulator.identification.zeros import ROUNDS, SMALLEST, ResidualPower, ZeroCheck, find_zeros, is_error
 
 _NO_OPTIONS = RobotOptions()
 
@@ -54,7 +54,7 @@ class WrongSign(NamedTuple):
     motor: int
     motion: bool
     torque: bool
-    alike: tuple[int, ...] = ()
+    interchangeable: tuple[int, ...] = ()
 
     @property
     def what(self) -> str:
@@ -62,7 +62,7 @@ class WrongSign(NamedTuple):
         return "gear" if self.motion and self.torque else "position" if self.motion else "effort"
 
 
-_TURNED_ROUND = ((False, True), (True, True), (True, False))
+_SIGN_ERRORS = ((False, True), (True, True), (True, False))
 """Motion and torque: a wrong sign of the torque constant, of the gear, of the position alone."""
 _MIN_SIGN_GAIN = 0.15  # share of the torque error, at least, that a right sign explains
 _CLEAR_SE = 3.0  # standard errors by which a sign, or a zero, must explain more
@@ -85,14 +85,14 @@ def check_signs(problem: ExcitationProblem, options: RobotOptions = _NO_OPTIONS)
     names, descriptions, choices = problem.arm.names, [], [wrong]
     for k, one in enumerate(wrong):
         descriptions.append(f"{one.what} of {names[one.motor]}")
-        if one.alike:
-            descriptions[-1] = f"{one.what} of one of {', '.join(names[motor] for motor in sorted((one.motor, *one.alike)))}"
-            descriptions[-1] += " (either fits as well, as mirror images do)"
-        choices += [(*wrong[:k], one._replace(motor=motor), *wrong[k + 1 :]) for motor in one.alike]
+        if one.interchangeable:
+            motors = ", ".join(names[motor] for motor in sorted((one.motor, *one.interchangeable)))
+            descriptions[-1] = f"{one.what} of one of {motors} (either fits as well, as mirror images do)"
+        choices += [(*wrong[:k], one._replace(motor=motor), *wrong[k + 1 :]) for motor in one.interchangeable]
     better = " or ".join(filter(None, (_right_signs(one, options, len(names)) for one in choices)))
     raise IdentificationError(
-        f"wrong sign of the {' and the '.join(descriptions)}: {before:.1%} of the torque there are unexplained, with the other "
-        f"sign {after:.1%}; accepted: {better}, there or in the signal map"
+        f"wrong sign of the {' and the '.join(descriptions)}: {before:.1%} of the torque there are unexplained, with "
+        f"the other sign {after:.1%}; accepted: {better}, there or in the signal map"
     )
 
 
@@ -125,7 +125,7 @@ def check_zeros(problem: ExcitationProblem, zero: Array | None = None) -> ZeroCh
         zero: these, recorded angles where those of the URDF are 0, rad, shape (n,); by default 0.
     """
     fits = _Search(problem)
-    return find_zeros(fits, problem.arm.names, zero, fits.doubtful)
+    return find_zeros(fits, problem.arm.names, zero, fits.independent)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +188,7 @@ class _Search:
         return self._screened(np.flatnonzero(kind == np.argmax(np.bincount(kind))))
 
     @cached_property
-    def doubtful(self) -> Mask:
+    def independent(self) -> Mask:
         """Return the joints whose zero the torques tell: no base parameter makes good for its error, shape (n,)."""
         arm = self._problem.arm
         columns, slopes = (values * self._weight for values in self._derivatives(np.zeros(len(arm.names))))
@@ -198,16 +198,16 @@ class _Search:
             arm.identified & (np.sum(independent**2, axis=0) > _MIN_INDEPENDENT_SHARE * np.maximum(size, 1e-300))
         )
 
-    def told(self, _deviation: Array) -> Mask:
+    def identifiable(self, _deviation: Array) -> Mask:
         """Return the same, which no deviation changes."""
-        return self.doubtful
+        return self.independent
 
     @property
     def torque(self) -> Array:
         """Return the mean square of the torque of each joint, Nm^2, shape (n,)."""
         return self._mean_square(self._problem.torque)
 
-    def left(self, shift: Array) -> Left:
+    def residual_power(self, shift: Array) -> ResidualPower:
         """Return the same of what rigid body, Coulomb and viscous friction leave of it with shifted angles."""
         return {"": self._mean_square(solve(self._problem, self._columns(shift, self._all)).residual)}
 
@@ -225,7 +225,7 @@ class _Search:
 
     def small(self, start: Array) -> tuple[Array, Array]:
         """Return small errors beside quarter turns and their deviations, rad, each shape (n,)."""
-        identifiable, (shift, spread) = self.doubtful, np.zeros((2, len(start)))
+        identifiable, (shift, spread) = self.independent, np.zeros((2, len(start)))
         for _ in range(ROUNDS if identifiable.any() else 0):
             columns, slopes = self._derivatives(start + shift)
             fit, first = solve(self._problem, np.hstack([columns, slopes[:, identifiable]])), columns.shape[1]
@@ -241,7 +241,7 @@ class _Search:
         now = first
         for _ in motors:
             there = {one.motor for one in wrong}
-            tried = [(*wrong, WrongSign(k, *how)) for k in motors if k not in there for how in _TURNED_ROUND]
+            tried = [(*wrong, WrongSign(k, *how)) for k in motors if k not in there for how in _SIGN_ERRORS]
             best, other = min(((one, self._signed(one)) for one in tried), key=lambda pair: pair[1].deficit)
             # Its own joints, too: another one that is quiet and gets a little quieter weighs as much.
             own = self._problem.arm.coupling[best[-1].motor, other.joint] != 0.0
@@ -258,11 +258,11 @@ class _Search:
         others = [motor for motor in motors if motor not in {one.motor for one in wrong}]
         for k, one in enumerate(wrong):
             swapped = [(*wrong[:k], one._replace(motor=motor), *wrong[k + 1 :]) for motor in others]
-            alike = [
+            interchangeable = [
                 motor for motor, way in zip(others, swapped, strict=True) if not self._beats(now, self._signed(way))
             ]
-            wrong = (*wrong[:k], one._replace(alike=tuple(alike)), *wrong[k + 1 :])
-        named = [motor for one in wrong for motor in (one.motor, *one.alike)]
+            wrong = (*wrong[:k], one._replace(interchangeable=tuple(interchangeable)), *wrong[k + 1 :])
+        named = [motor for one in wrong for motor in (one.motor, *one.interchangeable)]
         own = np.isin(self._problem.joint[self._of_one_payload], named)
         size = max(float(np.linalg.norm(first.torque[own])), 1e-300)
         before, after = (float(np.linalg.norm(one.residual(now.sigma)[own])) / size for one in (first, now))

@@ -189,7 +189,7 @@ class Scored:
 
     fit: SeparableFit
     residual: Array
-    left: dict[str, tuple[Array, float]]
+    held_out: dict[str, tuple[Array, float]]
     rows: Array
 
     @classmethod
@@ -199,19 +199,19 @@ class Scored:
         problem, folds = weighted.problem, {"blocks": time.folds}
         if len(problem.runs) > 1:
             folds["runs"] = [(rows, rows) for rows in _grouped(np.arange(len(problem)), problem.run)]
-        left = {}
+        held_out = {}
         for kind, groups in folds.items():
             errors = left_out(residual, tangent, groups)
             relative = np.linalg.norm(errors / weighted.weight) / np.linalg.norm(problem.torque)
-            left[kind] = (np.bincount(time.block, errors**2).astype(np.float64), float(relative))
-        return cls(fit, residual / weighted.weight, left, np.bincount(time.block).astype(np.float64))
+            held_out[kind] = (np.bincount(time.block, errors**2).astype(np.float64), float(relative))
+        return cls(fit, residual / weighted.weight, held_out, np.bincount(time.block).astype(np.float64))
 
     def validations(self, against: Scored | None = None) -> dict[str, CrossValidation]:
         """Return the figures by "blocks", and by "runs" where both have them, with the gain over another model."""
         other, found = self if against is None else against, {}
-        for kind, (own, relative) in self.left.items():
-            if kind in other.left:
-                errors = HeldOutErrors({"own": own, "other": other.left[kind][0]}, self.rows)
+        for kind, (own, relative) in self.held_out.items():
+            if kind in other.held_out:
+                errors = HeldOutErrors({"own": own, "other": other.held_out[kind][0]}, self.rows)
                 found[kind] = CrossValidation(errors.rms("own")[0], relative, *errors.gain("own", "other"))
         return found
 
@@ -261,7 +261,7 @@ class ModelRow(NamedTuple):
 PartKey = tuple[int, Part]
 """Number of an element, and a part of its friction."""
 
-_BESIDE = {
+_COMPANIONS = {
     # Seen without it, a Stribeck rise hides an exponent below 1.
     Part.STRIBECK: frozenset({Part.EXPONENT}),
     Part.BRISTLE: frozenset({Part.STRIBECK, Part.DAMPING}),
@@ -305,7 +305,11 @@ def stages(parts: Sequence[Part], fixed: bool = False) -> int:
 def _attempts(parts: Sequence[Part], fixed: bool) -> tuple[Part, ...]:
     """Return the parts that are tried one after the other, if only where it is needed: bristles come after a rise."""
     requested = tuple(part for part in parts if part is not Part.DAMPING)
-    return requested if fixed or Part.STRIBECK not in requested or Part.BRISTLE in requested else (*requested, Part.BRISTLE)
+    return (
+        requested
+        if fixed or Part.STRIBECK not in requested or Part.BRISTLE in requested
+        else (*requested, Part.BRISTLE)
+    )
 
 
 class Selection:
@@ -384,7 +388,7 @@ class Selection:
 
     def _started(self, part: Part) -> list[ElementShape]:
         """Return the shapes with a part, and others tried with it, on every element that moves, from the best start."""
-        tried = {part, *(_BESIDE.get(part, frozenset()) & self._allowed)}
+        tried = {part, *(_COMPANIONS.get(part, frozenset()) & self._allowed)}
         shapes = list(self.now.fit.shapes)
         for e, shape in enumerate(shapes):
             if len(self.weighted.elements[e].rows):
@@ -400,7 +404,7 @@ class Selection:
         A Stribeck rise is tried again with delta = 1, the exponent that literature gives; then `part`, which is being
         tried, goes, and else the part that the parameter belongs to.
         """
-        while any(ended := _ended(model.fit)) or any(ended := self._untold_exponents(model.fit)):
+        while any(ended := _ended(model.fit)) or any(ended := self._indeterminate_exponents(model.fit)):
             shapes = list(model.fit.shapes)
             for e, bound in enumerate(ended):
                 if bound:
@@ -419,7 +423,9 @@ class Selection:
         name = (own or bound)[0]
         whose = PART_OF[name]
         is_companion = (
-            part is not None and whose in _BESIDE.get(part, ()) and (part is Part.BRISTLE or whose not in before.parts)
+            part is not None
+            and whose in _COMPANIONS.get(part, ())
+            and (part is Part.BRISTLE or whose not in before.parts)
         )
         dropped, element = whose if is_companion else tried or whose, self._problem.arm.element_names[e]
         at = f"{round(getattr(shape, name), 6):.3g}"
@@ -437,7 +443,7 @@ class Selection:
         self.refused[e, dropped] = why
         return shape.without(dropped) if own or is_companion else before
 
-    def _untold_exponents(self, fit: SeparableFit) -> list[frozenset[str]]:
+    def _indeterminate_exponents(self, fit: SeparableFit) -> list[frozenset[str]]:
         """Return "alpha" for each element whose exponent is too near its lower bound to be told from Coulomb torque."""
         inner, found = fit.inner(), [frozenset[str]()] * len(fit.shapes)
         places = [(k, e) for k, (e, name) in enumerate(inner) if name == "alpha"]

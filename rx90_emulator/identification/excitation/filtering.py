@@ -48,7 +48,7 @@ _MAX_ROWS = 30_000  # of all joints and runs: what more of them tell is not wort
 _SMOOTHED_FALL = 4.0**-6  # power of a torque at four times a frequency over that at it: a fall as f^-6
 _GAP_PERIODS = 3.5  # periods without a sample that are a gap
 _BRIDGED_PERIODS = 0.25  # periods of the positions' bandwidth that a gap may last, not to split a run
-_LEAST_BESIDE_GAP = 4  # samples on either side that tell a bridge's cubic
+_MIN_GAP_CONTEXT = 4  # samples on either side that tell a bridge's cubic
 _STAMP_TOLERANCE = 1e-3  # periods that a stamp may lie off an even grid, to be taken as on it
 _SPLINE_END = 10  # samples in which the error at a quintic spline's end fades
 _BLOCK_SAMPLES = 8192  # samples whose columns are held at a time
@@ -387,7 +387,7 @@ def _bridged(time: Array, values: Array) -> tuple[Array, Array]:
         begin, end = time[k - 1], time[k]
         period = float(np.median(np.diff(time)))
         missing = np.linspace(begin, end, max(2, round((end - begin) / period)) + 1)[1:-1]
-        reach = max(_LEAST_BESIDE_GAP, len(missing))
+        reach = max(_MIN_GAP_CONTEXT, len(missing))
         near = slice(max(0, k - reach), k + reach)
         powers = np.vander((time[near] - begin) / (end - begin), 4)
         cubic = np.linalg.lstsq(powers, values[near], rcond=None)[0]

@@ -99,7 +99,7 @@ class FinalFit:
         shifts = np.column_stack([self._load_dependence(), exponent_shift, self._without_bounds(), *blur])
         self.fit = replace(final, covariance=covariance + shifts @ shifts.T)
 
-    def _beside(self, *columns: Array) -> LinearFit:
+    def _augmented(self, *columns: Array) -> LinearFit:
         """Return the fit with further columns, each of shape (r,), behind those of the model."""
         problem = self._selected.weighted.problem
         return solve(problem, np.column_stack([self._columns, *columns]), prior=self._prior)
@@ -135,7 +135,7 @@ class FinalFit:
             if c2 <= 0.0 < tau_c:
                 table[e, "c2"] = self._column(e, "c2")
         while table:
-            augmented = self._beside(*table.values())
+            augmented = self._augmented(*table.values())
             sizes = list(zip(augmented.value[q:].tolist(), augmented.deviation[q:].tolist(), strict=True))
             small = {key: column for (key, column), (value, deviation) in zip(table.items(), sizes, strict=True)
                     if value + _UPPER_SE * deviation > _RELEVANT_SIZE[key[1]] and math.isfinite(deviation)}  # fmt: skip
@@ -161,8 +161,14 @@ class FinalFit:
         ]
         if not bound:
             return np.zeros(q)
-        unrestricted = self._beside(*(self._column(*key) for key in bound))
-        pairs = zip(bound, unrestricted.value[q:].tolist(), unrestricted.deviation[q:].tolist(), unrestricted.determined[q:], strict=True)
+        unrestricted = self._augmented(*(self._column(*key) for key in bound))
+        pairs = zip(
+            bound,
+            unrestricted.value[q:].tolist(),
+            unrestricted.deviation[q:].tolist(),
+            unrestricted.determined[q:],
+            strict=True,
+        )
         self.unbounded = {key: (value, deviation) for key, value, deviation, known in pairs if known}
         negative = {key for key, (value, deviation) in self.unbounded.items() if value < -_UPPER_SE * deviation}
         falling = [
@@ -170,7 +176,7 @@ class FinalFit:
         ]
         if not falling:
             return np.zeros(q)
-        one = self._beside(*(self._column(e, "c2") for e in falling))
+        one = self._augmented(*(self._column(e, "c2") for e in falling))
         for k, e in enumerate(falling):
             place, name = len(problem.names) + fit.inner().index((e, "tau_c")), problem.arm.element_names[e]
             low, high = selected.weighted.elements[e].speed_range
@@ -196,7 +202,7 @@ class FinalFit:
                 load = np.full(problem.sample.max() + 1, float(np.mean(bare[own])))
                 load[problem.sample[own]] = bare[own]
                 column += coulomb[:, e] * load[problem.sample] / max(float(np.sqrt(np.mean(bare[own] ** 2))), _MIN_LOAD)
-        with_load = self._beside(column)
+        with_load = self._augmented(column)
         value, deviation = float(with_load.value[-1]), float(with_load.deviation[-1])
         if abs(value) <= _UPPER_SE * deviation:
             return np.zeros(len(unbounded_fit.value))
@@ -232,7 +238,7 @@ def bounded_covariance(covariance: Array, sizes: Sequence[tuple[float, float]], 
     return np.asarray(covariance[:count, :count] + slope @ change @ slope.T)
 
 
-_BLURRED_BANDWIDTH_SHARE = 0.5  # bandwidth over that of the positions
+_REDUCED_BANDWIDTH_SHARE = 0.5  # bandwidth over that of the positions
 _AVERAGED_SAMPLES = 5
 
 
@@ -255,18 +261,18 @@ def blur_shifts(weighted: WeightedProblem, fit: SeparableFit, columns: Array) ->
     tangent = columns * weighted.weight[:, None] / scale
     shifts = []
     blurs: list[Callable[[Array, FilteredRun], Array]] = [
-        lambda values, run: run.smooth(values, _BLURRED_BANDWIDTH_SHARE * run.bandwidths.position),
+        lambda values, run: run.smooth(values, _REDUCED_BANDWIDTH_SHARE * run.bandwidths.position),
         lambda values, _: np.asarray(uniform_filter1d(values, _AVERAGED_SAMPLES, axis=0)),
         _every_second,
     ]
     for blur in blurs:
-        other = replace(problem, runs=tuple(_blurred(run, blur) for run in problem.runs))
+        other = replace(problem, runs=tuple(_smoothed(run, blur) for run in problem.runs))
         difference = np.tensordot(unfiltered - joint_columns(other, fit.shapes), fit.linear, 2)
         shifts.append(np.asarray(np.linalg.lstsq(tangent, difference * weighted.weight, rcond=1e-8)[0] / scale))
     return shifts
 
 
-def _blurred(run: FilteredRun, blur: Callable[[Array, FilteredRun], Array]) -> FilteredRun:
+def _smoothed(run: FilteredRun, blur: Callable[[Array, FilteredRun], Array]) -> FilteredRun:
     """Return a run with other positions and velocities; stamps of the torque are as far apart as samples."""
     stamps = None if run.stamps is None else run.stamps._replace(velocity=blur(run.stamps.velocity, run))
     return replace(run, position=blur(run.position, run), velocity=blur(run.velocity, run), stamps=stamps)

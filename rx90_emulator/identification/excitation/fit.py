@@ -348,7 +348,7 @@ class WeightedProblem:
         if name in LINEAR:
             result[rows] = self._columns(element, shapes[element]).values[:, LINEAR.index(name)]
         else:
-            shape = shapes[element].opened(name)
+            shape = shapes[element].with_free(name)
             place = len(LINEAR) * (1 + shape.free.index(name))
             result[rows] = self._columns(element, shape).values[:, place : place + len(LINEAR)] @ linear[element]
         return result

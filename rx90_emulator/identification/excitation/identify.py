@@ -123,13 +123,13 @@ def identify_excitation(
     if not by_use["excitation"]:
         raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
     check_given_once(by_use)
-    parts, fixed = _asked(bristles, model)
+    parts, fixed = _requested_parts(bristles, model)
     carried = payloads_of(everything, payloads)
     _check_robot(robot, rotors=rotors)
     source = RecordedRobot.load(robot, everything, massless=True, follow=True)
     records = read_records(by_use, source, progress, currents=True)
     progress("filters and equations")
-    notes = _leave_shocks_out(records, source)
+    notes = _without_shock_rows(records, source)
 
     def equations(some: Sequence[JointRecord], bandwidths: Bandwidths) -> ExcitationProblem:
         return recorded_equations(some, source, bandwidths, carried, rotors=rotors)
@@ -192,7 +192,7 @@ def identify_excitation(
     )
 
 
-def _leave_shocks_out(records: Mapping[str, list[JointRecord]], robot: RecordedRobot) -> list[str]:
+def _without_shock_rows(records: Mapping[str, list[JointRecord]], robot: RecordedRobot) -> list[str]:
     """Put into the records of each use the times of their shocks, and return in words what was found."""
     texts: list[str] = []
     for some in records.values():
@@ -226,10 +226,10 @@ def count_steps(
 ) -> int:
     """Return how often `identify_excitation` calls `progress` for so many bags and validation runs."""
     choices = 1 + payloads  # of the friction's parts: known payloads take one for the drive gains or load parts
-    return bags + 2 * validation + 3 + choices * (1 + stages(*_asked(bristles, model)))
+    return bags + 2 * validation + 3 + choices * (1 + stages(*_requested_parts(bristles, model)))
 
 
-def _asked(bristles: bool, model: Sequence[str] | None) -> tuple[tuple[Part, ...], bool]:
+def _requested_parts(bristles: bool, model: Sequence[str] | None) -> tuple[tuple[Part, ...], bool]:
     """Return the parts of the friction to try or to give to all elements, and whether it is the latter."""
     if model is not None:
         if bristles:

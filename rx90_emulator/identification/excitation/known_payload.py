@@ -79,7 +79,7 @@ class DriveGains:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
-    def told(self) -> Index:
+    def identified(self) -> Index:
         """Return the numbers of the motors whose gain is told."""
         return np.flatnonzero(np.isfinite(self.deviation))
 
@@ -87,7 +87,7 @@ class DriveGains:
     def implausible(self) -> Index:
         """Return the numbers of the motors whose gain is told, but hardly to be believed."""
         low, high = PLAUSIBLE
-        return self.told[(self.factor[self.told] < low) | (self.factor[self.told] > high)]
+        return self.identified[(self.factor[self.identified] < low) | (self.factor[self.identified] > high)]
 
     def after(self, factor: Array) -> DriveGains:
         """Return the whole gains, where these are of torques that were multiplied by factors before, shape (n,)."""
@@ -96,11 +96,13 @@ class DriveGains:
 
     def applied(self, problem: ExcitationProblem) -> ExcitationProblem:
         """Return the problem with its torques multiplied by the factors of their motors, and uncertain as they are."""
-        shares, told = _motor_shares(problem), self.told
+        shares, identified = _motor_shares(problem), self.identified
         scale = np.tensordot(self.factor, shares, 1)
         runs = tuple(replace(run, torque=run.torque @ scale) for run in problem.runs)
-        relative = self.covariance[np.ix_(told, told)] / np.outer(self.factor[told], self.factor[told])
-        along = [np.stack([run.torque, *(run.torque @ shares[k] for k in told)], axis=2) for run in runs]
+        relative = self.covariance[np.ix_(identified, identified)] / np.outer(
+            self.factor[identified], self.factor[identified]
+        )
+        along = [np.stack([run.torque, *(run.torque @ shares[k] for k in identified)], axis=2) for run in runs]
         rows = problem.rows_of(along)
         uncertain = rows[:, 1:] @ np.linalg.cholesky(relative)
         return replace(problem, runs=runs, torque=rows[:, 0] - problem.payload, uncertain=uncertain)
@@ -161,46 +163,48 @@ def drive_gains(problem: ExcitationProblem, friction: Array) -> DriveGains:
     _bodies(problem, "drive gains")
     pairs = [problem.through(share) for share in _motor_shares(problem)]
     parts, loads = np.array([columns for columns, _ in pairs]), np.array([load for _, load in pairs])
-    told = np.flatnonzero(loads.any(axis=1))
-    while len(told):
-        gains = _fitted_gains(problem, friction, parts, loads, told)
-        value, deviation = gains.factor[told], gains.deviation[told]
+    identified = np.flatnonzero(loads.any(axis=1))
+    while len(identified):
+        gains = _fitted_gains(problem, friction, parts, loads, identified)
+        value, deviation = gains.factor[identified], gains.deviation[identified]
         # At 0 or below and told, or below 0 for certain: the payload is not the one given.
         wrong = (value <= 0.0) & ((deviation < _MAX_GAIN_SD) | (value + _NEGATIVE_SE * deviation < 0.0))
-        for k in told[wrong][:1]:
+        for k in identified[wrong][:1]:
             raise IdentificationError(
                 f"drive gain of {problem.arm.names[k]}: {gains.factor[k]:.3g} +- {gains.deviation[k]:.2g} by this "
                 "payload; accepted: above 0 (is its mass, its centre's direction in the last joint's frame, or the run "
                 "it is of wrong?)"
             )
-        sure = told[deviation < _MAX_GAIN_SD * np.abs(value)]
-        if len(sure) == len(told):
+        sure = identified[deviation < _MAX_GAIN_SD * np.abs(value)]
+        if len(sure) == len(identified):
             return gains
-        told = sure
+        identified = sure
     raise IdentificationError(
         f"the payload tells no drive gain to better than {_MAX_GAIN_SD:.0%}; accepted: a heavier payload, or faster "
         "motion"
     )
 
 
-def _fitted_gains(problem: ExcitationProblem, friction: Array, parts: Array, loads: Array, told: Index) -> DriveGains:
+def _fitted_gains(
+    problem: ExcitationProblem, friction: Array, parts: Array, loads: Array, identified: Index
+) -> DriveGains:
     """Return the gains of all motors, those of the motors told free; `parts`, (n, r, b), and `loads` are by motor."""
     b, q = parts.shape[2], parts.shape[2] + friction.shape[1]
     inverse, parameters = np.ones(len(parts)), np.zeros(b)
-    rest = np.setdiff1d(np.arange(len(parts)), told)
+    rest = np.setdiff1d(np.arange(len(parts)), identified)
     recorded = problem.torque + problem.payload - loads[rest].sum(axis=0)
     for _ in range(_MAX_GAIN_ROUNDS):
-        own = parts[told] @ parameters
-        columns = np.column_stack([np.tensordot(inverse, parts, 1), friction, *(own + loads[told])])
+        own = parts[identified] @ parameters
+        columns = np.column_stack([np.tensordot(inverse, parts, 1), friction, *(own + loads[identified])])
         # Linearised: the parameters' torque is counted by the gains' columns, too, and taken off once.
-        fit = solve(problem, columns, recorded + inverse[told] @ own)
-        moved = float(np.max(np.abs(fit.value[q:] - inverse[told])))
-        inverse[told], parameters = fit.value[q:], fit.value[:b]
+        fit = solve(problem, columns, recorded + inverse[identified] @ own)
+        moved = float(np.max(np.abs(fit.value[q:] - inverse[identified])))
+        inverse[identified], parameters = fit.value[q:], fit.value[:b]
         if moved < _GAIN_CONVERGED:
             break
     factor, covariance = 1.0 / inverse, np.diag(np.full(len(parts), np.inf))
-    slope = factor[told] ** 2
-    covariance[np.ix_(told, told)] = fit.covariance[q:, q:] * np.outer(slope, slope)
+    slope = factor[identified] ** 2
+    covariance[np.ix_(identified, identified)] = fit.covariance[q:, q:] * np.outer(slope, slope)
     return DriveGains(factor, covariance)
 
 
@@ -382,7 +386,7 @@ def identify_load_parts(
 
     def scored(kept: Sequence[int]) -> Scored:
         model = Scored.of(*fitted(kept, columns), time)
-        return model if tested_by_runs else replace(model, left={"blocks": model.left["blocks"]})
+        return model if tested_by_runs else replace(model, held_out={"blocks": model.held_out["blocks"]})
 
     reasons = beyond_chance(moving, value, covariance)
     kept, useless, gain = trimmed([e for e in moving if e not in reasons], scored)
@@ -404,17 +408,17 @@ def trimmed(
         kept: elements that may have a part.
         scored: returns the model in which some elements have one.
     """
-    left: list[int] = list(kept)
+    remaining: list[int] = list(kept)
     reasons: dict[int, str] = {}
-    while left:
-        now = scored(left)
-        trials = {e: scored([other for other in left if other != e]) for e in left}
+    while remaining:
+        now = scored(remaining)
+        trials = {e: scored([other for other in remaining if other != e]) for e in remaining}
         useless = {e: now.validations(one)["blocks"].gain for e, one in trials.items() if not now.better_than(one)}
         if not useless:
-            return tuple(left), reasons, now.verdict(scored(()))
+            return tuple(remaining), reasons, now.verdict(scored(()))
         worst = min(useless, key=lambda e: useless[e])
         reasons[worst] = f"with a load part, {now.verdict(trials[worst])}"
-        left.remove(worst)
+        remaining.remove(worst)
     return (), reasons, ""
 
 

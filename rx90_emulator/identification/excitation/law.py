@@ -113,7 +113,7 @@ class ElementShape:
         neutral: dict[str, Any] = {name: getattr(_NEUTRAL, name) for name in part.shape}
         return replace(self, parts=self.parts - gone, fixed=self.fixed - set(part.shape), **neutral)
 
-    def opened(self, name: str) -> ElementShape:
+    def with_free(self, name: str) -> ElementShape:
         """Return the shape with a parameter among its free ones, its value as it is."""
         part = PART_OF[name]
         closed = frozenset() if part in self.parts else frozenset(part.shape)

@@ -527,7 +527,7 @@ def _slow_stretches(velocity: Array, threshold: float) -> tuple[Mask, Mask]:
     return resting, passes
 
 
-_SAME_MOTION = 0.95  # similarity of velocities from which on two stretches are the same motion
+_MIN_MOTION_SIMILARITY = 0.95  # similarity of velocities from which on two stretches are the same motion
 _DECORRELATED = 0.5  # similarity below which a lag has left the neighbourhood of 0
 _MIN_OVERLAP = 0.3  # share of the motion's energy that two stretches have in common, at least
 _RATE_TOLERANCE = 0.01  # relative difference between the row rates of runs that can be compared
@@ -564,7 +564,11 @@ def _shift(velocity: Array, rate: float, other: Array, its_rate: float) -> int |
         return None
     similarity, shared = _similarity(other, velocity)
     best = int(np.argmax(np.where(shared > _MIN_OVERLAP, similarity, -1.0)))
-    return best - (len(velocity) - 1) if similarity[best] > _SAME_MOTION and shared[best] > _MIN_OVERLAP else None
+    return (
+        best - (len(velocity) - 1)
+        if similarity[best] > _MIN_MOTION_SIMILARITY and shared[best] > _MIN_OVERLAP
+        else None
+    )
 
 
 def _period(velocity: Array) -> int:
@@ -572,7 +576,7 @@ def _period(velocity: Array) -> int:
     similarity, shared = (values[len(velocity) - 1 :] for values in _similarity(velocity, velocity))
     padded = np.pad(similarity, 1, constant_values=-np.inf)
     peak = (similarity >= padded[:-2]) & (similarity >= padded[2:])
-    repeated = np.flatnonzero(peak & (similarity > _SAME_MOTION) & (shared > _MIN_OVERLAP))
+    repeated = np.flatnonzero(peak & (similarity > _MIN_MOTION_SIMILARITY) & (shared > _MIN_OVERLAP))
     decorrelated = np.flatnonzero(similarity < _DECORRELATED)
     repeated = repeated[repeated > decorrelated[0]] if len(decorrelated) else decorrelated
     return int(repeated[0]) if len(repeated) else 0

@@ -158,7 +158,7 @@ class FollowedTrajectory:
         leaves = int(np.argmax((np.abs(points.position - before) > _AT_REST).any(axis=1)))
         self._rest, self._duration = float(points.times[max(leaves - 1, 0)]), float(points.times[-1])
         self._began: float | None = None
-        self._seen, self._went_on, self._due = -math.inf, 0.0, (0.0, 0.0)
+        self._last_time, self._last_advance, self._due = -math.inf, 0.0, (0.0, 0.0)
         self.elapsed, self.end, self.done = 0.0, math.inf, False
 
     def see(self, now: float, position: Array, clock: float) -> None:
@@ -176,11 +176,11 @@ class FollowedTrajectory:
         def near(other: Array) -> bool:
             return bool(np.abs(position - other).max() <= _AT_REST)
 
-        if self._seen == -math.inf:
+        if self._last_time == -math.inf:
             self._due = now + _PATIENCE, clock + _PATIENCE
-        if now > self._seen:
-            self._seen, self._went_on = now, clock
-        elif clock - self._went_on > self._timeout:
+        if now > self._last_time:
+            self._last_time, self._last_advance = now, clock
+        elif clock - self._last_advance > self._timeout:
             raise ExchangeError(f"the controller's time stood still at {now:.3f} s for {self._timeout:g} s")
         if self._began is None and not near(self._before):
             self._began = now - self._rest

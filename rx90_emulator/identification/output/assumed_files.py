@@ -121,7 +121,9 @@ def weight_warning(robot: RobotModel, turning: Coupling, law: CS7BParameters) ->
         for name, deflection, limit in zip(robot.joint_names, sag, law.following_error, strict=True)
         if deflection > limit
     ]
-    return f"without feed-forward the weight deflects {listed(too_large)}: keep inverse_dynamics on" if too_large else ""
+    return (
+        f"without feed-forward the weight deflects {listed(too_large)}: keep inverse_dynamics on" if too_large else ""
+    )
 
 
 def _marked(content: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from rx90_emulator.identification.excitation.result import ExcitationIdentificat
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.output import summary
 from rx90_emulator.identification.output.robot_files import torque_constants
-from rx90_emulator.identification.presliding.bristle_motion import MOST_MOTIONS, MOST_OF_BAG
+from rx90_emulator.identification.presliding.bristle_motion import MAX_MOTIONS_ALONE, MAX_MOTIONS_OF_BAG
 from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.sliding.quality import CurvePoints
@@ -160,8 +160,8 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         now,
         result=result,
         named=named,
-        told=[(name, named[name]) for name in result.told],
-        others=[name for name in names if name not in result.told],
+        identified=[(name, named[name]) for name in result.identified_elements],
+        others=[name for name in names if name not in result.identified_elements],
         assumed=[(summary.which(lacking), reason) for reason, lacking in result.unidentifiable.items()],
         parameters=shown_parameters(result),
         units=FRICTION_UNITS,
@@ -182,8 +182,8 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         numbers=[(name, number, estimate.texts() if estimate.identifiable else (f"{one.value(number):.4g}", ""))
                  for name, one in named.items() if not one.given_bristles
                  for number, estimate in one.estimates.items() if number.startswith("bristles.")],
-        most_motions=MOST_MOTIONS,
-        most_of_bag=MOST_OF_BAG,
+        most_motions=MAX_MOTIONS_ALONE,
+        most_of_bag=MAX_MOTIONS_OF_BAG,
         distinguishable_se=DISTINGUISHABLE_SE,
         kind_loops=[_loop_plot(one.element, "torque of the bristles, Nm", *one.largest) for one in compared],
         correlations=_correlation_plots(result, own_bristles),
@@ -400,7 +400,9 @@ def _friction_plot(result: ExcitationIdentification) -> Plot:
             one_sign = np.flatnonzero(sign * velocity > 0.0)
             for part in np.array_split(one_sign[np.argsort(velocity[one_sign])], _SPEED_BINS // 2):
                 if len(part) >= _MIN_BIN_SAMPLES and low <= (speed := velocity[part].mean()) <= high:
-                    points.append((speed, np.interp(speed, curve.velocity, curve.torque) + residual_torque[part].mean()))
+                    points.append(
+                        (speed, np.interp(speed, curve.velocity, curve.torque) + residual_torque[part].mean())
+                    )
         if points:
             x, y = np.array(points).T
             own.append(Dots(x, y, "measured", COLOURS[1]))

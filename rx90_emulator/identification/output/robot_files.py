@@ -294,7 +294,7 @@ def robot_texts(
         return texts
     texts[FILES["urdf"]] = written = with_fixed(texts[FILES["urdf"]], base.held)
     peak_acceleration = np.max([np.abs(run.acceleration).max(axis=0) for run in result.problem.runs], axis=0)
-    drives, controller = _begun(base, written, np.asarray(inertias.rotors), new, peak_acceleration)
+    drives, controller = _initial_contents(base, written, np.asarray(inertias.rotors), new, peak_acceleration)
     for block in dict.fromkeys(block for block, _ in new):
         drives[block] = marked(drives[block], {key: one for (there, key), one in new.items() if there == block})
     feed_forward = _compensation(result.elements, elements, base)
@@ -317,7 +317,9 @@ def _compensation(
     moved_elements, speed = [[one.element] for one in found[:joints]], base.robot.max_velocity.tolist()
     for motor, one in zip(base.turning.sums, found[joints:], strict=True):
         moved_elements[motor].append(one.element)
-    viscous, exponent = zip(*(viscous_sum(some, top) for some, top in zip(moved_elements, speed, strict=True)), strict=True)
+    viscous, exponent = zip(
+        *(viscous_sum(some, top) for some, top in zip(moved_elements, speed, strict=True)), strict=True
+    )
     coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in moved_elements]
     source = "the identified friction of each joint"
     if base.turning.size.wrist:
@@ -328,7 +330,7 @@ def _compensation(
     return {key: Identified([digits(one, 12) for one in some], "derived", source) for key, some in values.items()}
 
 
-def _begun(
+def _initial_contents(
     base: FolderBase, urdf: str, rotors: Array, new: Mapping[tuple[str, str], Identified], peak_acceleration: Array
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the contents of drives and controller file that a folder begins with; accelerations as in the runs."""

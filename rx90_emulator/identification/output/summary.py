@@ -55,14 +55,14 @@ def identification_summary(result: FrictionIdentification) -> str:
     parameters, names, sliding = shown_parameters(result), result.arm.element_names, result.sliding
     rows = []
     for name, one in zip(names, result.elements, strict=True):
-        if name in result.told:
+        if name in result.identified_elements:
             given = (one.estimates.get(parameter) for parameter in parameters)
             cells = ("1" if each is None else _with_deviation(each, "not identifiable") for each in given)
             rows.append([name, *cells])
             if name in result.truth:
                 rows.append(["  true", *(f"{getattr(result.truth[name], parameter):.6g}" for parameter in parameters)])
     lines = _table(["element", *parameters], [_width(10, names), *[22] * len(parameters)], rows)
-    if others := ", ".join(name for name in names if name not in result.told):
+    if others := ", ".join(name for name in names if name not in result.identified_elements):
         lines.append(f"{others}: nothing identified")
     lines += [f"not identifiable: {which(lacking)}: {reason}" for reason, lacking in result.unidentifiable.items()]
     if compared := [kind for kind in result.kinds if kind.trials]:
@@ -242,7 +242,7 @@ def gain_warnings(result: ExcitationIdentification) -> list[str]:
             f"{PLAUSIBLE[1]:g}. Is the payload's mass or centre, the run that carried it, a gear or the unit of effort "
             "another one (A RMS for peak A: 0.71 or 1.41)? Inertias, friction and torque constants are as much off then"
         )
-    unchanged = [name for k, name in enumerate(names) if k not in gains.told]
+    unchanged = [name for k, name in enumerate(names) if k not in gains.identified]
     if unchanged:
         lines.append(
             f"{', '.join(unchanged)} keep{'s' if len(unchanged) == 1 else ''} the given gain, whose scale may not fit "
@@ -270,13 +270,13 @@ def bodies_warnings(result: ExcitationIdentification) -> list[str]:
     return found
 
 
-_SHOWN = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1", "load.driving", "load.driven")
+_REPORTED = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1", "load.driving", "load.driven")
 
 
 def friction_columns(estimates: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
     """Return estimates of an element in the order in which tables show them; both signs as one where they are equal."""
     found = {}
-    for name in _SHOWN:
+    for name in _REPORTED:
         if name in estimates:
             found[name] = estimates[name]
         elif f"{name}_positive" in estimates:

@@ -25,7 +25,7 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import decay
 from rx90_common.friction.bristles.step import bristles_dtype
 from rx90_common.friction.compiled_elements import element_arrays
-from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
+from rx90_common.friction.parts.bristles import MAX_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
 from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE, follow_bristles
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.arm import RigidArm
@@ -33,9 +33,9 @@ from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMot
 
 MAX_COMPARED_S: Final = 2.0
 """s of a micro-motion that are compared: they hold some six of its slowest waves."""
-MOST_MOTIONS: Final = 5
+MAX_MOTIONS_ALONE: Final = 5
 """Micro-motions of a joint that are compared, the largest ones."""
-MOST_OF_BAG: Final = 3
+MAX_MOTIONS_OF_BAG: Final = 3
 """The same of joints that share elements, of each bag."""
 ATTRACTION: Final = "attraction"
 """The number of Maxwell slip that presliding does not show."""
@@ -89,7 +89,7 @@ class KindFamily:
     def bristles(self, shape: Array, coulomb: float) -> BristlesPart | None:
         """Return the bristles of such numbers, for a Coulomb torque, Nm; None is LuGre's."""
         if self.elastic:
-            return ElastoPlastic(float(MOST_BREAK_AWAY / (1.0 + np.exp(-np.clip(shape[0], -30.0, 30.0)))))
+            return ElastoPlastic(float(MAX_BREAK_AWAY / (1.0 + np.exp(-np.clip(shape[0], -30.0, 30.0)))))
         if not self.blocks:
             return None
         parts = [np.exp(np.append(0.0, half)) for half in np.split(np.clip(shape, -8.0, 8.0), 2)]

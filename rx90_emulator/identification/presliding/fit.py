@@ -25,8 +25,8 @@ from rx90_emulator.identification.estimates import (
 from rx90_emulator.identification.presliding.bristle_motion import (
     INERTIA_SD,
     MAX_COMPARED_S,
-    MOST_MOTIONS,
-    MOST_OF_BAG,
+    MAX_MOTIONS_ALONE,
+    MAX_MOTIONS_OF_BAG,
     GroupModel,
     JointGroup,
     KindFamily,
@@ -67,7 +67,7 @@ class MovedGroup:
 
     Attributes:
         elements: indices of its e elements.
-        motions: the largest first; MOST_MOTIONS at most of a single element, else MOST_OF_BAG of each bag.
+        motions: the largest first; MAX_MOTIONS_ALONE at most of a single element, else MAX_MOTIONS_OF_BAG of each bag.
         c0: of LuGre's bristles, Nm/rad, shape (e,).
         sources: their bags.
     """
@@ -91,7 +91,7 @@ class MovedGroup:
         def rank(motion: MicroMotion) -> tuple[bool, float]:
             return len(motion.velocity) * motion.step < MAX_COMPARED_S, -motion.load(break_away)
 
-        most = MOST_MOTIONS if alone else MOST_OF_BAG
+        most = MAX_MOTIONS_ALONE if alone else MAX_MOTIONS_OF_BAG
         largest = [motion for bag in bags.values() for motion in sorted(bag, key=rank)[:most]]
         compared = tuple(KindMotion.of(motion, group.inputs, sliding) for motion in largest)
         return cls(group.elements, compared, c0, tuple(dict.fromkeys(motion.record.bag for motion in largest)))

@@ -49,7 +49,7 @@ DISTINGUISHABLE_SE: Final = 3.0
 _MIN_RELATIVE_SD = {"c0": 0.002, "c1": 0.01}  # relative: encoder steps, and 10 us of timing, show in no residual
 _MIN_RELATIVE_SD_SHARED = {"c0": 0.02, "c1": 0.05}  # of elements that share joints: others' errors are alike in all
 _MIN_SD_OF_PARTS = 0.02  # of numbers in parts: errors of the sliding regime are the same in all motions
-_MAX_MISSED = 0.5  # of the friction torque, by the kind that predicts best, noise included
+_MAX_RESIDUAL_SHARE = 0.5  # of the friction torque, by the kind that predicts best, noise included
 _MAX_INERTIA_ERROR = 0.1  # relative error of the joint's inertia
 _MAX_REACH = 2.0  # of a block, in parts of the travel: there and back, a block with half of it slips
 _STARTS = (-0.8, -0.4, 0.0, 0.4, 0.8)  # deflections that fits begin at, over those of steady sliding
@@ -144,7 +144,7 @@ class GroupFit:
         coulomb = self.model.motions[0].traces[place].element.tau_c_positive
         return float(np.max(np.divide(part.share, part.stiffness))) * coulomb / self.numbers(place)["c0"]
 
-    def seen(self, place: int, index: int) -> tuple[Array, Array]:
+    def friction_torques(self, place: int, index: int) -> tuple[Array, Array]:
         """Return the measured torque of an element along a motion less all others', and its own, Nm, each (b,)."""
         motion = self.model.motions[index]
         remaining = motion.measured @ np.concatenate([[1.0], -self.x[self.model.inertial]])
@@ -174,7 +174,7 @@ class KindTrial:
 
     family: KindFamily
     bristles: BristlesPart | None
-    seen: tuple[Array, Array]
+    friction_torques: tuple[Array, Array]
     estimates: dict[str, ParameterEstimate]
     missed: float
     behind: float
@@ -233,7 +233,7 @@ class ElementKind:
         if not self.trials:
             return self.lacking
         best, travel = self.best, float(np.ptp(self.position))
-        if best.missed > _MAX_MISSED:
+        if best.missed > _MAX_RESIDUAL_SHARE:
             return f"even the best kind, {best.family.name}, misses {100.0 * best.missed:.0f} % of the friction torque"
         if self.kind is None:
             return f"the data do not tell {listed([trial.family.name for trial in self.possible])} apart"
@@ -280,7 +280,9 @@ class ElementKind:
         shown: dict[str, KindTrial] = {}
         for trial in sorted(self.trials, key=lambda trial: trial.behind):
             shown.setdefault(trial.family.kind, trial)
-        torques = {"measured": self.best.seen[0]} | {one.family.name: one.seen[1] for one in shown.values()}
+        torques = {"measured": self.best.friction_torques[0]} | {
+            one.family.name: one.friction_torques[1] for one in shown.values()
+        }
         return self.position - self.position.mean(), {name: each - each.mean() for name, each in torques.items()}
 
 
@@ -389,7 +391,7 @@ def choose_kinds_of(
                 KindTrial(
                     family,
                     whole.bristles(place),
-                    whole.seen(place, largest),
+                    whole.friction_torques(place, largest),
                     jackknife_estimates(whole.numbers(place), rows, floor),
                     float(np.sqrt(power[chosen].sum() / friction)),
                     errors.behind(chosen, best),

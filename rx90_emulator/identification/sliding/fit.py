@@ -39,7 +39,7 @@ from rx90_emulator.identification.sliding.solver import (
 )
 from rx90_emulator.identification.zeros import ZeroCheck, check_zeros
 
-LEAST_SPEEDS = 5
+MIN_SPEEDS = 5
 """Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom.
 
 A viscous exponent takes another speed.
@@ -163,9 +163,9 @@ def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
         elif min(up, down) == 0:
             only = "positive" if up else "negative"
             lacking[name] = f"slides at {only} velocities only; accepted: sweeps in both directions"
-        elif min(up, down) < LEAST_SPEEDS:
+        elif min(up, down) < MIN_SPEEDS:
             lacking[name] = (
-                f"slides at {up} speeds in positive and {down} in negative direction; accepted: {LEAST_SPEEDS} or "
+                f"slides at {up} speeds in positive and {down} in negative direction; accepted: {MIN_SPEEDS} or "
                 "more in each"
             )
         if name in lacking:
@@ -190,7 +190,7 @@ def _with_parts(fit: CurveFit, parts: Sequence[str]) -> CurveFit:
     if "stribeck-rise" not in parts:
         free[:, RISE] = free[:, SHAPE] = False
     if "viscous-exponent" in parts:
-        free[:, EXPONENT] = fit.free.any(axis=1) & (np.array(_least_speeds(fit)) > LEAST_SPEEDS)
+        free[:, EXPONENT] = fit.free.any(axis=1) & (np.array(_least_speeds(fit)) > MIN_SPEEDS)
     return CurveFit(fit.rows, free)
 
 
@@ -205,7 +205,7 @@ def _with_shown_parameters(fit: CurveFit) -> CurveFit:
     rows, free = fit.rows, fit.free.copy()
     linear = _drop_insignificant_stribeck(fit)
     # Most data are linear, and a step from their solution says so for a fraction of a fit.
-    free[:, EXPONENT] = (np.array(_least_speeds(fit)) > LEAST_SPEEDS) & (linear.exponent_score > _MIN_EXPONENT_SCORE)
+    free[:, EXPONENT] = (np.array(_least_speeds(fit)) > MIN_SPEEDS) & (linear.exponent_score > _MIN_EXPONENT_SCORE)
     while free[:, EXPONENT].any():
         fit = _drop_insignificant_stribeck(CurveFit(rows, free.copy()))
         has_exponent = np.array([_has_exponent(fit, e) for e in range(len(free))])
@@ -322,7 +322,13 @@ def _curve(fit: CurveFit, element: int) -> CurvePoints:
     number = np.unique(rows.plateau[own_rows], return_inverse=True)[1]
     power, weighted, pull, noise, time = (
         np.bincount(number, values)
-        for values in (gain**2, gain**2 * along, gain * own_torque, (gain * fit.noise[own_rows]) ** 2, rows.time[own_rows])
+        for values in (
+            gain**2,
+            gain**2 * along,
+            gain * own_torque,
+            (gain * fit.noise[own_rows]) ** 2,
+            rows.time[own_rows],
+        )
     )
     velocity = weighted / power
     line = np.zeros((3, 0))

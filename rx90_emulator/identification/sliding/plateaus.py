@@ -23,14 +23,14 @@ from rx90_emulator.identification.records import BagSource, JointRecord
 from rx90_emulator.identification.zeros import Instants
 
 USED = "used"
-RESTS = "at rest"
+AT_REST = "at rest"
 CHANGES = "changes of velocity"
 ACCELERATES = "steady acceleration or a crest"
 SETTLES = "settling"
 SHORT = "too short"
 LITTLE_TRAVEL = "travel of less than 10 mrad"
 UNSTEADY = "blocks of another velocity"
-REASONS = (CHANGES, RESTS, LITTLE_TRAVEL, SETTLES, SHORT, ACCELERATES, UNSTEADY, USED)
+REASONS = (CHANGES, AT_REST, LITTLE_TRAVEL, SETTLES, SHORT, ACCELERATES, UNSTEADY, USED)
 """What a sample was used for, or why not."""
 SETTLE_DISTANCE = 5e-3
 """Travel after which a bristle has its steady deflection, rad: ten times g or more for joints of this class."""
@@ -180,7 +180,7 @@ def _plateaus(record: JointRecord, elements: Array) -> tuple[Array, list[tuple[N
                     continue
                 sliding = travel * _SETTLE_SHARE >= SETTLE_DISTANCE
                 if not sliding.any():
-                    state[rows] = REASONS.index(LITTLE_TRAVEL if travel.max() > _REST_TRAVEL else RESTS)
+                    state[rows] = REASONS.index(LITTLE_TRAVEL if travel.max() > _REST_TRAVEL else AT_REST)
                     continue
                 state[rows] = REASONS.index(SETTLES)
                 kept, reason = _settled_part(record, elements, rows, size, sliding)
@@ -396,7 +396,7 @@ def _account(record: JointRecord, elements: Array, state: Array, velocities: Seq
     used = seconds.pop(USED)
     listed = sorted(((why, s) for why, s in seconds.items() if s >= _LISTED_S), key=lambda pair: -pair[1])
     unused = [np.zeros((0, len(elements)))]
-    for begin, end in _runs(~np.isin(state, [REASONS.index(why) for why in (USED, RESTS, SETTLES)])):
+    for begin, end in _runs(~np.isin(state, [REASONS.index(why) for why in (USED, AT_REST, SETTLES)])):
         lasted, travel = _travel(record, elements, slice(begin, end))
         if lasted >= _UNUSED_S and travel.max() > _REST_TRAVEL:
             unused.append(np.where(travel > _REST_TRAVEL, travel / lasted, 0.0)[None])

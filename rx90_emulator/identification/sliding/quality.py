@@ -24,7 +24,8 @@ FALSE_ALARMS = 0.01
 MISFIT_SD = 3.0
 """Standard deviations of the sum of products of neighbouring residuals from which a curve does not fit."""
 _CORRELATION_LENGTH = 1.0  # of ln |speed| over which errors hang together: a factor of e
-_SAME_SPEED = 0.1  # of ln |speed| below which ripple of one speed may be the reason, which has a factor of its own
+_MIN_LOG_SPEED_DISTANCE = 0.1
+"""Of ln |speed|. Residuals that are closer may agree because of the ripple at one speed, which has its own factor."""
 _BAND_WIDTH = 1.0  # of ln |speed|, within which errors are taken as one
 _MIN_RESIDUAL_LEVERAGE = 0.1  # lower bound of 1 - leverage of a band
 _SCATTER_NEIGHBOURS = 4  # residuals on either side by which the scatter is judged
@@ -38,7 +39,7 @@ class Residuals:
     """Residuals of r equations of unit noise, in c plateaus.
 
     Attributes:
-        left: residuals, shape (r,).
+        residual: shape (r,).
         slope: derivatives by the q free parameters, nuisance parameters eliminated, shape (r, q).
         gain: of the elements' torques along their motion, nuisance parameters eliminated, shape (r, n_el).
         plateau: number of each equation's plateau, 0 to c - 1, shape (r,).
@@ -47,7 +48,7 @@ class Residuals:
         time: s, shape (c,).
     """
 
-    left: Array
+    residual: Array
     slope: Array
     gain: Array
     plateau: NDArray[np.int64]
@@ -76,7 +77,9 @@ def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> tuple[Arr
             speed = np.log(np.abs(residuals.velocity[own_rows, e]))
             along, distance = residuals.along[own_rows, e], np.abs(speed[:, None] - speed)
             along = along / _scatter(along, np.argsort(speed))
-            kernel = np.triu(np.maximum(0.0, 1.0 - distance / _CORRELATION_LENGTH) * (distance > _SAME_SPEED), 1)
+            kernel = np.triu(
+                np.maximum(0.0, 1.0 - distance / _CORRELATION_LENGTH) * (distance > _MIN_LOG_SPEED_DISTANCE), 1
+            )
             spread = float(np.sqrt(along**2 @ kernel**2 @ along**2))
             agreement[e] = float(along @ kernel @ along) / spread if spread > 0.0 else 0.0
             if agreement[e] > MISFIT_SD:
@@ -84,7 +87,9 @@ def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> tuple[Arr
                 band[own_rows] = np.floor((speed - speed.min()) / _BAND_WIDTH)
                 values, vectors = np.linalg.eigh(covariance)
                 root, bands = vectors * np.sqrt(np.maximum(values, 0.0)), band[residuals.plateau]
-                variance = cluster_variances(residuals.slope, residuals.left, bands, root, 1.0, _MIN_RESIDUAL_LEVERAGE)
+                variance = cluster_variances(
+                    residuals.slope, residuals.residual, bands, root, 1.0, _MIN_RESIDUAL_LEVERAGE
+                )
                 variance *= 1.0 - 1.0 / len(np.unique(band[own_rows]))
                 chosen = column[e, own]
                 widening[e, own] = np.maximum(1.0, variance[chosen] / np.diag(covariance)[chosen])
@@ -145,8 +150,8 @@ def drifts_of(residuals: Residuals, free: Mask) -> list[Drift]:
         if power < 1e-9:
             found.append(Drift())
             continue
-        change = float(trend @ residuals.left) / power
-        residual = residuals.left - change * trend
+        change = float(trend @ residuals.residual) / power
+        residual = residuals.residual - change * trend
         pull, weight = (np.bincount(plateau, values, len(residuals.time)) for values in (gain * residual, gain**2))
         along = (pull / np.sqrt(np.maximum(weight, 1e-300)))[own_rows[np.argsort(time, kind="stable")]]
         # What a fitted level and trend take from the first autocorrelation is given back (Kendall 1954).

@@ -217,7 +217,9 @@ class _Weights:
         factor = np.ones(len(residual))
         for g in np.unique(group):
             of_group = np.flatnonzero((group == g) & (velocity != 0.0))
-            number = np.unique(np.column_stack([source[of_group], level[of_group]]), axis=0, return_inverse=True)[1].ravel()
+            number = np.unique(np.column_stack([source[of_group], level[of_group]]), axis=0, return_inverse=True)[
+                1
+            ].ravel()
             power = float(np.sum(along[of_group] ** 2))
             if power > 0.0:
                 together = float(np.sum(np.bincount(number, along[of_group]) ** 2))
@@ -369,7 +371,7 @@ class CurveFit:
         both = np.hstack([np.asarray(operator @ slope), gain])
         both = both - basis @ (basis.T @ both)
         return Residuals(
-            left=residual,
+            residual=residual,
             slope=both[:, : slope.shape[1]],
             gain=both[:, slope.shape[1] :],
             plateau=number,

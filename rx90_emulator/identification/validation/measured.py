@@ -19,7 +19,7 @@ from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array, Mask
-from rx90_common.base.entries import MOST_JOINTS
+from rx90_common.base.entries import MAX_JOINTS
 from rx90_common.base.errors import ConfigError, IdentificationError, TrajectoryError, check_type
 from rx90_common.base.quoting import listed
 from rx90_common.base.rates import NANOSECONDS
@@ -61,7 +61,7 @@ _RANGE_SLACK = 1e-5  # of a range: times are whole nanoseconds
 _MAX_GAP_PERIODS = 3.5  # periods between set-points that still are interpolated
 
 _OTHER_ARMS = (
-    f"the closed loop simulates arms of 1 to {MOST_JOINTS} revolute joints in series, by drives, friction and "
+    f"the closed loop simulates arms of 1 to {MAX_JOINTS} revolute joints in series, by drives, friction and "
     "controller files; for the torque of another arm: rx90_identify --friction FILE --validation BAG --urdf URDF"
 )
 

@@ -219,7 +219,7 @@ def test_elements_that_share_joints_are_told_each() -> None:
         for name, value in ({} if kind is None else numbers_of(kind)).items():
             if name != "bristles.attraction":
                 assert estimates[name].value == pytest.approx(value, abs=0.12), name
-        measured, fitted = choice.best.seen
+        measured, fitted = choice.best.friction_torques
         assert np.std(measured - fitted) < 0.1 * np.std(measured)
 
 
