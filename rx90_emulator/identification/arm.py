@@ -1,6 +1,6 @@
 """The arm without friction: its rigid-body torques, and the joints that its friction elements act on.
 
-The URDF of any robot as Pinocchio's model of the joints of interest, or a refusal in one line.
+The URDF of any robot is read into Pinocchio's model of the joints of interest, or refused in one line.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class RigidArm:
         coupling: motor turns per joint turn without the gears, shape (n, n).
         offset: constant torque of each joint, Nm, shape (n,) or the same for all.
 
-    Joints on which no element acts follow the recorded motion; their own torque counts for nothing.
+    Joints on which no element acts follow the recorded motion; their own torque is not used.
     """
 
     names: tuple[str, ...]
@@ -82,7 +82,7 @@ class RigidArm:
 
         Args:
             urdf: the robot's description.
-            joints: n turning joints from base to tip; the others are held at zero. By default all movable joints.
+            joints: n revolute joints from base to tip; the others are held at zero. By default all movable joints.
             coupling: motor turns per joint turn without the gears, shape (n, n): motor velocity = gear *
                 (coupling @ joint velocity). A motor that turns with several joints has a friction element of
                 its own. By default each motor turns with its joint.
@@ -138,7 +138,7 @@ class RigidArm:
         return tuple(str(model.names[k]) for k in range(1, model.njoints) if k in above or chains[k] & own)
 
     def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        """Return what the drives give at the joints without friction, Nm, all arrays of shape (m, n)."""
+        """Return the torques of the drives at the joints without friction, Nm, all arrays of shape (m, n)."""
         return rigid_torque(self.model, self.rotor, self.spring, position, velocity, acceleration) + self.offset
 
     def with_bodies(self, links: Array, rotors: Array) -> RigidArm:
@@ -178,7 +178,7 @@ class RigidArm:
         return found
 
     def torque_of(self, regressor: Array, inertial: Array, position: Array, acceleration: Array) -> Array:
-        """Return `torque` with other inertial parameters, Nm, shape (m, n): cheap where the regressor is there.
+        """Return `torque` with other inertial parameters, Nm, shape (m, n); cheap where the regressor is known already.
 
         Args:
             regressor: along the motion, shape (m, n, 10 n).
@@ -216,7 +216,7 @@ class RigidArm:
     def inertial_scale(self) -> Array:
         """Return how large errors of the inertial parameters can be at most, shape (10 n,), SI units.
 
-        The whole mass of the arm, at the distance of its reach: a bound for what is still an error.
+        The bound is the whole mass of the arm at the distance of its reach.
         """
         mass = sum(body.mass for body in self.model.inertias)
         reach = sum(float(np.linalg.norm(place.translation)) for place in self.model.jointPlacements) or 1.0
@@ -277,7 +277,7 @@ def joint_model(
 
 
 def movable_joints(urdf: Path) -> tuple[str, ...]:
-    """Return the joints of a URDF with one number that a log can hold: revolute, continuous, prismatic, no mimics."""
+    """Return the joints of a URDF with one coordinate, as logs have: revolute, continuous or prismatic, no mimics."""
     model, root = _read_urdf(urdf)
     mimics = {joint.get("name") for joint in root.findall("joint") if joint.find("mimic") is not None}
     pairs = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
@@ -285,7 +285,7 @@ def movable_joints(urdf: Path) -> tuple[str, ...]:
 
 
 def all_joints(urdf: Path) -> tuple[str, ...]:
-    """Return the joints of a URDF that can move, mimics and those of several numbers too."""
+    """Return all movable joints of a URDF, mimics and joints of several coordinates included."""
     return tuple(
         joint.get("name", "") for joint in _read_urdf(urdf)[1].findall("joint") if joint.get("type") != "fixed"
     )
@@ -295,7 +295,8 @@ def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
     """Return Pinocchio's model of the whole robot, and the root of the file."""
     lines: list[str] = []
     try:
-        # Written anew: the XML parser of Pinocchio 2 takes no document type, and this one fetches nothing.
+        # Written anew: the XML parser of Pinocchio 2 accepts no document type, and the parser used here fetches
+        # nothing.
         root = ET.fromstring(urdf.read_text(encoding="utf-8"))
         with _caught_stderr(lines):
             model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))

@@ -1,23 +1,29 @@
-"""What the friction model leaves out, and what the deviations of its parameters owe to that.
+"""The effect of neglected friction on the parameters, and its contribution to their deviations.
 
-**Rises and bristle damping** that the runs neither show nor exclude. A rise near the least speeds bends the curve the
-other way than an exponent below 1, and lifts what looks like Coulomb friction. Where cross-validation did not keep one,
-a rise of some size may still be there: covariances are then those of the model in which it lies anywhere from 0 on.
-Static torque below Coulomb torque is no friction, and more than twice the Coulomb torque is assumed not to occur; fits
-know nothing of either and may say -125 % with a deviation of 197 %. A bristle without its damping c1 takes the torque
-of the damping for its own, which is in the same rows: it comes out stiffer by 5 to 10 %. Each bristle whose damping was
-not kept may have one of any size from 0 on. So may viscous friction whose best value is its bound 0.
+**Rises and bristle damping** that the runs neither show nor exclude. A rise near the least speeds bends the curve in
+the opposite direction to an exponent below 1, and increases the apparent Coulomb friction. Where cross-validation did
+not keep a rise, one of some size may still exist: covariances are then those of a model whose rise lies anywhere from 0
+on. Static torque below Coulomb torque is no friction, and more than twice the Coulomb torque is assumed not to occur;
+an
+unbounded fit may give -125 % with a deviation of 197 %. A bristle without its damping c1 takes over the damping's
+torque,
+which acts in the same rows: it comes out stiffer by 5 to 10 %. Each bristle whose damping was not kept may have a
+damping
+of any size from 0 on. The same holds for viscous friction whose best value is its bound 0.
 
-**Torques at their bound 0.** No friction drives: tau_c and c2 are at least 0. What a fit without that bound would give
-says why nothing is left of them: friction that falls with speed, a torque that does not oppose the motion, or noise.
-**Load.** Gears press harder on their bearings and teeth the more torque they carry. A model without that gives Coulomb
-torques at the usual load of the runs; how far they are from those without load belongs into their deviations. One
-coefficient for all elements, relative to their Coulomb torques, is tested: the runs tell it far better than one each.
+**Torques at their bound 0.** Friction does not drive: tau_c and c2 are at least 0. A fit without that bound shows why a
+value ends there: friction that falls with speed, a torque that does not oppose the motion, or noise.
 
-**Sharpness of the recorded motion.** Presliding is over within milliseconds of a reversal, and a Stribeck rise within
-some hundredths of rad/s. The filter of the positions and the sampling blur the motion there, alike at each reversal: no
-residual tells of it. What the values shift when the motion is known less sharply still (at half the bandwidth, over
-five samples, with every second sample) is of the size of what the first blur has shifted.
+**Load.** Gears press harder on their bearings and teeth the more torque they carry. A model without this effect gives
+Coulomb torques at the usual load of the runs; their difference from those without load belongs into their deviations.
+One coefficient for all elements, relative to their Coulomb torques, is tested, because the runs determine it far better
+than one for each.
+
+**Resolution of the recorded motion.** Presliding ends within milliseconds of a reversal, and a Stribeck rise within
+some
+hundredths of rad/s. The filter of the positions and the sampling smooth the motion there, in the same way at each
+reversal, so residuals do not show it. The shift of the values with a motion that is smoothed once more (half the
+bandwidth, averages over five samples, every second sample) has the size of the shift by the first smoothing.
 """
 
 from __future__ import annotations
@@ -37,20 +43,21 @@ from rx90_emulator.identification.excitation.fit import Key, LinearFit, Separabl
 from rx90_emulator.identification.excitation.law import COULOMB, LINEAR, VISCOUS, Part, joint_columns
 from rx90_emulator.identification.excitation.problem import Prior
 
-_RELEVANT_SIZE = {Part.STRIBECK: 0.2, Part.DAMPING: 0.0, "c2": 0.0}  # of tau_c, Nm s/rad: what matters
+_RELEVANT_SIZE = {Part.STRIBECK: 0.2, Part.DAMPING: 0.0, "c2": 0.0}  # of tau_c, Nm s/rad: least relevant size
 _UPPER_SE = 2.0  # deviations
-_MAX_SIZE = {Part.STRIBECK: 1.0, Part.DAMPING: math.inf, "c2": math.inf}  # of tau_c, Nm s/rad: none is larger (assumed)
+_MAX_SIZE = {Part.STRIBECK: 1.0, Part.DAMPING: math.inf, "c2": math.inf}  # of tau_c, Nm s/rad: largest size (assumed)
 _MAX_EXPONENT_STEP = 0.8  # of an exponent from 1
-_MIN_LOAD = 1e-6  # Nm, of a load that elements' friction is compared with
+_MIN_LOAD = 1e-6  # Nm, least load that friction is compared with
 
 
 class FinalFit:
-    """The fit of a whole model, linear around the one selected, with deviations that contain what it leaves out.
+    """The fit of a whole model, linear around the selected one, with deviations that include neglected effects.
 
-    Exponents that were tried and not kept stay at 1, but the covariance is that with them free: the runs say no more of
-    tau_c and c2 because an exponent was left out; the same holds for a Stribeck rise, or the damping of a bristle, that
-    may be there. What the values shift with these exponents, with a growth of friction with the load, and with a motion
-    that is known less sharply, widens the covariance, too.
+    Exponents that were tried and not kept stay at 1, but the covariance is that with free exponents, because excluding
+    an exponent adds no information on tau_c and c2. The same holds for a Stribeck rise, or the damping of a bristle,
+    that
+    may exist. The shifts of the values by these exponents, by a growth of friction with the load, and by a motion that
+    is smoothed once more, widen the covariance, too.
 
     Args:
         selected: the model.
@@ -58,13 +65,13 @@ class FinalFit:
         prior: of the first parameters.
 
     Attributes:
-        inner: the friction's parameters, whose values follow those of the base in the fit.
+        inner: the friction's parameters, which follow those of the base in the fit.
         fit: the fit.
-        rises: value and standard deviation over tau_c of Stribeck rises that may be there, by element.
-        unbounded: value and standard deviation of what torques at their bound 0 would be without it, as far as the runs
+        rises: value and standard deviation over tau_c of Stribeck rises that may exist, by element.
+        unbounded: value and standard deviation of torques at their bound 0 in a fit without it, as far as the runs
             determine them.
         remarks: on a growth of friction with the load.
-        warnings: on elements whose friction falls with speed, and what that does to their tau_c.
+        warnings: on elements whose friction falls with speed, and the effect on their tau_c.
     """
 
     def __init__(self, selected: Selection, parts: Sequence[Part], prior: Prior | None = None) -> None:
@@ -88,7 +95,7 @@ class FinalFit:
             value = np.append(bounded.value, np.zeros(len(released)))
             final = replace(final, value=value, residual=bounded.residual, sigma=bounded.sigma, weights=bounded.weights)
         exponent_shift = np.where(final.determined, self._wide.value - final.value, 0.0)
-        # An exponent that would leave its range is not told by the runs: what it shifts has no meaning.
+        # If an exponent would leave its range, the runs do not determine it: its shift has no meaning.
         steps = zip(released, exponent_shift[len(exponent_shift) - len(released) :].tolist(), strict=True)
         unstable = {e for (e, _), step in steps if abs(step) > _MAX_EXPONENT_STEP}
         if unstable:
@@ -105,9 +112,9 @@ class FinalFit:
         return solve(problem, np.column_stack([self._columns, *columns]), prior=self._prior)
 
     def _column(self, element: int, part: Part | str) -> Array:
-        """Return the torque per unit of an element's part, a rise with the Stribeck velocity that suits it, shape (r,).
+        """Return the torque per unit of a part, for a rise with the Stribeck velocity that fits best, shape (r,).
 
-        A linear parameter stands for itself.
+        A linear parameter is named by a string.
         """
         weighted, shapes, name = self._selected.weighted, list(self._selected.fit.shapes), str(part)
         if isinstance(part, Part):
@@ -120,9 +127,9 @@ class FinalFit:
         return weighted.column(shapes, self._selected.fit.linear, (element, name)) / weighted.weight
 
     def _with_undecided_parts(self) -> Array:
-        """Return the covariance with rises, damping and viscous friction that may be there, not kept or 0, (q, q).
+        """Return the covariance with rises, damping and viscous friction that may exist though not kept, shape (q, q).
 
-        All of these lie within their bounds.
+        All of these are limited to their bounds.
         """
         selected, q = self._selected, self._columns.shape[1]
         table: dict[PartKey | Key, Array] = {}
@@ -147,9 +154,9 @@ class FinalFit:
         return self._wide.covariance
 
     def _without_bounds(self) -> Array:
-        """Return what the parameters shift where friction falls with speed and c2 is free of its bound 0, shape (q,).
+        """Return the shift of the parameters where friction falls with speed, if c2 may be negative, shape (q,).
 
-        All of tau_c and c2 that came out as 0 are fitted so once more.
+        All tau_c and c2 that came out as 0 are fitted once more without that bound.
         """
         selected, q = self._selected, self._columns.shape[1]
         problem, fit, unbounded_fit = selected.weighted.problem, selected.fit, self._wide
@@ -190,7 +197,7 @@ class FinalFit:
         return np.where(one.determined[:q] & unbounded_fit.determined, one.value[:q] - unbounded_fit.value, 0.0)
 
     def _load_dependence(self) -> Array:
-        """Return what the parameters shift when friction may grow with the load, shape (q,); 0 where it does not."""
+        """Return the shift of the parameters if friction may grow with the load, shape (q,); 0 where it does not."""
         problem, fit, unbounded_fit = self._selected.weighted.problem, self._selected.fit, self._wide
         bare = np.abs(problem.regressor @ unbounded_fit.value[: len(problem.names)])
         coulomb = joint_columns(problem, fit.shapes)[:, :, COULOMB] * fit.linear[:, COULOMB]
@@ -198,7 +205,7 @@ class FinalFit:
         for e in range(len(fit.shapes)):
             own = problem.joint == np.flatnonzero(problem.arm.element_matrix[e])[-1]
             if own.any():
-                # A coupled element carries the torque of the last joint that it acts on, on the rows of all of them.
+                # A coupled element carries the torque of the last joint that it acts on, in the rows of all its joints.
                 load = np.full(problem.sample.max() + 1, float(np.mean(bare[own])))
                 load[problem.sample[own]] = bare[own]
                 column += coulomb[:, e] * load[problem.sample] / max(float(np.sqrt(np.mean(bare[own] ** 2))), _MIN_LOAD)
@@ -217,8 +224,8 @@ class FinalFit:
 def bounded_covariance(covariance: Array, sizes: Sequence[tuple[float, float]], largest: Sequence[float]) -> Array:
     """Return the covariance of all but the last parameters, where these lie between 0 and `largest`.
 
-    The values hold for sizes of 0: what one shifts is its slope times its root mean square, that of its normal
-    distribution within the bounds. Correlations between sizes stay.
+    The values hold for sizes of 0: the shift by a size is its slope times its root mean square, that of its normal
+    distribution within the bounds. Correlations between sizes are kept.
 
     Args:
         covariance: of q + k parameters.
@@ -243,9 +250,10 @@ _AVERAGED_SAMPLES = 5
 
 
 def blur_shifts(weighted: WeightedProblem, fit: SeparableFit, columns: Array) -> list[Array]:
-    """Return what all parameters shift with a motion that is known less sharply, arrays of shape (q,).
+    """Return the shifts of all parameters with a motion that is smoothed once more, arrays of shape (q,).
 
-    Friction without rise and bristle knows of a reversal's time alone, which no blur moves: then there is none.
+    There are none without rise and bristle: such friction depends only on the time of a reversal, which smoothing does
+    not change.
 
     Args:
         weighted: the rows.
@@ -273,13 +281,13 @@ def blur_shifts(weighted: WeightedProblem, fit: SeparableFit, columns: Array) ->
 
 
 def _smoothed(run: FilteredRun, blur: Callable[[Array, FilteredRun], Array]) -> FilteredRun:
-    """Return a run with other positions and velocities; stamps of the torque are as far apart as samples."""
+    """Return a run with smoothed positions and velocities, and with velocities at the stamps smoothed alike."""
     stamps = None if run.stamps is None else run.stamps._replace(velocity=blur(run.stamps.velocity, run))
     return replace(run, position=blur(run.position, run), velocity=blur(run.velocity, run), stamps=stamps)
 
 
 def _every_second(values: Array, _: FilteredRun) -> Array:
-    """Return values whose every second one is the mean of its neighbours, shape (m, n)."""
+    """Return values, shape (m, n), with every second one replaced by the mean of its neighbours."""
     result = values.copy()
     between = result[1:-1:2]
     between[:] = 0.5 * (result[:-2:2] + result[2::2])
