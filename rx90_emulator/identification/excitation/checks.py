@@ -285,8 +285,7 @@ class _Search:
         return first, second
 
     def _signed(self, wrong: Sequence[WrongSign]) -> _Signed:
-        """Return the equations of the rows of one payload with some signs reversed; the payload is part of the last
-        link.
+        """Return the equations of the rows of one payload, a part of the last link, with some signs reversed.
 
         The friction's columns are those of the filtered velocities, which is accurate enough here.
         """

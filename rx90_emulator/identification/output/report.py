@@ -1,6 +1,6 @@
 """The pages of an identification from sweeps or excitation runs, a check of a friction file and a measured run.
 
-A report is one self-contained HTML page. Tables and sentences stand in the templates, which share `_macros.html.j2`.
+A report is one self-contained HTML page. Tables and sentences are in the templates, which share `_macros.html.j2`.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import JointTorque, RunTorques
 
-_DRAWN_S = 60.0  # s of a run that are drawn: more would blur
+_DRAWN_S = 60.0  # s of a run in a plot: more could not be resolved
 _RECORDED, _PREDICTED, _DIFFERENCE = COLOURS[5], COLOURS[1], COLOURS[6]
 _TIME, _SPEED = "time since the first motion, s", "velocity of the element, rad/s"
 _INTERVAL = 1.96  # standard deviations, 95 %
-_DRAWN_SHARE = 20  # one part in so many of a micro-oscillation is drawn: more loops would cover each other
+_DRAWN_SHARE = 20  # one of so many parts of a micro-oscillation is drawn: more loops would cover each other
 _ACROSS = 2  # columns of plots with a panel for each joint
 
 
 def _render(template: str, date: datetime | None, unit: str = "Nm", **values: Any) -> str:
-    """Return a page on torques in a unit; templates have the functions of `summary` and what else they need."""
+    """Return a page on torques in a unit; templates can use the functions of `summary`, and `values`."""
     day = (date or datetime.now(timezone.utc)).strftime("%Y-%m-%d %H:%M UTC")
     return render_page(
         "rx90_emulator.identification.output",
@@ -100,7 +100,7 @@ def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, Plot]]:
 
 
 def check_page(checks: Sequence[Validation], friction_file: str, now: datetime | None = None) -> str:
-    """Return the text of the page on a friction file that was held against bags.
+    """Return the text of the page on the comparison of a friction file with bags.
 
     Args:
         checks: one for each bag.
@@ -145,7 +145,7 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
     """Return the text of the page on an identification from sweeps and micro-oscillations.
 
     Args:
-        result: what was identified.
+        result: the identification.
         friction_file: name of the file with the values.
         now: date of the identification; by default the present.
     """
@@ -225,7 +225,7 @@ def _loop_plot(name: str, label: str, position: Array, torques: Mapping[str, Arr
 
 
 def _correlation_plots(result: FrictionIdentification, others: Sequence[str]) -> list[Plot]:
-    """Return the correlation of each element's parameters; c0 and c1 of some other elements are not this fit's."""
+    """Return the correlation of each element's parameters; c0 and c1 of the elements `others` are not this fit's."""
     plots = []
     pairs = zip(result.arm.element_names, result.sliding.estimates, result.presliding.estimates, strict=True)
     for name, sliding, presliding in pairs:
@@ -239,9 +239,9 @@ def _correlation_plots(result: FrictionIdentification, others: Sequence[str]) ->
     return plots
 
 
-_MAX_CORRELATION = 0.95  # correlation from which two parameters are named
+_MAX_CORRELATION = 0.95  # correlation from which two parameters are listed
 _SPEED_BINS = 20
-_MIN_BIN_SAMPLES = 8  # samples in a bin that is drawn
+_MIN_BIN_SAMPLES = 8  # least number of samples in a bin
 
 
 def excitation_page(
@@ -250,10 +250,10 @@ def excitation_page(
     """Return the text of the page on an identification from excitation runs.
 
     Args:
-        result: what was identified.
+        result: the identification.
         date: of the identification.
         versions: of interpreter and libraries.
-        files: names of the robot's files, and last what is to be said about them.
+        files: names of the robot's files, and last a sentence about them.
     """
     friction = result.friction
     rows = [summary.friction_columns(one.estimates) for one in result.elements]
@@ -379,8 +379,8 @@ def _time_plot(runs: Sequence[RunTorques], block: float) -> Plot:
 def _friction_plot(result: ExcitationIdentification) -> Plot:
     """Show the friction torque of each element against its velocity, its band, and means of the measured torque.
 
-    Those stand beside the curve of each joint's own element: the curve and the mean residual of bins that hold about
-    the same number of samples, those of either sign apart.
+    The means belong to the joint's own element: its curve plus the mean residual, in bins of each sign with about the
+    same number of samples.
     """
     problem, marks = result.problem, {}
     residual = problem.torque - result.friction.predicted

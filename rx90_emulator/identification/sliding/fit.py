@@ -40,19 +40,20 @@ from rx90_emulator.identification.sliding.solver import (
 from rx90_emulator.identification.zeros import ZeroCheck, check_zeros
 
 MIN_SPEEDS = 5
-"""Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom.
+"""Least number of speeds in each direction: four determine the seven parameters of an element, one more is redundant.
 
-A viscous exponent takes another speed.
+A viscous exponent needs one more speed.
 """
 _SAME_SPEED_RATIO = 1.1  # ratio of speeds up to which they count as one
 _SIGNIFICANT_SD = 3.0  # standard deviations of the Stribeck rise from 0, and of an exponent from 1
-_MIN_EXPONENT_SHIFT = 0.02  # distance of a viscous exponent from 1 that counts
+_MIN_EXPONENT_SHIFT = 0.02  # least relevant distance of a viscous exponent from 1
 _MIN_EXPONENT_SCORE = 2.0  # standard deviations by which a step from the linear fit moves an exponent
 _MAX_RELATIVE_SD = 0.3  # relative standard deviation up to which a parameter is identifiable
-_MAX_CORRELATION = 0.98  # correlation from which two parameters cannot be separated
+_MAX_CORRELATION = 0.98  # correlation above which two parameters cannot be separated
 _SYSTEMATIC_SD = 1e-3
-"""Relative standard deviation that repetition does not show: the mean of a sampled torque, rippling in step with the
-sampling, is off by so much even far from a beat (measured on the engine, whose parameters are known)."""
+"""Relative standard deviation beyond repeatability: the mean of a sampled torque whose ripple is nearly synchronous
+with
+the sampling has an error of this size even far from a beat (measured on the engine, whose parameters are known)."""
 _STRIBECK = ("tau_s_positive", "tau_s_negative", "omega_s", "delta")
 _LINE_POINTS = 100
 _DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"
@@ -68,11 +69,12 @@ class SlidingFit:
         curves: for each element; empty where the element could not be identified.
         inertial: estimated error of the arm's inertial parameters, to be added to them, shape (10 n,):
             rigid torque = arm.torque(...) + arm.regressor(...) @ inertial.
-        inertial_covariance: of it, that of the prior along directions that sweeps do not observe, shape (10 n, 10 n).
-        plateaus: how many stretches of constant velocity were used.
+        inertial_covariance: its covariance, the prior's along directions that sweeps do not observe, shape
+            (10 n, 10 n).
+        plateaus: number of stretches of constant velocity that were used.
         usage: what was used of each record, and why the rest was not.
         quality: goodness of fit of each element; None where it could not be identified.
-        zeros: what the torques say of the encoders' zeros.
+        zeros: check of the encoders' zeros by the torques.
     """
 
     estimates: tuple[ElementEstimate, ...]
@@ -88,7 +90,7 @@ class SlidingFit:
 def identify_sliding(
     records: Sequence[JointRecord], arm: RigidArm, zero: Array | None = None, model: Sequence[str] | None = None
 ) -> SlidingFit:
-    """Fit tau_c+-, tau_s+-, omega_s, delta, c2 and, where they prefer one, alpha of every element that slides.
+    """Fit tau_c+-, tau_s+-, omega_s, delta, c2 and, where the data prefer one, alpha of every element that slides.
 
     Errors of the arm's inertial parameters, such as an unknown payload, are nuisance parameters of the same fit, so
     that they do not bias the friction. Parameters that are not identifiable are marked as such in the estimates.
@@ -96,8 +98,8 @@ def identify_sliding(
     Args:
         records: sweeps of the arm's joints at constant velocity, both directions, several speeds.
         arm: rigid-body model.
-        zero: of the encoders, that the records are without, rad, shape (n,); by default 0.
-        model: names of the parts in SLIDING_PARTS that all elements have; by default those that show.
+        zero: zeros of the encoders that were subtracted from the records, rad, shape (n,); by default 0.
+        model: names of the parts in SLIDING_PARTS that all elements have; by default the significant ones.
 
     Raises:
         ConfigError: for a model with other parts.
@@ -109,7 +111,7 @@ def identify_sliding(
     blocks, usage = find_blocks(records, arm.element_matrix)
     blocks, lacking = _enough(blocks, arm)
     if len(lacking) == len(names):
-        # What an element lacks that moves says more than that another one rests.
+        # The reason of an element that moves is more informative than that of one at rest.
         name = min(lacking, key=lambda name: lacking[name] == _DOES_NOT_SLIDE)
         raise IdentificationError(f"{where}: {name} {lacking[name]}")
     zeros = check_zeros(blocks, arm, zero)
@@ -119,7 +121,7 @@ def identify_sliding(
     fit = CurveFit(rows, free)
     drives = (fit.at_bound & free)[:, LINEAR].all(axis=1)  # all torques lie at their bound, 0
     for e in np.flatnonzero(drives).tolist():
-        # Such torques may be the weight of an arm that stands elsewhere.
+        # Such torques may be the weight of an arm in another pose.
         error = (
             f"{where}: {names[e]}: the torque does not oppose the motion; accepted: efforts of the sign with which "
             "the drive moves the joint (check the signs of gears and torque constants)"
@@ -152,7 +154,7 @@ def identify_sliding(
 
 
 def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
-    """Mark elements with sweeps at too few speeds as not sliding, and return the blocks, and reasons by element."""
+    """Mark elements with sweeps at too few speeds as not sliding; return the blocks, and the reasons by element."""
     velocity = blocks.velocity @ arm.element_matrix.T
     sliding = blocks.sliding.copy()
     lacking = {}
@@ -185,7 +187,7 @@ def _speeds(velocity: Array) -> tuple[int, int]:
 
 
 def _with_parts(fit: CurveFit, parts: Sequence[str]) -> CurveFit:
-    """Return the fit with the same parts for all elements; one with too few speeds has no exponent."""
+    """Return the fit with the same parts for all elements; an element with too few speeds has no exponent."""
     free = fit.free.copy()
     if "stribeck-rise" not in parts:
         free[:, RISE] = free[:, SHAPE] = False
@@ -195,16 +197,16 @@ def _with_parts(fit: CurveFit, parts: Sequence[str]) -> CurveFit:
 
 
 def _least_speeds(fit: CurveFit) -> list[int]:
-    """Return at how many speeds each element slides in the direction in which there are fewer."""
+    """Return the number of speeds of each element in the direction with fewer of them."""
     pairs = zip(fit.rows.velocity.T, fit.rows.gain.T, strict=True)
     return [min(_speeds(velocity[gain != 0.0])) for velocity, gain in pairs]
 
 
 def _with_shown_parameters(fit: CurveFit) -> CurveFit:
-    """Return the fit with the parameters that the data show: Stribeck effects, and exponents that differ from 1."""
+    """Return the fit with the significant parameters: Stribeck effects, and exponents that differ from 1."""
     rows, free = fit.rows, fit.free.copy()
     linear = _drop_insignificant_stribeck(fit)
-    # Most data are linear, and a step from their solution says so for a fraction of a fit.
+    # Most data are linear in velocity, which a step from the linear solution shows at a fraction of a fit's cost.
     free[:, EXPONENT] = (np.array(_least_speeds(fit)) > MIN_SPEEDS) & (linear.exponent_score > _MIN_EXPONENT_SCORE)
     while free[:, EXPONENT].any():
         fit = _drop_insignificant_stribeck(CurveFit(rows, free.copy()))
@@ -216,11 +218,11 @@ def _with_shown_parameters(fit: CurveFit) -> CurveFit:
 
 
 def _drop_insignificant_stribeck(fit: CurveFit) -> CurveFit:
-    """Return the fit, made again without the Stribeck effects that do not show: no rise, or omega_s at its bound."""
+    """Return the fit, repeated without insignificant Stribeck effects: no rise, or omega_s at its bound."""
     free = fit.free.copy()
     for e in np.flatnonzero(free[:, SHAPE].all(axis=1)).tolist():
         deviation = np.sqrt(np.diag(fit.block(e)))[RISE]
-        # At a bound the deviation means nothing; a rise of 0 is on it.
+        # At a bound the deviation has no meaning; a rise of 0 is at one.
         insignificant = (fit.parameters[e, RISE] < _SIGNIFICANT_SD * deviation).all()
         if insignificant or fit.at_bound[e, OMEGA_S]:
             free[e, RISE] = free[e, SHAPE] = False
@@ -228,9 +230,9 @@ def _drop_insignificant_stribeck(fit: CurveFit) -> CurveFit:
 
 
 def _has_exponent(fit: CurveFit, element: int) -> bool:
-    """Return whether an element shows a viscous exponent other than 1: significantly so, and not at a bound.
+    """Return whether the viscous exponent of an element differs from 1 significantly, and is not at a bound.
 
-    The deviations are those of the result: a misfit that plateaus or speeds share does not count as evidence.
+    The deviations are those of the result: a misfit common to plateaus or speeds does not count as evidence.
     """
     if not fit.free[element, EXPONENT] or fit.at_bound[element, EXPONENT]:
         return False
@@ -240,10 +242,10 @@ def _has_exponent(fit: CurveFit, element: int) -> bool:
 
 
 def _natural_covariance(fit: CurveFit, element: int) -> Array:
-    """Return the covariance of an element's parameters as `natural` has them, shape (8, 8).
+    """Return the covariance of an element's parameters in the form of `natural`, shape (8, 8).
 
-    It is that of the fit, times the squared t factor and the design effect of plateaus at one speed or, where it is
-    larger, the factor of a misfit, plus what repetition does not show.
+    It is that of the fit, times the squared t factor and the design effect of plateaus at one speed or, if larger, the
+    factor of a misfit, plus errors beyond repeatability.
     """
     own_rows = fit.rows.gain[:, element] != 0.0
     design = float(fit.design_effect[own_rows].mean())
@@ -273,7 +275,7 @@ def _estimate(
     *,
     rising: bool,
 ) -> ElementEstimate:
-    """Return the estimates of one element that was fitted."""
+    """Return the estimates of one fitted element."""
     chosen = (*SLIDING, VISCOUS_EXPONENT) if fit.free[element, EXPONENT] else SLIDING
     covariance = _natural_covariance(fit, element)[: len(chosen), : len(chosen)]
     values, estimates = natural(fit.parameters[element]), {}
@@ -298,7 +300,7 @@ def _reason(
     if estimate.deviation > _MAX_RELATIVE_SD * abs(estimate.value):
         size = f"standard deviation {estimate.deviation:.3g} at a value of {estimate.value:.3g}"
         size += ", as the curve does not fit" * bool(fit.agreement[element] > MISFIT_SD)
-        # The parameter, of whatever element, that this one is fully correlated with.
+        # The parameter, of any element, that this one is fully correlated with.
         own = element * SIZE + FITTED.index(name)
         deviation = np.sqrt(np.diag(fit.covariance))
         with np.errstate(divide="ignore", invalid="ignore"):
