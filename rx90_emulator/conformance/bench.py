@@ -1,7 +1,7 @@
 """A controller on the simulation's topics: each case has a simulation of its own, in this process and in lock-step.
 
-The simulation is the node `rx90_sim` as users run it. What it sends and receives goes through a channel that keeps a
-record, lets the trajectory start at the same tick in each run, and does to commands what the case says.
+The simulation is the node `rx90_sim` as users run it. Its messages pass a channel that records them, starts the
+trajectory at the same tick in each run, and disturbs commands as the case requires.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from rx90_emulator.conformance.battery import START, Case, Record, files_of
 from rx90_sim.node.simulation import Simulation
 
 LEAD = 0.02
-"""How much earlier than its stamp a set-point is published, s."""
+"""Time before its stamp at which a set-point is published, s."""
 _SLICE = 0.02  # s
-_HANDED_OVER = 0.5  # s on the wall clock, for a controller that does not say that it has taken what it was sent
+_HANDED_OVER = 0.5  # s on the wall clock, for a controller that does not acknowledge a message
 _GRACE = 10.0  # s, for a controller to end
 
 
@@ -45,11 +45,11 @@ class Candidate:
     """The controller that is checked.
 
     Attributes:
-        command: that starts it, anew for each case; empty for a node that runs.
+        command: that starts it, once for each case; empty for a running node.
         node: its name.
-        reference: topic on which it gets set-points as JointState, one in each tick of the position loop; None where it
+        reference: topic for set-points as JointState, one in each tick of the position loop; None for a controller that
             takes a trajectory on `<node>/joint_trajectory`.
-        at_joints, ticks: what it commands, and how often, as `Record` has them.
+        at_joints, ticks: kind and period of its commands, as in `Record`.
         timeout: longest wait for it, s of the wall clock.
     """
 
@@ -61,12 +61,12 @@ class Candidate:
     timeout: float
 
 
-class _Stopped(Exception):  # noqa: N818 - no error: whoever asked for it knows
+class _Stopped(Exception):  # noqa: N818 - no error: the caller has requested it
     """The run is to end while its channel waits."""
 
 
 class _Run:
-    """One case on the topics: the simulation node, and what its ticking thread does beside its ticks.
+    """One case on the topics: the simulation node, and further work of its ticking thread.
 
     Attributes:
         check_interrupt: raises the interrupt that came before the node took them over.
@@ -87,7 +87,7 @@ class _Run:
         self._channel: Channel | None = None
 
     def make(self) -> list[_Run]:
-        """Make the simulation, with this as what `lifecycle` runs."""
+        """Make the simulation, with this object as the one that `lifecycle` runs."""
         self._simulation = Simulation(partial(_CheckedChannel, run=self))
         self.node: Any = self._simulation.node
         if self.candidate.reference is None:
@@ -115,19 +115,19 @@ class _Run:
     # The ticking thread.
 
     def channel_made(self, channel: Channel) -> None:
-        """Make what publishes set-points; keep the channel, which locks its topics until it is closed."""
+        """Make the publisher of set-points; keep the channel, which locks its topics until it is closed."""
         self._channel = channel
         if self.candidate.reference is not None:
             joint_state = channel.publisher.msg_type
             self._publisher = self.node.create_publisher(joint_state, self.candidate.reference, STATE_QOS)
 
     def close(self) -> None:
-        """Let the next simulation take this one's place."""
+        """Release the topics for the next simulation."""
         if self._channel is not None:
             self._channel.close()
 
     def before(self, tick: int) -> None:
-        """Do what is due before the states of a tick are published."""
+        """Do the work that is due before the states of a tick are published."""
         self.check_interrupt()
         self._progress(tick)
         if self.candidate.reference is not None:
@@ -150,7 +150,7 @@ class _Run:
             self._hand_over()
 
     def _send_trajectory(self) -> None:
-        """Send the trajectory while time stands still; go on when the controller has it."""
+        """Send the trajectory while time stands still; continue when the controller has it."""
         self._wait(self._publisher.get_subscription_count, "subscribes to it")
         self._publisher.publish(self._trajectory)
         if self.node.count_publishers(self._accepts):
@@ -159,13 +159,13 @@ class _Run:
             self._hand_over()
 
     def _hand_over(self) -> None:
-        """Let a controller read what it has got, while time stands still."""
+        """Let a controller process its messages while time stands still."""
         wait_until_received([self._publisher])
         handed_over = time.monotonic() + _HANDED_OVER
         self._wait(lambda: time.monotonic() > handed_over, "has it")
 
     def _note_accepted(self, _message: object) -> None:
-        self._accepted = self._trajectory_sent  # what is latched of a case before does not count
+        self._accepted = self._trajectory_sent  # a latched message of the previous case does not count
 
     def _wait(self, ready: Callable[[], object], what: str) -> None:
         self.note_activity()
@@ -174,11 +174,11 @@ class _Run:
             time.sleep(_SLICE)
 
     def note_activity(self) -> None:
-        """Note that the controller is there."""
+        """Note the time of the controller's last activity."""
         self._last_activity = time.monotonic()
 
     def look(self, wrong: str = "the controller sent no command that the simulation takes") -> None:
-        """Give up a controller that has ended, or is silent for too long, with what is wrong then."""
+        """Raise an error for a controller that has ended, or is silent for too long, with `wrong` as the reason."""
         self.check_interrupt()
         if self._stopped:
             raise _Stopped
@@ -194,7 +194,7 @@ class _Run:
 
 
 class _CheckedChannel(Channel):
-    """The simulation's end of the exchange, with what a case does to it."""
+    """The simulation's end of the exchange, with the disturbances of a case."""
 
     def __init__(self, *arguments: Any, run: _Run) -> None:
         super().__init__(*arguments)
@@ -206,7 +206,7 @@ class _CheckedChannel(Channel):
         self._period_ns, self._stamp, self._before = case.setup.rates.period_ns, -1, -1
 
     def publish(self, raw: bytes) -> None:
-        """Publish states, after what is due before them, twice where the case says so."""
+        """Publish states, after the work that is due before them; twice if the case requires it."""
         stamp, position, _, _ = self._states.decode(raw)
         tick = stamp // self._period_ns
         if stamp != self._stamp:
@@ -219,9 +219,9 @@ class _CheckedChannel(Channel):
             super().publish(raw)
 
     def receive(self, timeout_s: float) -> bytes | None:
-        """Return the next command as the drives get it."""
+        """Return the next command as the drives receive it."""
         raw = super().receive(timeout_s)
-        while raw is not None and cdr_stamp_ns(raw) == self._before:  # the second answer to states that came twice
+        while raw is not None and cdr_stamp_ns(raw) == self._before:  # the second answer to repeated states
             raw = super().receive(timeout_s)
         if raw is None:
             self._run.look()
@@ -239,17 +239,17 @@ class _CheckedChannel(Channel):
 def run_on_topics(
     case: Case, set_points: Array, candidate: Candidate, folder: Path, progress: Callable[[int], None]
 ) -> Record:
-    """Run a case with the controller that is checked, from the start of its process to its end.
+    """Run a case with the checked controller, from the start of its process to its end.
 
     Args:
         case: the case.
         set_points: one for each tick of the position loop, shape (m, 3, n).
         candidate: the controller.
         folder: for the controller's log, and parameters.
-        progress: gets the number of the tick that begins.
+        progress: called with the number of each tick.
 
     Raises:
-        ExchangeError: for a controller that is not there, ends, or does not answer.
+        ExchangeError: for a controller that does not appear, ends, or does not answer.
         KeyboardInterrupt: after Ctrl-C.
     """
     parameters = folder / f"{case.name}.yaml"

@@ -1,8 +1,9 @@
-"""What a trial has left, from the bag of an arm or of the nodes, and from a tip that something else has measured.
+"""The errors of a trial, from the bag of an arm or of the nodes, and from a tip measured by a sensor.
 
-When the trajectory began is found by the record itself: the nominal motion is laid over it where both are least apart.
-A bag of the nodes has their set-points, which tell it exactly. Measured joints lag behind the set-points; that lag then
-counts as none, and only the path remains, which is what a correction is for.
+The beginning of the trajectory is found in the record itself: the nominal motion is shifted to where it fits best. A
+bag
+of the nodes contains their set-points, which determine it exactly. Measured joints lag behind the set-points; this lag
+then does not count, and only the path remains, which is the purpose of a correction.
 """
 
 from __future__ import annotations
@@ -30,26 +31,24 @@ from rx90_emulator.loop.drawing import UNITS, read_columns
 from rx90_emulator.loop.setup import Setup
 
 REFERENCE, TRACKING, CORRECTION = (f"rx90_controller/{name}" for name in ("reference", "tracking_error", "correction"))
-_GAP = (
-    3.5  # times the median interval, or the set-points' own: fewer than three samples that are missing are interpolated
-)
-_MAX_DIFFERENCE = 0.02  # of the range of a motion, root mean square: what is further off is another motion
-_MAX_ROWS = 10_000_000  # set-points that a record may last: what the search for the motion in it holds takes some GB
+_GAP = 3.5  # times the median interval, or the set-points' own: up to two missing samples are interpolated
+_MAX_DIFFERENCE = 0.02  # of the range of a motion, root mean square: a larger one means another motion
+_MAX_ROWS = 10_000_000  # longest record, in set-points: the search for the motion then takes some GB
 _POSITIONS = {
     "geometry_msgs/msg/PointStamped": "point",
     "geometry_msgs/msg/PoseStamped": "pose.position",
     "geometry_msgs/msg/TransformStamped": "transform.translation",
 }
-"""Types of messages that carry a position, and where."""
+"""Types of messages with a position, and its place in them."""
 
 
 class Laid(NamedTuple):
-    """A record, laid under the nominal motion.
+    """A record, aligned with the nominal motion.
 
     Attributes:
         values: at the nominal motion's set-points, shape (n, d).
-        shift: when the motion begins in the record's time, s.
-        apart: root mean square of what is between them, as a share of the motion's range.
+        shift: beginning of the motion in the record's time, s.
+        difference: root mean square difference, as a share of the motion's range.
     """
 
     values: Array
@@ -58,15 +57,15 @@ class Laid(NamedTuple):
 
 
 def laid_under(times: Array, values: Array, nominal: Array, period: float, counts: Mask, what: str) -> Laid:
-    """Find when a nominal motion runs in a record, and return the record on its set-points.
+    """Find the time at which a nominal motion runs in a record, and return the record at its set-points.
 
     Args:
         times: of the record, s, increasing, shape (m,).
         values: shape (m, d).
         nominal: motion, shape (n, d).
         period: of its set-points, s.
-        counts: which of them have to be in the record, shape (n,).
-        what: the record is, for refusals.
+        counts: which of them must be in the record, shape (n,).
+        what: name of the record, for refusals.
 
     Raises:
         ConfigError: for a record without the motion, or with a part of it, with the numbers.
@@ -74,7 +73,7 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
     if len(times) < 2 or not (np.diff(times) > 0.0).all() or not np.isfinite(values).all():
         raise ConfigError(f"{what}: {len(times)} rows; accepted: two or more, finite, with increasing times")
     count = len(nominal)
-    # Beyond its ends the record is held, so that a rest before or after the motion may be missing.
+    # The record is extended by its first and last value, so that a rest before or after the motion may be missing.
     if not times[-1] - times[0] <= _MAX_ROWS * period:
         raise ConfigError(f"{what}: {times[-1] - times[0]:.6g} s; accepted: up to {_MAX_ROWS * period:g} s")
     grid = times[0] + np.arange(-count, round((times[-1] - times[0]) / period) + count) * period
@@ -117,10 +116,11 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
 def joints_of_bag(
     bag: Path | str, setup: Setup, nominal: TrajectoryPath, topic: str = "joint_states"
 ) -> tuple[Array, Array | None, str]:
-    """Return set-points less joints by the encoders, what a correction added, and how they were found.
+    """Return set-points less joints by the encoders, the offsets of a correction, and how they were found.
 
-    Both are in rad, of shape (n, joints). From a bag of the nodes they are the controller's own; other bags do not tell
-    the second, which is then None.
+    Both are in rad, of shape (n, joints). In a bag of the nodes they are the controller's own; other bags do not
+    contain
+    the offsets, which are then None.
 
     Raises:
         BagError: for a bag that cannot be read, or without these joints.
@@ -158,7 +158,7 @@ def joints_of_bag(
 
 
 def tip_of_file(file: Path | str, nominal: TrajectoryPath, topic: str | None = None) -> tuple[Array, str]:
-    """Return the tip where it should be less where it was measured on a path's set-points, m, shape (n, 3).
+    """Return required less measured position of the tip at a path's set-points, m, shape (n, 3).
 
     The file is a CSV table with a header: `time [s]`, and `x`, `y`, `z` of the tool centre point in the base frame,
     each with its unit, such as `[mm]`. With a topic it is a bag with PointStamped, PoseStamped or TransformStamped.
@@ -168,7 +168,7 @@ def tip_of_file(file: Path | str, nominal: TrajectoryPath, topic: str | None = N
 
     Raises:
         BagError: for a bag that cannot be read, or without such a topic.
-        ConfigError: for a file that is none, or of another motion.
+        ConfigError: for another kind of file, or one of another motion.
     """
     rows = _table(Path(file)) if topic is None else _topic(file, topic)
     laid = laid_under(rows[:, 0], rows[:, 1:], nominal.tip, nominal.period, nominal.counts, plain(file))
@@ -205,7 +205,7 @@ def measured(
     topic: str = "joint_states",
     tip_topic: str | None = None,
 ) -> tuple[Measured, list[str]]:
-    """Return what a trial has left, and a line on each record on how it was found; a bag, a tip, or both.
+    """Return the errors of a trial, and a line on each record on how it was found; from a bag, a tip, or both.
 
     Raises:
         Rx90Error: as `joints_of_bag` and `tip_of_file`.
@@ -224,17 +224,18 @@ def measured(
 def learn_from_record(
     learner: Learner, found: Measured, earlier: CorrectionFile | None = None
 ) -> tuple[LearnedCorrection, str]:
-    """Learn from one trial that was recorded, and return the correction of the next one.
+    """Learn from one recorded trial, and return the correction of the next one.
 
-    It is compared with the trials before that were measured alike: not with those of the engine, whose arm is another.
+    It is compared with earlier trials that were measured in the same way, not with those of the engine, whose arm is
+    another one.
 
     Args:
-        learner: with what was played, if anything, as `previous`.
-        found: what the trial has left.
-        earlier: the file of what was played.
+        learner: with the played offsets, if any, as `previous`.
+        found: the errors of the trial.
+        earlier: the file that was played.
 
     Returns:
-        The correction, and why the trial was not kept; empty where it was.
+        The correction, and why the trial was not accepted; empty if it was.
 
     Raises:
         ConfigError, CorrectionError: as `Learner.take`.
