@@ -302,7 +302,7 @@ class Record:
         self._states[tick // self.ticks] = position
 
     def carry(self, tick: int, command: Array | None) -> Array | None:
-        """Return the drives' torques for a command, Nm, shape (n,), None for no torque; repeated ones change nothing."""
+        """Return the torques of the drives for a command, Nm, shape (n,), None for no torque; repeats do not count."""
         row, case = tick // self.ticks, self.case
         if command is not None:
             self._sent[row] = command
