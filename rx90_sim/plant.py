@@ -87,8 +87,8 @@ def state_dtype(arm: ArmSize) -> np.dtype[np.void]:
             ("acceleration", np.float64, (n,)),  # mean over the last step
             ("drive_torque", np.float64, (n,)),  # joint side, Nm
             ("motor_torque", np.float64, (n,)),
-            ("motor_position", np.float64, (n,)),  # what the encoder says
-            ("motor_velocity", np.float64, (n,)),  # what the observer makes of it
+            ("motor_position", np.float64, (n,)),  # measured by the encoder
+            ("motor_velocity", np.float64, (n,)),  # estimated by the observer
             ("observer", np.float64, (n,)),  # the observer's position
             ("saturated", np.int64, (n,)),  # ticks in which a motor gave less than its command
             # Workspace of a step; the factor of the mass matrix is also the next step's predictor.
@@ -146,7 +146,7 @@ def _plant_record(
 
 
 def _check(drives: DriveParameters, rates: Rates, substeps: int | None, seed: int) -> None:
-    """Refuse what does not fit the tick."""
+    """Refuse friction that is too fast for the tick."""
     if substeps is not None and not (isinstance(substeps, int | np.integer) and 1 <= substeps <= MAX_STEPS):
         raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1, up to {MAX_STEPS}")
     if drives.velocity_bandwidth >= rates.base_hz / 2:
@@ -219,7 +219,7 @@ class Plant:
         tick: number of the tick whose states are sampled now.
         constants: compiled constants, shape (1,), of `plant_dtype`.
         state: compiled state, shape (1,), of `state_dtype`.
-        temperatures: how warm the joints are.
+        temperatures: temperatures of the joints.
     """
 
     def __init__(
@@ -264,9 +264,9 @@ class Plant:
         self.tick = 0
 
     def position_of(self, links: ArrayLike) -> Array:
-        """Return the position for `reset`, rad, shape (n,), that leaves the links at rest where they are wanted.
+        """Return the position for `reset`, rad, shape (n,), that leaves the links at rest in the required position.
 
-        To the last bit wherever rounding allows, so that a run that is done again from its first sample has the same
+        Exact to the last bit wherever rounding allows, so that a run repeated from its first sample has the same
         bits.
         """
         target = np.array(links, dtype=np.float64)
@@ -289,13 +289,13 @@ class Plant:
         self.state[:], self.tick = before, tick
 
     def step(self, command: Array | None) -> None:
-        """Hold motor torques for one tick; None takes the torque away and closes the brakes.
+        """Hold motor torques for one tick; None switches the torque off and closes the brakes.
 
         Args:
             command: motor torques, motor side, Nm, shape (n,).
 
         Raises:
-            DivergenceError: naming joint and tick; the state is then no longer of use.
+            DivergenceError: naming joint and tick; the state is invalid afterwards.
         """
         if command is None:
             joint = plant_step(self.constants, self.state, self._no_command, False)

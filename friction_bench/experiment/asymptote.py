@@ -84,7 +84,7 @@ def fit_asymptote(record: RampRecord, time_constant: float | None = None) -> Ram
     T = time_constant or max(T, b / a - break_away)
     if record.torque is not None:
         # The command is a staircase about the ramp. Its steps are known, so their effect on an inertia with time
-        # constant T is taken out instead of being counted as noise.
+        # constant T is subtracted instead of being counted as noise.
         final = (record.torque - record.slope * (time + record.tick / 2)) * a / record.slope
         angle = angle - respond(time, np.where(time >= break_away, final, 0.0), 0.0, T)[0]
     use = _settled(record, time, break_away, T)

@@ -1,10 +1,13 @@
 """The bring-up check of a board that has just been soldered: each line, sign, scale and the watchdog, step by step.
 
-A stage for torque of both signs has a step more, its direction line, and sense and current are checked both ways.
+On a stage for torque of both signs there is one more step, for its direction line, and sense and current are checked in
+both directions.
 
-Each step says what to prepare, asks before it switches anything on, and compares what the rig reports, and what a
-person measures or sees, with what the board's drawing (docs/howto/rig_build.md) and the rig file let one expect. The
-steps before the motor's supply is switched on show that the board takes a torque away; only then a torque is applied.
+Each step describes the preparation, asks for confirmation before it switches anything on, and compares the rig's
+reports,
+and the person's measurements and observations, with the values expected from the board's drawing
+(docs/howto/rig_build.md) and the rig file. The steps before the motor's supply is switched on verify that the board can
+switch the torque off; only then a torque is applied.
 """
 
 from __future__ import annotations
@@ -74,8 +77,8 @@ class BringUp(Dialogue):
     """The check of one rig; arguments as of `Dialogue`.
 
     Attributes:
-        steps: what to do, by title.
-        lost: the rig does not answer any more.
+        steps: the steps, by title.
+        lost: the rig no longer answers.
     """
 
     def __init__(self, client: RigClient, person: Terminal, board: str | None = None) -> None:
@@ -103,10 +106,11 @@ class BringUp(Dialogue):
         return self.client.hello.torque_limit_code
 
     def run(self) -> int:
-        """Do all steps, and print what each found.
+        """Run all steps, and print the result of each.
 
         Returns:
-            The exit code: 0 all is as expected; 1 something is not, or was not measured; 3 the rig does not answer.
+            The exit code: 0 all values are as expected; 1 a value is not, or was not measured; 3 the rig does not
+            answer.
         """
         for number, (title, do) in enumerate(self.steps.items(), 1):
             self.results.append(result := StepResult(title))
@@ -134,7 +138,7 @@ class BringUp(Dialogue):
 
     @property
     def verdict(self) -> str:
-        """Return what the steps come to; those that were not reached leave it incomplete at best."""
+        """Return the verdict of the steps; steps that were not reached leave it incomplete at best."""
         found = {result.verdict for result in self.results}
         if "failed" in found:
             return "failed"
@@ -281,9 +285,9 @@ class BringUp(Dialogue):
         self._measure(f"{self.board.enable} after that", "V", self.board.off, ENABLE_VOLTS)
 
     def _silence(self, ticks: int) -> float | None:
-        """Send a last frame; return the time until the torque is off, s, at most; None if it stays on so many ticks.
+        """Send a last frame; return the longest possible time until the torque is off, s; None if it stays on.
 
-        The frame came within the tick before the first report that answers it.
+        The frame arrived within the tick before the first report that answers it.
         """
         client = self.client
         assert client.last is not None
@@ -430,13 +434,13 @@ def _mean_reading(samples: list[Sample]) -> float:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Check the rig at a port; what was found stands in `--output` however the check ends.
+    """Check the rig at a port; the results are written to `--output` however the check ends.
 
     Returns:
         The exit code of `BringUp.run`.
 
     Raises:
-        Rx90Error: for what is refused, or a port that cannot be opened.
+        Rx90Error: for bad options or files, or a port that cannot be opened.
     """
     rig: Rig = load_rig(resolve_config(options.rig))
     port = SerialPort(options.port, options.baud or rig.baud)

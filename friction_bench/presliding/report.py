@@ -32,14 +32,15 @@ SCALE = "torques: common to all is a relative standard uncertainty of {:.2g} %, 
 
 @dataclass(eq=False)
 class PreslidingResult:
-    """The result of a campaign; parts are None or empty where they were not run, or carry nothing.
+    """The result of a campaign; parts are None or empty if they were not run, or have no result.
 
     Attributes:
         origin: of the readings, in words.
-        rig: on which they were taken.
+        rig: the rig.
         deflection: of the joint up to break-away, rad, on the slowest ramps; None if it does not break away.
-        break_away: the torque's rate, Nm/s, and the largest friction before sliding, Nm, of each ramp; backward apart.
-        failures: why a part that was run carries nothing, one line each.
+        break_away: the torque's rate, Nm/s, and the largest friction before sliding, Nm, of each ramp; backward ones
+        separately.
+        failures: the reason for each part that was run without a result, one line each.
     """
 
     origin: str
@@ -59,7 +60,7 @@ class PreslidingResult:
 
 
 def _loops_plot(result: PreslidingResult) -> Plot:
-    """Show the first blocks of loops, torque over angle, with what the laws with bristles predict from the angle."""
+    """Show the first blocks of loops, torque over angle, with the predictions of the laws with bristles."""
     panels = []
     for k, block in enumerate(result.blocks[:_MAX_LOOPS]):
         angle = 1e3 * (block.angle[block.readings] - block.angle[block.readings[0]])
@@ -75,7 +76,7 @@ def _loops_plot(result: PreslidingResult) -> Plot:
 
 
 def _pulls_plot(result: PreslidingResult) -> Plot:
-    """Show where the joint sticks and slips over speed and stiffness, and where linear stability says that it does."""
+    """Show stick-slip over speed and stiffness, and where linear stability predicts it."""
     marks: list[Mark] = []
     for slips, label, colour in ((True, "sticks and slips", COLOURS[1]), (False, "slides", COLOURS[0])):
         chosen = np.array([pull[:2] for pull in result.pulls if pull.sticks_and_slips is slips])
@@ -96,7 +97,7 @@ def _pulls_plot(result: PreslidingResult) -> Plot:
 
 
 def drift_plot(drift: DriftResult) -> Plot:
-    """Show where the joint stands after each small cycle, and where LuGre's law would have it."""
+    """Show the joint's position after each small cycle, and the position predicted by LuGre's law."""
     cycles = np.arange(drift.position.size, dtype=np.float64)
     marks: list[Mark] = []
     if drift.by_lugre is not None:
@@ -108,7 +109,7 @@ def drift_plot(drift: DriftResult) -> Plot:
 
 
 def _resolution(result: PreslidingResult) -> tuple[str, dict[str, float]]:
-    """Return what encoder and converter resolve of this joint's presliding, in words and as an entry."""
+    """Return the encoder's and converter's resolution of this joint's presliding, in words and as an entry."""
     count, code = result.rig.joint_step, result.rig.joint_code
     text = f"a count is {1e6 * count:.1f} urad and a code {1e3 * code:.1f} mNm at the joint"
     entry = {"count_rad": count, "code_nm": code}
@@ -121,7 +122,7 @@ def _resolution(result: PreslidingResult) -> tuple[str, dict[str, float]]:
 
 
 def _drift_text(drift: DriftResult) -> str:
-    """Return the drift and what it says, in words."""
+    """Return the drift and the verdict, in words."""
     mean, least, largest = drift.drift
     law = "no swing is seen"
     if drift.by_lugre is not None:

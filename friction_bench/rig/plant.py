@@ -4,7 +4,7 @@ One degree of freedom, described on the motor's side (angle theta, speed w):
     J w' = tau_motor - (f_v w + f_c sgn w) - tau_joint(w / n) / (n eta),
     J = J_rotor + (J_load + J_joint) / (n^2 eta),
 with gear ratio n and efficiency eta, the motor driving the load. The joint is there only when loaded; one with LuGre's
-law moves by the arm's own steps of rx90_common/friction, with whatever parts its element has.
+law moves by the arm's own steps of rx90_common/friction, with all parts of its element.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Shaft(NamedTuple):
 
 
 def shaft_of(rig: Rig, loaded: bool) -> Shaft:
-    """Return what turns at the motor of an emulated rig, without the friction of a LuGre joint.
+    """Return the inertia and friction at the motor of an emulated rig, without the friction of a LuGre joint.
 
     Raises:
         RigInputError: if the rig file describes no plant.
@@ -123,7 +123,7 @@ def joint_record(element: FrictionElement, gear_ratio: float, period: float, see
 
 @kernel
 def start(joint: RigJoint) -> None:
-    """Begin anew: nothing is transmitted, no bristle is bent."""
+    """Begin anew: no transmitted torque, no deflection."""
     state = joint.state[0]
     state.transmitted[0] = 0.0
     reset_parts(joint.parts[0], state, load(state.transmitted, 1), 1)
@@ -143,7 +143,7 @@ def turn_with_joint(
     Args:
         motion: angle and speed of the motor, rad and rad/s, deflection of the bristles, rad.
         torque: of the motor, Nm.
-        shaft: what turns at the motor.
+        shaft: inertia and friction at the motor.
         gear: its ratio and efficiency, and the inertia behind it, kg m², whose torque is the load that the joint
             transmits.
         joint: advanced in place.
@@ -202,7 +202,7 @@ class RigPlant:
             start(self._joint)
 
     def new_ramp(self) -> None:
-        """Draw what differs from ramp to ramp: the torque's scale, and the joint's Coulomb friction."""
+        """Draw the differences from ramp to ramp: the torque's scale, and the joint's Coulomb friction."""
         p = self.parameters
         if p.ramp_error:
             self._ramp_gain = 1.0 + p.ramp_error * next(self._noise)
@@ -233,7 +233,7 @@ class RigPlant:
     def advance(self, command: float, dt: float) -> int:
         """Hold the commanded torque, Nm, for `dt` seconds; return the encoder counts in that time.
 
-        They are negative where the motor turned back, if the encoder tells the direction.
+        They are negative if the motor turned back, and the encoder measures the direction.
         """
         self.torque = self.motor_torque(command, dt)
         shaft = self._shafts[self.loaded]
@@ -249,5 +249,5 @@ class RigPlant:
         return edges if self.rig.counts_down else abs(edges)
 
     def current_reading(self) -> float:
-        """Return what the current sense amplifier shows, as motor torque, Nm: its size, whatever the direction."""
+        """Return the output of the current sense amplifier, as motor torque, Nm: its size, whatever the direction."""
         return max(0.0, abs(self.torque) + self.parameters.adc_noise * next(self._noise))

@@ -42,7 +42,7 @@ def law_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
             ("integrator", np.float64, (n,)),
             ("position_torque", np.float64, (n,)),  # PI block, held between position ticks
             ("feed_forward", np.float64, (n,)),  # FF block, held between position ticks
-            ("commanded", np.float64, (n,)),  # current that the amplifier is asked for, within its limit, A
+            ("commanded", np.float64, (n,)),  # current commanded to the amplifier, within its limit, A
             ("current", np.float64, (n,)),
             ("command", np.float64, (n,)),  # torque constant times current
             ("limited", np.float64, (n,)),  # sign of the amplifier's saturation in the last tick, 0 if none
@@ -144,7 +144,7 @@ def law_release(states: Record) -> None:
 
 @kernel
 def position_loop(laws: Record, states: Record, setpoint: Array, position: Array, velocity: Array) -> bool:
-    """Run PI, FF, with what a model of arm and friction adds to it, and the supervision for one position tick.
+    """Run PI, FF, with the torque of a model of arm and friction, and the supervision for one position tick.
 
     Args:
         laws: constants, shape (1,), of `controller_dtype`.

@@ -1,6 +1,6 @@
-"""What clients of joint_trajectory_controller meet: the action FollowJointTrajectory, topics and a service beside it.
+"""The interfaces of joint_trajectory_controller: the action FollowJointTrajectory, and its topics and service.
 
-To be imported where control_msgs is.
+To be imported only if control_msgs is installed.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class _Server(ActionServer):
     on_result_request: Callable[[bytes], object]
 
     async def execute(self, taken_data: dict[str, Any]) -> None:
-        """Serve requests, and note the goal whose result is asked for."""
+        """Serve requests, and note the goal whose result is requested."""
         await super().execute(taken_data)
         if "result" in taken_data:
             self.on_result_request(bytes(taken_data["result"][1].goal_id.uuid))
@@ -72,8 +72,8 @@ class _Server(ActionServer):
 class ClientInterfaces:
     """The action, speed scaling, state query and state topic of a controller.
 
-    Goals are checked and answered on the executor's thread, and followed by the one that ticks. What can be seen by a
-    goal itself, and what is sent to a controller that is not active, is rejected. What depends on where the arm then is
+    Goals are checked and answered on the executor's thread, and followed by the ticking one. A goal that is invalid by
+    itself, or sent to a controller that is not active, is rejected. A goal that the arm's position then rules out
     (start, limits) is accepted and aborted at once: a result has a text, a rejection has none.
 
     Args:
@@ -84,7 +84,7 @@ class ClientInterfaces:
         channel: to the simulation.
 
     Attributes:
-        publisher: of the state, to look at what it is matched with.
+        publisher: of the state, for the check of its matched subscribers.
     """
 
     def __init__(self, node: Node, loop: ServoLoop, cs7b: CS7B, state_ticks: int, channel: TickChannel) -> None:
@@ -93,7 +93,7 @@ class ClientInterfaces:
         self._goals: dict[bytes, TrajectoryRequest] = {}  # that may still be cancelled
         self._result_requested: set[bytes] = set()  # goals whose client has asked for the result
         self._checked: TrajectoryRequest | None = None  # the goal that is accepted next
-        self._checking = threading.Lock()  # an executor of several threads goes on while the node ends
+        self._checking = threading.Lock()  # an executor of several threads continues while the node ends
         self._ending = False
         self._simulation_seen = time.monotonic()  # when the simulation was there
         qos = REQUEST_QOS
@@ -128,7 +128,7 @@ class ClientInterfaces:
             self._loop.drop(_ENDS)
         self._loop.report()
         executor, until, spins = self._node.executor, time.monotonic() + _RESULT_GRACE, _FLUSH_SPINS
-        # A client that asked while another goal was checked has not been answered yet.
+        # A client that requested a result while another goal was checked has not been answered yet.
         while executor is not None and spins > 0:
             executor.spin_once(timeout_sec=_SPIN_TIMEOUT if ending else 0.0)
             if (ending <= self._result_requested and not self._goals) or time.monotonic() > until:
@@ -173,7 +173,7 @@ class ClientInterfaces:
         return CancelResponse.ACCEPT
 
     def _watch_simulation(self) -> None:
-        """Give the goal up whose simulation is gone."""
+        """Abort the goal if its simulation no longer exists."""
         now = time.monotonic()
         if not self._loop.has_goal or self._channel.matches().publishers > 0:
             self._simulation_seen = now
@@ -181,7 +181,7 @@ class ClientInterfaces:
             self._loop.drop(f"the simulation is gone, for more than {_SIMULATION_TIMEOUT:g} s", halt=True)
 
     def _on_scaling(self, message: SpeedScalingFactor) -> None:
-        """Follow trajectories at the share of their speed that is asked for, also while one runs."""
+        """Follow trajectories at the requested share of their speed, from now on."""
         try:
             with self._loop.between_ticks:
                 self._cs7b.trajectory.set_speed_scaling(message.factor, self._cs7b.position_tick)
@@ -195,7 +195,7 @@ class ClientInterfaces:
     def _on_query(
         self, request: QueryTrajectoryState.Request, response: QueryTrajectoryState.Response
     ) -> QueryTrajectoryState.Response:
-        """Answer what the set-point was, or will be, at a time of the running trajectory."""
+        """Answer with the set-point at a past or future time of the running trajectory."""
         trajectory, tick = self._cs7b.trajectory, message_time_ns(request.time) / self._tick_ns
         response.name = self._names
         with self._loop.between_ticks:
@@ -238,7 +238,7 @@ class ClientInterfaces:
         handle.publish_feedback(message)
 
     def publish_state(self, stamp_ns: int) -> None:
-        """Publish what the position loop has left, if it is time to and somebody listens."""
+        """Publish the results of the position loop, if it is time to and there is a subscriber."""
         if stamp_ns % self._state_ns or not self.publisher.get_subscription_count():
             return
         cs7b = self._cs7b

@@ -1,7 +1,8 @@
-"""What clients of a controller_manager meet: services that tell of this controller as of a joint_trajectory_controller.
+"""The services of a controller_manager, which describe this controller as a joint_trajectory_controller.
 
-The controller is the arm's drive: nothing can be loaded beside it or put in its place, and requests for that are
-answered so. Names, types and meaning are those of ros2_control's controller_manager (Jazzy). To be imported where
+The controller is the arm's drive: no other controller can be loaded or replace it, and such requests are
+answered accordingly. Names, types and meaning are those of ros2_control's controller_manager (Jazzy). To be imported
+only if
 controller_manager_msgs is.
 """
 
@@ -49,7 +50,7 @@ class ManagerServices:
     Args:
         node: whose services they are, and whose name is the controller's.
         manager: name of the manager, relative or absolute, below which they are.
-        loop: says whether the controller is active.
+        loop: reports whether the controller is active.
         joint_names: of the arm.
         robot: name of the arm, the hardware component.
         rates: of set-points and of the exchange with the arm, Hz.

@@ -1,7 +1,7 @@
 """Curves in space as functions of their length: lines, arcs, cubic splines and blends, one after the other.
 
 A spline and a blend are polynomials of a parameter that is not their length. Their length is integrated by Gauss and
-Legendre's formula over short cells, and turned round by Newton's steps, to rounding.
+Legendre's formula over short cells, and inverted by Newton's steps, to rounding.
 
 A blend is a polynomial of the fifth degree that has place, tangent and curvature of its neighbours at both ends: the
 acceleration of what travels it does not jump.
@@ -29,7 +29,7 @@ _COLLINEAR = 1e-9  # sine between the chords of three points
 _ROUNDED = 2e-5  # m: by how much ends of an arc may be unequally far from its centre, as drawings print them
 _SHARPEST = -0.98  # cosine of the turn at a corner that a blend rounds
 KINK = 1e-3
-"""A corner up to this angle, rad, is travelled without a stop: set-points one period apart round it."""
+"""A corner up to this angle, rad, is travelled without a stop, by set-points one period apart."""
 
 
 class Piece(Protocol):
@@ -126,7 +126,7 @@ class Polynomial:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """A piece without what a blend has taken from its ends."""
+    """A piece without the parts at its ends that blends replace."""
 
     of: Piece
     begin: float
@@ -327,11 +327,11 @@ class Curve:
         return distance, self.at(distance)
 
     def error(self, points: Array, near: Array | None = None) -> PathError:
-        """Return how far points (n, 3) m are from the curve; beyond its ends it goes on along its tangents.
+        """Return the distance of points (n, 3) m from the curve; beyond its ends it continues along its tangents.
 
         Args:
             points: m.
-            near: distances (n,) m from which on the nearest place is looked for: a path may cross itself.
+            near: distances (n,) m along the curve, near which the nearest place is searched: a path may cross itself.
         """
         points = np.asarray(points, dtype=np.float64)
         distance, places = self._samples

@@ -1,4 +1,4 @@
-"""What a path is asked to be, and how fast an arm can travel it."""
+"""The definition of a path, and the speeds at which an arm can travel it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
 
 FIXED, TANGENT, INTERPOLATED = ORIENTATIONS = ("fixed", "tangent", "interpolated")
 _FARTHEST = 1e3  # m
-_SHORTEST_PATH = 1e-6  # m: far below what an arm resolves; phases of less vanish in rounding
+_SHORTEST_PATH = 1e-6  # m: far below the arm's resolution; shorter phases vanish in rounding
 _TURN = 0.02  # rad of the path between two places at which it is examined
 _MAX_PARTS = 50
 _JUMP = 1e-3  # rad/m: a smaller change of the tool's turn by the distance is rounding
@@ -107,8 +107,8 @@ class Path:
         branch: as LineTask's; singularity_margin and start_posture likewise.
         singularity_margin: 1.
         start_posture: rad.
-        lowered: speeds and accelerations below those asked for, as an arm's joints need; `within_limits` finds them.
-        remarks: what was lowered, in words.
+        lowered: speeds and accelerations below the required ones, because of the joints' limits; see `within_limits`.
+        remarks: the lowered values, in words.
 
     Raises:
         LineError: naming the segment, the value and what is accepted.
@@ -179,7 +179,7 @@ class Path:
 
     @cached_property
     def _limits(self) -> tuple[SpeedLimit, ...]:
-        """Return the speeds that are asked for."""
+        """Return the required speeds."""
         joints = self.curve.joints.tolist()
         return tuple(
             SpeedLimit(begin, end, self.speed if segment.speed is None else segment.speed)
@@ -261,7 +261,7 @@ class Path:
         return Pose(position, rotation)
 
     def _turns(self, distance: Array) -> list[tuple[Index, tuple[float, ...], Array, tuple[Array, Array, Array]]]:
-        """Return for each segment its rows, orientation at its start, turn, and what share of it has been made.
+        """Return for each segment its rows, orientation at its start, turn, and the completed share of the turn.
 
         The share comes with its first and second derivative by the distance.
         """
@@ -304,21 +304,21 @@ class Path:
         return first, second
 
     def error(self, tip: Array, near: Array | None = None) -> PathError:
-        """Return how far positions (n, 3) m of the tool centre point are from the path.
+        """Return the distance of positions (n, 3) m of the tool centre point from the path.
 
-        `near`, distances (n,) m, says around which places alone it is looked for.
+        `near`, distances (n,) m along the path, limits the search to their neighbourhood.
         """
         return self.curve.error(tip, near)
 
     def notes(self) -> list[str]:
-        """Return lines for a person: where the tool stops, and what was lowered."""
+        """Return lines of text for a person: where the tool stops, and lowered values."""
         inner = [f"{at:.3f}" for at in self.stops[1:-1]]
         stops = [f"stops     {len(inner)}, at {', '.join(inner[:6])}{', ...' * (len(inner) > 6)} m"] if inner else []
         return [*stops, *(f"lowered   {remark}" for remark in self.remarks)]
 
     @property
     def counted(self) -> tuple[float, float]:
-        """Return what of its trajectory counts for the path error, s; see `counted_motion`."""
+        """Return the part of its trajectory that counts for the path error, s; see `counted_motion`."""
         return counted_motion(self)
 
     def within_limits(

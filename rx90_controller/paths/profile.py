@@ -1,13 +1,13 @@
 """The motion along a path within limits of the speed, place by place: trapezoids, rounded where the jerk is limited.
 
-Between two stops the square of the speed is the largest that no limit forbids and that the acceleration allows from
-both sides; it is piecewise linear in the distance, found forwards and backwards over the places at which a limit
-changes.
+Between two stops the square of the speed is the largest function within all limits whose slope the acceleration
+allows in both directions; it is piecewise linear in the distance, and computed forwards and backwards over the places
+at which a limit changes.
 
-A limited jerk takes the mean of that motion over a time tau (Biagiotti and Melchiorri 2012, "FIR filters for online
+A limited jerk replaces that motion by its mean over a time tau (Biagiotti and Melchiorri 2012, "FIR filters for online
 trajectory planning with time- and frequency-domain specifications"): steps of the acceleration become ramps over tau,
-speed and acceleration grow nowhere. The mean looks back, so each limit is first widened by half of tau's way on both
-sides, and each stop lasts tau.
+speed and acceleration grow nowhere. The mean looks back, so each limit is first widened by half of the distance
+travelled in tau on both sides, and each stop lasts tau.
 """
 
 from __future__ import annotations

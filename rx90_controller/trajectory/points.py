@@ -42,9 +42,9 @@ class TrajectoryPoints:
         position: rad, shape (n, j).
         velocity: rad/s, shape (n, j), or None if no point carries velocities.
         acceleration: rad/s^2, shape (n, j), or None if no point carries accelerations.
-        named: which joints the points are of, shape (j,), all where it is left out; the values of the others are 0 and
-            mean nothing.
-        first: number of the first point in the trajectory that was sent.
+        named: the joints that the points are for, shape (j,), all by default; the values of the others are 0 and
+            without meaning.
+        first: number of the first point in the received trajectory.
         way: None; kept for programs that name it.
         smooth: whether only the velocities at both ends count, see `smoothed`.
         degrees: of the way to each point, shape (n,): 1, a straight line, where one of its two ends has no velocities,
@@ -134,7 +134,7 @@ class TrajectoryPoints:
     def smoothed(self) -> TrajectoryPoints:
         """Return them for the smooth spline through their positions, with their velocities at both ends.
 
-        Points without velocities stay as they are: what they ask for is straight lines.
+        Points without velocities stay as they are: they mean straight lines.
         """
         if self.velocity is None:
             return self
@@ -209,12 +209,12 @@ def joint_table(
     """Return rows of values in the columns of their joints, shape (n, j), 0 elsewhere; None if all rows are empty.
 
     Args:
-        what: the values are, for messages.
+        what: name of the values, for messages.
         rows: values, or none.
         columns: of the joints in the robot's order, one for each value.
         robot_joints: names of the joints.
-        where: a row is, for messages, by its number.
-        whole: whether no row may be empty where others are not.
+        where: name of a row, for messages, formatted with its number.
+        whole: whether no row may be empty if others are not.
 
     Raises:
         TrajectoryError: naming row, joint, value and what is accepted.
@@ -235,7 +235,7 @@ def joint_table(
 
 
 def _degrees(velocity: Sequence[Sequence[float]], acceleration: Sequence[Sequence[float]]) -> NDArray[np.intp] | None:
-    """Return the degrees of the ways to n points by what these carry, shape (n,); None if all points are alike."""
+    """Return the degrees of the ways to n points from their given values, shape (n,); None if all points are alike."""
     given = np.array([[len(row) > 0 for row in rows] for rows in (velocity, acceleration)])
     lacking = np.flatnonzero(given[1] & ~given[0])
     if lacking.size:
@@ -355,6 +355,6 @@ def correction_from_points(points: TrajectoryPoints, period: float) -> Correctio
 
 
 def trajectory_identity(points: TrajectoryPoints) -> str:
-    """Return what tells a trajectory from others: a digest of its times, in ns, and of its values."""
+    """Return the identity of a trajectory: a digest of its times, in ns, and of its values."""
     times = np.round(points.times * NANOSECONDS).astype(np.int64)
     return array_digest(times, points.position, points.velocity, points.acceleration)

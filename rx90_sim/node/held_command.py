@@ -1,4 +1,4 @@
-"""The command in free-running time: held while it is new, waited for when it gets old, given up after a while."""
+"""The command in free-running time: held while it is recent, waited for when it is old, given up after a timeout."""
 
 from __future__ import annotations
 
@@ -24,24 +24,26 @@ _SLICE = 0.05  # s of a wait after which interruptions are looked at
 
 
 class HeldCommand:
-    """Takes the newest command, and waits for one only when the newest is older than `MAX_AGE` ticks.
+    """Holds the newest command, and waits for one only when the newest is older than `MAX_AGE` ticks.
 
     A command's age is counted from the states that it answers, by its stamp: it stays the same while time stands still.
-    The loops bear a few ticks of delay and no more. So a controller that is late for longer holds time up rather than
-    leave the arm to an old torque; one that is silent for the whole of the timeout loses the torque, and time runs on.
+    The loops tolerate a few ticks of delay and no more. So if a controller is late for longer, time waits for it,
+    because
+    an old torque would move the arm; if it sends nothing for the whole timeout, the torque is switched off, and time
+    runs on.
 
     Args:
         channel: receives commands.
         decode: returns the torques of a message, Nm at the motors, None for torque off; raises ExchangeError.
-        period_ns: a tick.
+        period_ns: length of a tick.
         timeout: how long to wait for a command, s.
         announce: prints a line for the user.
-        complain: says what is wrong with commands, which may come thousands of times a second.
-        interrupted: whether somebody waits for the thread that ticks.
+        complain: reports a faulty command; there may be thousands of them in a second.
+        interrupted: returns whether another thread waits for the ticking one.
 
     Attributes:
-        two_controllers: whether two of them send commands.
-        missed: ticks since a command first came in which no fresh one was there.
+        two_controllers: whether two controllers send commands.
+        missed: ticks since the first command for which no recent command had arrived.
         waited: ticks that had to wait for one.
     """
 
@@ -114,7 +116,7 @@ class HeldCommand:
         return True
 
     def _receive(self, tick: int, timeout: float) -> bool:
-        """Take what has come, or comes within `timeout` seconds; return whether there was a command to follow."""
+        """Receive what has arrived, or arrives within `timeout` seconds; return whether there is a command to apply."""
         raw = self._channel.receive(timeout)
         found = False
         while raw is not None:
@@ -140,7 +142,7 @@ class HeldCommand:
         return True
 
     def _tick_answered(self, stamp: int, tick: int) -> int | None:
-        """Return the tick whose states a command with this stamp, ns, answers; None for one that is out of turn."""
+        """Return the tick of the states that a command with this stamp, ns, answers; None if it is out of order."""
         if stamp <= self._stamp:
             self._note_out_of_order()
             return None
@@ -163,7 +165,7 @@ class HeldCommand:
             self._announce(f"two controllers publish on {self._topic}: no torque until one is left")
 
     def _announce_brakes(self, opened: bool) -> None:
-        """Say that the brakes have opened or closed, a few times in a while; what comes more often is counted."""
+        """Report that the brakes have opened or closed; if that happens too often, changes are only counted."""
         if opened == self._closed:
             self._closed = not opened
             self._changes += 1
@@ -184,11 +186,13 @@ class HeldCommand:
 
 
 class NewestCommand(HeldCommand):
-    """Takes the newest joint command and holds it, while time goes on, until it is older than a limit.
+    """Holds the newest joint command while time goes on, until it is older than a limit.
 
-    Its age is counted from the states whose stamp it bears. A controller that stamps by a clock of its own, or not at
-    all, is recognised by stamps that are not simulated times of late; of its commands the age is counted from the
-    arrival. `timeout` is the age at which the torque is taken away, s.
+    Its age is counted from the states whose stamp it has. A controller that uses a clock of its own, or sends no
+    stamps, is
+    recognised by stamps that are no recent simulated times; the age of its commands is counted from their arrival.
+    `timeout`
+    is the age at which the torque is switched off, s.
     """
 
     def wait_for(self, timeout: float) -> None:

@@ -36,7 +36,7 @@ FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
 
 @dataclass(frozen=True)
 class SimulationParameters:
-    """What the node was asked for; fields other than the rates are declared here.
+    """The node's parameters; fields other than the rates are declared here.
 
     Raises:
         ConfigError: naming parameter, value and what is accepted.
@@ -121,7 +121,7 @@ class SimulationParameters:
 
     @property
     def command_hz(self) -> int:
-        """Return how often commands are taken, Hz."""
+        """Return the rate of commands, Hz."""
         if self.command_interface == MOTOR_INTERFACE:
             return self.rates.base_hz
         return self.command_rate or self.rates.position_hz

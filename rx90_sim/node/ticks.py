@@ -47,7 +47,7 @@ class RunControl:
     Args:
         paused: whether time stands still at first.
         wake: interrupts whatever the ticking thread waits for.
-        last_tick: the run ends before it; None for a run without end.
+        last_tick: the tick before which the run ends; None for a run without end.
 
     Attributes:
         held: whether time stands still by `hold`.
@@ -101,11 +101,11 @@ class RunControl:
         self._request(_paused=False)
 
     def hold(self) -> None:
-        """Stop time before the next tick, whatever else is asked for, until `release`."""
+        """Stop time before the next tick, whatever other requests there are, until `release`."""
         self._request(held=True)
 
     def release(self) -> None:
-        """End what `hold` began: time runs, unless it is paused."""
+        """End `hold`: time runs, unless it is paused."""
         self._request(held=False)
 
     def stop(self) -> None:
@@ -127,11 +127,11 @@ class RunControl:
         return self._wait_until(lambda: not self._reset, timeout)
 
     def reset_done(self) -> None:
-        """Say that the reset that `next_action` asked for has been carried out."""
+        """Report that the reset requested by `next_action` has been carried out."""
         self._change(_reset=False, _steps=0)
 
     def step_done(self) -> None:
-        """Say that the tick that `next_action` asked for has been carried out."""
+        """Report that the tick requested by `next_action` has been carried out."""
         if self._undisturbed:
             return
         with self._changed:
@@ -278,15 +278,16 @@ class Ticks:
         return True
 
     def _interrupted(self) -> bool:
-        """Return whether the exchange should come back; asked now and then while there is no command."""
+        """Return whether the exchange should return; called now and then while there is no command."""
         self._beat()
         return self.control.interrupting()
 
     def _beat(self) -> None:
-        """Repeat what was published last, to the bit, now and then while the tick stays the same.
+        """Repeat the last publications, to the bit, now and then while the tick stays the same.
 
-        Latching would not do: only subscribers that ask for it get it, and those would get as many old samples as the
-        queue of a recorder is deep.
+        Latching would not do: only subscribers that request it get the latched message, and they would get as many old
+        samples
+        as the queue of a recorder is deep.
         """
         now, tick = time.monotonic(), self._plant.tick
         if tick == self._waiting_tick:
