@@ -53,13 +53,13 @@ def export_bag(
 
     Args:
         path: a bag.
-        output: file, whose suffix says the format, or a folder, which gets a file for each topic; new.
-        topics: topic names; by default all that hold messages.
+        output: file, whose suffix is the format, or a folder, which gets a file for each topic; new.
+        topics: topic names; by default all topics with messages.
         kind: suffix of the files in a folder.
-        progress: called with the numbers of messages that are read or written, and of both.
+        progress: called with the number of messages read and written so far, and the total.
 
     Raises:
-        BagError: if the bag cannot be read, has no such topic, or a topic that no table can hold.
+        BagError: if the bag cannot be read, has no such topic, or a topic that no table can contain.
         BagWriteError: if the disk is full.
     """
     single = output.suffix.lower() in FORMATS
@@ -103,9 +103,9 @@ def _columns(series: JointSeries) -> list[tuple[str, str, str]]:
 
 
 def _write_csv(path: Path, tables: Sequence[JointSeries], written: Callable[[int], None]) -> None:
-    """Write times in s with nine decimals, which are exact, and numbers with all digits that keep them.
+    """Write times in s with nine decimals, which are exact, and numbers with all digits needed to restore them.
 
-    Beside it goes a mapping file, by which `rx90_bag import` makes the bag again.
+    A mapping file is written beside it, with which `rx90_bag import` makes the bag again.
     """
     (series,) = tables
     path.with_suffix(".yaml").write_text(exported_mapping(series), encoding="utf-8")

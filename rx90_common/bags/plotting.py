@@ -1,4 +1,4 @@
-"""Plots of bags, one for each topic: its fields against time; of two bags both, and their difference."""
+"""Plots of bags, one for each topic: its fields against time; for two bags both, and their difference."""
 
 from __future__ import annotations
 
@@ -37,11 +37,12 @@ class TopicPlot:
 
     Attributes:
         topic: its name.
-        plot: what is drawn.
+        plot: the plot.
         messages: of each bag.
-        differences: of two bags: quantity, joint, largest difference, its time in s, RMS, and how many messages have
-            stamps in common.
-        robots: of two bags of different robots the names of these; then no difference is drawn.
+        differences: between two bags: quantity, joint, largest difference, its time in s, RMS, and the number of
+        messages with
+            common stamps.
+        robots: the names of two different robots, if the bags have them; then no difference is drawn.
     """
 
     topic: str
@@ -72,12 +73,13 @@ def plot_bags(
         joints: names; by default all.
         align: moves the stamps of the second bag, as in `compare_bags`.
         most: topics by default.
-        progress: called with how much of the bags is read, and of how much; no unit.
-        mapping: what the columns of tables hold; by default as the files beside them say.
+        progress: called with the part of the bags read so far, and the total; no unit.
+        mapping: of the columns of tables; by default the files beside them.
 
     Raises:
-        BagError: if a bag cannot be read; if a topic or joint is not there, with what is; or if two have no stamp in
-            common.
+        BagError: if a bag cannot be read; if a topic or joint is missing, with the existing ones; or if two bags have
+        no
+            common stamp.
     """
     there = []
     for path in paths:
@@ -107,7 +109,7 @@ def plot_bags(
 
 
 def write_plots(paths: Sequence[Path], plots: Sequence[TopicPlot], output: Path) -> str:
-    """Write the plots of bags to a page or picture, as its suffix says; return what is to be said of different robots.
+    """Write the plots of bags to a page or picture, by its suffix; return the remark on different robots.
 
     Raises:
         Rx90Error: if it cannot be written.
@@ -127,10 +129,10 @@ def write_plots(paths: Sequence[Path], plots: Sequence[TopicPlot], output: Path)
 
 
 def is_page(path: Path) -> bool:
-    """Return whether a file is to be a page, and not a picture.
+    """Return whether a file is a page, and not a picture, by its suffix.
 
     Raises:
-        BagError: if its name says neither.
+        BagError: for another suffix.
     """
     kinds = (".html", *PICTURES)
     if path.suffix.lower() not in kinds:
@@ -139,7 +141,7 @@ def is_page(path: Path) -> bool:
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """Return what bags are called: their names, or where these are equal their paths."""
+    """Return names for bags: their file names, or if these are equal their paths."""
     names = [path.resolve().name for path in paths]
     return names if len(set(names)) == len(names) else [str(path) for path in paths]
 

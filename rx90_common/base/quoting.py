@@ -1,7 +1,7 @@
-"""Text from outside in a message: one line without control characters, of bounded length, its own length told.
+"""Text from outside in a message: one line without control characters, of bounded length, with its original length.
 
-Names, values, paths and lines come from files, messages and command lines. One with a line break in it would forge a
-line of a log, one with a bidirectional override would show something else than it is, and a long one would fill the
+Names, values, paths and lines come from files, messages and command lines. One with a line break would forge a
+line of a log, one with a bidirectional override would be displayed as another text, and a long one would fill the
 screen.
 """
 
@@ -23,11 +23,11 @@ _LONGEST_INTEGER = 400  # decimal digits; Python itself refuses to write more th
 
 
 def quoted(value: object, limit: int = LIMIT) -> str:
-    """Return a value as Python writes it, in one line; a text or bytes in quotation marks.
+    """Return the `repr` of a value in one line; a text or bytes in quotation marks.
 
     Args:
-        value: anything; of a large object only the beginning is looked at.
-        limit: a text with more characters, and a `repr` with more of them, is shortened; its length is told.
+        value: anything; of a large object only the beginning is read.
+        limit: a longer text or `repr` is shortened, and its length appended.
     """
     if isinstance(value, str | bytes | bytearray):
         text = value if isinstance(value, str) else bytes(value)
@@ -40,7 +40,7 @@ def quoted(value: object, limit: int = LIMIT) -> str:
 
 
 def plain(text: object, limit: int = LIMIT) -> str:
-    """Return a name or a path without quotation marks: in one line, shortened with its length told if it is longer."""
+    """Return a name or a path without quotation marks: in one line; a longer one is shortened, with its length."""
     whole = str(text)
     if len(whole) <= limit:
         return _escaped(whole)
@@ -66,7 +66,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def one_line(text: object, limit: int = LINE_LIMIT) -> str:
-    """Return a whole message as one line of bounded length: what `quoted` and `plain` returned stays as it is."""
+    """Return a whole message as one line of bounded length; the results of `quoted` and `plain` stay unchanged."""
     return plain(text, limit)
 
 
@@ -83,7 +83,7 @@ def _escaped(text: str) -> str:
 
 
 class _Repr(reprlib.Repr):
-    """Looks at no more of an object than is shown; a long integer, which Python does not write, is told by its size."""
+    """Reads no more of an object than is shown; a long integer, which Python does not print, is shown by its size."""
 
     def __init__(self, limit: int) -> None:
         super().__init__()

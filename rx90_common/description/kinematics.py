@@ -87,8 +87,9 @@ class PathError(NamedTuple):
     """Deviation of points from a path, such as the straight line between two points.
 
     Attributes:
-        along: (n,) distance from the start, measured along the path, m; beyond 0 and its length past an end.
-        perpendicular: (n,) distance from the path, which goes on straight beyond its ends, m; this is the path error.
+        along: (n,) distance from the start, measured along the path, m; below 0 or above its length beyond an end.
+        perpendicular: (n,) distance from the path, extended by straight lines beyond its ends, m; this is the path
+        error.
     """
 
     along: Array
@@ -121,7 +122,8 @@ def nearest_corner(points: Array, corners: Array, near: Index | None = None) -> 
     Args:
         points: m.
         corners: m.
-        near: where to look for it, (n,): the next local minimum from there; None for everywhere. A path that crosses
+        near: where to start the search, (n,): the next local minimum from there; None for everywhere. A path that
+        crosses
             itself has more than one.
     """
     if near is None:

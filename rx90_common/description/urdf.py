@@ -1,4 +1,4 @@
-"""Read a URDF and say in one line what is wrong with it, before any library sees it.
+"""Read a URDF and report errors in one line, before any library reads it.
 
 Only a fixed-base arm of 1 to 7 revolute joints in series passes; fixed side branches are allowed.
 """
@@ -70,11 +70,11 @@ class UrdfFile:
 
     Args:
         file: where it is.
-        held: joints that do not move, whatever the file says.
+        held: joints to be fixed.
         replaced: whether the inertias of the moving links are to be replaced, and are not checked.
 
     Attributes:
-        file: where it came from.
+        file: its path.
         root: the XML element `robot`.
         links: the elements of the links by name.
         limits: limits of the revolute joints by name, in chain order from the base.
@@ -98,7 +98,7 @@ class UrdfFile:
         self.limits = {name: self._limits(name, self._joints[name]) for name in self._chain()}
 
     def refuse(self, element: str, value: object, accepted: str) -> NoReturn:
-        """Raise a ConfigError that names file, element, value and what is accepted."""
+        """Raise a ConfigError that names file, element, value and the accepted values."""
         raise ConfigError(f"{self.file}: {element} is {quoted(value)}; accepted: {accepted}")
 
     def _parse(self) -> ET.Element:
@@ -260,7 +260,7 @@ class UrdfFile:
         for name in self.links:
             body = bodies.get(name)
             carried = [j for j in self._path(name, self._parent_joint) if j in chain][-1:]
-            if body is not None and carried:  # what stands still may have any inertia, and in many files has
+            if body is not None and carried:  # a fixed link may have any inertia, and in many files has
                 fault = None if self._replaced else inertia_fault(body.inertia)
                 if fault is not None:
                     text = " ".join(f"{key}={value:g}" for key, value in zip(_INERTIA_KEYS, body.inertia, strict=True))

@@ -436,8 +436,7 @@ class ServoLoop:
             self._follow(waiting)
 
     def _follow(self, request: TrajectoryRequest, joined: JoinedAhead | None = None) -> None:
-        """Follow a request, perhaps joined already, in place of the running motion, or refuse it, which changes
-        nothing."""
+        """Follow a request, perhaps joined already, in place of the running motion, or refuse it without effect."""
         now, trajectory, period, points = self._cs7b.position_tick, self._cs7b.trajectory, self._period, request.points
         try:
             if self.inactive:
