@@ -148,8 +148,7 @@ class RobotFiles:
 
 
 def provenance_of(files: RobotFiles) -> dict[str, list[str]]:
-    """Return the provenance of each file's blocks, such as `motor assumed`, by the file's role; a URDF's is in
-    comments.
+    """Return the provenance of each file's blocks, such as `motor assumed`, by role; a URDF has it in comments.
 
     Raises:
         ConfigError: if a file cannot be read.
