@@ -27,8 +27,7 @@ With play of the width 2 b they push where the flanks touch, and never pull:
 (the dead-zone model of Nordin and Gutman 2002, "Controlling mechanical systems with backlash - a survey", Automatica
 38, with the damper acting in contact only). A step applies the mean of this torque over the motion of the twist, at its
 mean rate. For the spring that is the difference of its energy divided by the motion, a discrete gradient (Gonzalez
-1996,
-"Time integration and discrete Hamiltonian systems", Journal of Nonlinear Science 6): for any step size the spring
+1996, "Time integration and discrete Hamiltonian systems", Journal of Nonlinear Science 6): for any step size the spring
 returns the energy that was put into it, also if flanks meet or part within the step.
 """
 

@@ -22,8 +22,8 @@ stabilise, by the criterion above, is limited so that a vibration grows by at mo
 have the stiffness of LuGre's while they stick.
 
 **Elastic gears** are implicit, stable for every stiffness. But a frequency w far above the step rate is aliased to
-another
-one, at which the controller may excite it: h w <= 0.5, unless damping d >= 0.05 h k removes it within some ten steps.
+another one, at which the controller may excite it: h w <= 0.5, unless damping d >= 0.05 h k removes it within some ten
+steps.
 Friction on the motors' side acts on the inertia of the rotors alone if the gear is soft; this inertia is used here.
 
 **A weak direction.** If bristles have next to no torque in one direction, they spring back at once when the joint turns

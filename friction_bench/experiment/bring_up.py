@@ -4,8 +4,7 @@ On a stage for torque of both signs there is one more step, for its direction li
 both directions.
 
 Each step describes the preparation, asks for confirmation before it switches anything on, and compares the rig's
-reports,
-and the person's measurements and observations, with the values expected from the board's drawing
+reports, and the person's measurements and observations, with the values expected from the board's drawing
 (docs/howto/rig_build.md) and the rig file. The steps before the motor's supply is switched on verify that the board can
 switch the torque off; only then a torque is applied.
 """

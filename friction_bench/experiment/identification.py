@@ -2,9 +2,8 @@
 
 The source's method, for each ramp with a visible asymptote a t - b: f_v = m / a and f_c = m b / a, which is biased high
 by J a. The exact f_c = m b / a - J a needs J, which needs two slopes; it comes from all ramps in one fit
-(`sliding_fit`),
-which uses each ramp from the beginning of sliding. A ramp that cannot be used is left out, and the result gives the
-reason.
+(`sliding_fit`), which uses each ramp from the beginning of sliding. A ramp that cannot be used is left out, and the
+result gives the reason.
 """
 
 from __future__ import annotations
@@ -369,8 +368,7 @@ def evaluate_as_source(loads: Mapping[str, Sequence[RampRecord]]) -> SourceEvalu
 
     Each velocity belongs to the middle of its tick, and the line is fitted to those of a sliding shaft; the source
     states neither. The source adds f_v to f_c without load but not with it, a sum of different quantities, and
-    subtracts
-    rounded figures: so does this function.
+    subtracts rounded figures: so does this function.
     """
     figures = {}
     for name, records in loads.items():

@@ -173,8 +173,7 @@ def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) 
     """Read a CSV file with a header of `time` (s) and `counts`, and perhaps `torque`, `measured_torque` (Nm).
 
     Lines that start with # are comments. A ramp whose torque, or without torques whose counts, end below 0 is a
-    backward
-    ramp; one whose torque has both signs is a swing.
+    backward ramp; one whose torque has both signs is a swing.
 
     Raises:
         RecordError: naming line and column of what cannot be used.

@@ -8,12 +8,11 @@ parameters the angle is linear in all but T, the Stribeck velocity w_s and the e
 
 Residuals are whitened by a Kalman filter (`whiten`); the intensity of the torque noise is estimated by restricted
 maximum likelihood. The torque's scale and the friction differ slightly from ramp to ramp, so alpha and beta of a ramp
-are
-the common values plus an error, whose variances are also estimated by restricted maximum likelihood (a linear mixed
+are the common values plus an error, whose variances are also estimated by restricted maximum likelihood (a linear mixed
 model). T is found by Gauss-Newton steps. The data seldom determine the Stribeck effect: the fits without an effect and
 with each w_s and e of a grid are averaged by their marginal likelihoods (Bayesian model averaging), so that the
-intervals
-contain this uncertainty. Around each point of the grid w_s and e are fitted, too, with a prior as wide as the grid's
+intervals contain this uncertainty. Around each point of the grid w_s and e are fitted, too, with a prior as wide as the
+grid's
 cell: readings that determine them more finely than the grid change them, and the marginal likelihoods are Laplace's
 approximation there.
 
@@ -99,10 +98,9 @@ def whiten(time: Array, columns: Array, T: float, q: float, r: float) -> tuple[A
     """Return columns of angles so that their errors are independent and of variance 1, and the log determinant.
 
     Errors of the angle are white with the variance r (quantisation), plus the effect of white torque noise on a shaft
-    whose
-    angle and velocity at the first reading are known: an integrated Ornstein-Uhlenbeck process. The innovations of a
-    Kalman filter for these, divided by their standard deviations, are the columns times the inverse Cholesky factor of
-    the covariance.
+    whose angle and velocity at the first reading are known: an integrated Ornstein-Uhlenbeck process. The innovations
+    of a Kalman filter for these, divided by their standard deviations, are the columns times the inverse Cholesky
+    factor of the covariance.
 
     Args:
         time: of the readings, s, shape (n,).

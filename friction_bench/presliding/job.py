@@ -281,8 +281,7 @@ def _run_all(session: Session, campaign: Campaign, out: Path) -> None:
     """Run the planned experiments; later ones are planned from the results of earlier ones.
 
     The readings of each are written as a CSV file, however it ends. Only a drift may be cut short: its completed cycles
-    are
-    as good as those that are missing.
+    are as good as those that are missing.
     """
     client, bar, done = session.client, session.bar, campaign.done
     assert client.hello is not None  # it has been greeted

@@ -311,8 +311,7 @@ def with_refutations(scores: Sequence[LawScore]) -> list[LawScore]:
     """Return the scores with the reasons for refutation.
 
     In loops only the laws that sliding does not refute are compared. If the encoder cannot resolve presliding, loops
-    are
-    counts of creep: the law that predicts the least torque there is nearest, however wrong it is in sliding.
+    are counts of creep: the law that predicts the least torque there is nearest, however wrong it is in sliding.
     """
     laws = [score.law.name for score in scores]
     sliding = HeldOutErrors({score.law.name: score.sliding for score in scores}, floor=1e-12)

@@ -164,8 +164,8 @@ def break_away_torque(rate: float, ramp: Trace, inertia: float) -> tuple[float, 
 
     Friction is the motor's torque less that of the joint's acceleration, so that inertia is not taken for friction; the
     remaining influence of the rate belongs to the law. LuGre's break-away torque falls with the rate (Canudas de Wit
-    and
-    others 1995): the joint is fast before its bristles are deflected. Damping of the bristles, c1 rate / c0, raises it.
+    and others 1995): the joint is fast before its bristles are deflected. Damping of the bristles, c1 rate / c0, raises
+    it.
 
     Args:
         rate: of the ramp, codes a tick.

@@ -195,8 +195,7 @@ class TemperatureBuilder:
     """Collects the messages of one Temperature topic; its series has a row for each moment, a column for each name.
 
     A message contains one temperature, of the joint or winding that its frame_id names. A name without a message in a
-    row is
-    NaN there, and a NaN is not written as a message. The variance of a message is dropped.
+    row is NaN there, and a NaN is not written as a message. The variance of a message is dropped.
 
     Args:
         topic: absolute topic name.

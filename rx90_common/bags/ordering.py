@@ -66,8 +66,7 @@ class LogOrder:
     reception.
 
     Log time never goes back, because a reader, which sorts by it, would mix two runs: if stamps go back, after a reset
-    of
-    the simulation, log time continues from its last value, and is ahead of them from then on.
+    of the simulation, log time continues from its last value, and is ahead of them from then on.
 
     Attributes:
         set_backs: for each time that the stamps went back, the last one before and the first one after, ns.

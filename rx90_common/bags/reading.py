@@ -49,8 +49,7 @@ class BagReader:
     """A bag that is open for reading: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a log in columns.
 
     Use it as a context manager. Each storage file is checked against its own index, counts and checksums, and all of
-    them
-    against metadata.yaml if there is one; a folder without is read file by file. Quality of service
+    them against metadata.yaml if there is one; a folder without is read file by file. Quality of service
     and the definitions of types in a bag are ignored.
 
     Args:

@@ -1,8 +1,7 @@
 """Times of messages in nanoseconds: at the head of CDR bytes, and in message objects.
 
 A message with a header begins with four bytes of encapsulation, the second of which is the byte order, int32 seconds
-and
-uint32 nanoseconds.
+and uint32 nanoseconds.
 """
 
 from __future__ import annotations

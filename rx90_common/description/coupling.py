@@ -9,8 +9,7 @@ Friction elements, and brakes, turn likewise: one for each joint, followed by on
 several joints (section 4 of the paper); a joint with such a motor has no brake of its own.
 
 The wrist coupling of the RX family is q_m5 = n5 q5 and q_m6 = n6 (q5 + q6). Compiled code computes it in a fixed order
-of
-operations if the gears are given as an array; for any other arm they are a record with the matrices, so
+of operations if the gears are given as an array; for any other arm they are a record with the matrices, so
 that arms with as many joints and elements share the compiled code.
 """
 

@@ -266,8 +266,7 @@ class DriveParameters(Declared):
     """The drives of an arm with 1 to 7 joints, each with a motor; every array has a value for each, shape (n,).
 
     A coupling lists the joints that each motor turns with. Without one each motor turns with its own joint, except in
-    arms of
-    six joints, which have the RX family's wrist: motor 6 drives joints 5 and 6 together. Brakes, springs and
+    arms of six joints, which have the RX family's wrist: motor 6 drives joints 5 and 6 together. Brakes, springs and
     end stops are those of the joints. Elasticity, cogging, winding and
     current_sensor are ideal if they are left out.
     """

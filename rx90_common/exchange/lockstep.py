@@ -1,12 +1,12 @@
-"""Lock-step: one state out, one command back, tick by tick; nothing missed, nothing reordered.
+"""Lock-step: one state out, one command back, tick by tick; none missed, none reordered.
 
-The simulation publishes the states of tick k and waits for the command with the same stamp. Nothing else is ever
-outstanding, so whoever was away can be brought back by sending that one message again: the simulation does so when the
-set of matched endpoints changes, and once a second as long as somebody is there. A controller that sees the same states
-again sends the same bytes again. Both are idempotent.
+The simulation publishes the states of tick k and waits for the command with the same stamp. No other message is ever
+outstanding, so after an interruption of either side it is enough to repeat that one message: the simulation does so
+when the set of matched endpoints changes, and once a second while there is a subscriber. A controller that receives the
+same states again sends the same bytes again. Both are idempotent.
 
 Of two simulations or two controllers on the same topics the second is refused when it starts (`lock_publisher`).
-Where that does not reach, they are recognised by what they send, and time stands still until one of them is left.
+Beyond the reach of that lock they are recognised by their messages, and time stands still until one remains.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _CONFLICTS = 3  # different commands for a stamp that make two controllers; a re
 
 
 def stamped(stamp_ns: int, now_ns: int) -> str:
-    """Return what is to say of a stamp that is not the simulation's."""
+    """Return the message about a stamp that is not the simulation's."""
     if stamp_ns == 0:
         return f"header.stamp is 0, not set, at {now_ns / NANOSECONDS:.6g} s"
     of = ", of another clock," if abs(stamp_ns - now_ns) > _OTHER_CLOCK_NS else ""
@@ -41,13 +41,13 @@ class Wait:
         self._announced = False
 
     def begin(self, text: str) -> None:
-        """Announce what is waited for."""
+        """Announce the wait."""
         if not self._announced:
             self._announced = True
             self._announce(text)
 
     def explained(self) -> None:
-        """Announce no more what is waited for: another line says it."""
+        """Suppress the announcement of the wait: another line reports it."""
         self._announced = True
 
     def end(self, stamp_ns: int) -> None:
@@ -58,13 +58,13 @@ class Wait:
 
 
 class LockstepSimulation:
-    """The simulation's side; owned by the thread that ticks.
+    """The simulation's side; owned by the ticking thread.
 
     Args:
         channel: publishes states, receives commands.
         announce: prints a line.
         complain: prints a line about a controller whose stamps are wrong; called once for each wait; else `announce`.
-        usable: returns whether a command with the pending stamp is one; where not, it has said why.
+        usable: returns whether a command with the pending stamp is valid; if not, it has reported the reason.
 
     Attributes:
         ignored: commands whose stamp was not the pending one.
@@ -94,8 +94,8 @@ class LockstepSimulation:
     ) -> bytes | None:
         """Publish the states stamped `stamp_ns` and return a usable command with that stamp, None if interrupted.
 
-        `meanwhile` is called once the states are on their way: what it does costs no time while the controller works.
-        `interrupted` is asked 20 times a second and after each `Channel.wake`, and only while there is no command.
+        `meanwhile` is called after the states are sent: it costs no time while the controller computes.
+        `interrupted` is called 20 times a second and after each `Channel.wake`, and only while there is no command.
         """
         self._channel.publish(state)
         meanwhile()
@@ -123,7 +123,7 @@ class LockstepSimulation:
         channel = self._channel
         matches = channel.matches()
         began = sent = looked = time.monotonic()
-        foreign, wrong_ns, complained = 0, 0, False  # commands with other stamps; whether that was said
+        foreign, wrong_ns, complained = 0, 0, False  # commands with other stamps; whether that was reported
         while True:
             if raw is not None and cdr_stamp_ns(raw) != stamp_ns and not self._two_controllers:
                 foreign, wrong_ns = foreign + 1, cdr_stamp_ns(raw)

@@ -1,4 +1,4 @@
-"""The friction elements of an arm, and their file: one reader and one writer for all who have parameters in a file."""
+"""The friction elements of an arm, and their file: one reader and one writer for all users of such files."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ FRICTION = Group(
 """What a friction file holds."""
 
 ALL_ELEMENTS = ""
-"""The name under which `FrictionFile.about` holds what is said of all elements."""
+"""Name for the remarks about all elements in `FrictionFile.about`."""
 
 
 @dataclass(frozen=True)
@@ -56,13 +56,13 @@ class FrictionFile:
 
     Attributes:
         elements: by their names.
-        provenance: published, derived, assumed or identified; None where the file does not say.
-        source: the sentence that names the source; None where there is none.
-        identification: how the values were found and how well they are known, for readers; None where there is none.
-        path: where it was read, if it was.
-        about: what the file says below that of its values: provenance, source and note of all elements under
-            ALL_ELEMENTS, of single ones under their names, each for the whole or by parameter, as they stand.
-        joints: offset, Nm, rotor_inertia, kg m^2, and spring, Nm, of joints, by their names; what is left out is 0.
+        provenance: published, derived, assumed or identified; None if the file has none.
+        source: the sentence that names the source; None if there is none.
+        identification: method and uncertainty of the identification, for readers; None if there is none.
+        path: of the file, if it was read from one.
+        about: further remarks in the file: provenance, source and note of all elements under
+            ALL_ELEMENTS, of single ones under their names, each for the whole or by parameter, unchanged.
+        joints: offset, Nm, rotor_inertia, kg m^2, and spring, Nm, of joints, by their names; missing values are 0.
     """
 
     elements: Mapping[str, FrictionElement]
@@ -189,13 +189,13 @@ def _passivity_warning(name: str, element: FrictionElement, speed: float) -> str
 def refuse_parts(
     elements: Mapping[str, FrictionElement], what: str, where: str = "friction.", held: Container[str] = ()
 ) -> None:
-    """Refuse elements with parts that something cannot hold.
+    """Refuse elements with parts that are not supported.
 
     Args:
         elements: by their names.
-        what: cannot hold them, such as "the perturbation method".
-        where: what stands before their names in the message: the file and the path in it.
-        held: the parts that it can.
+        what: that does not support them, such as "the perturbation method".
+        where: prefix of their names in the message: the file and the path in it.
+        held: the supported parts.
 
     Raises:
         ConfigError: naming element and part.

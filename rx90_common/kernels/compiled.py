@@ -80,8 +80,8 @@ def by_type(choose: _Function) -> _Function:
 def c_function(signature: Any) -> Callable[[Callable[..., Any]], Callable[..., int]]:
     """Compile a function of integers and addresses when its module is imported, and keep the result on disk.
 
-    Called from Python it costs a fraction of a kernel, whose arguments numba examines one by one, and it holds the
-    interpreter's lock: giving it up and taking it back would cost more than what such a function mostly does.
+    Called from Python it takes a fraction of a kernel's time, whose arguments numba examines one by one. It keeps the
+    interpreter's lock: releasing and acquiring it would take longer than most such functions.
 
     Args:
         signature: the numba signature; every argument is an int64 or a voidptr, and so is the result.

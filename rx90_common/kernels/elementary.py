@@ -95,7 +95,7 @@ _HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487111665e-21)
 _MIN_EXPONENT = -708.0  # exp below this is smaller than every normal number
 _MAX_EXPONENT = 709.0  # exp beyond this comes near the largest number
 _MIN_NORMAL = 2.0**-1022
-# For a = 0, atan(1/2) and atan(1): a, pi/2 - a, pi - a and pi/2 + a, each as a double and what that lacks.
+# For a = 0, atan(1/2) and atan(1): a, pi/2 - a, pi - a and pi/2 + a, each as a double and its rounding error.
 _ARCS = (
     (0.0, 0.0),
     (1.5707963267948966, 6.123233995736765e-17),

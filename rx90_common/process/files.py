@@ -1,4 +1,4 @@
-"""What is written: files that appear whole, made beside their places; and standard output that cannot be written."""
+"""Output: files that appear complete, made beside their places; and standard output that cannot be written."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _BROKEN_PIPE_CODE = 141  # as a shell reports the end by SIGPIPE
 
 @contextmanager
 def hidden_folder(target: Path) -> Iterator[Path]:
-    """Yield a new hidden folder beside a file or folder that is being made; it goes with the block.
+    """Yield a new hidden folder beside a file or folder that is being made; it is removed at the end of the block.
 
-    Its process holds a lock on it, which a kill releases: folders that were left so are swept first.
+    Its process has a lock on it, which a kill releases: such abandoned folders are removed first.
 
     Raises:
         OSError: if none can be made.
@@ -49,10 +49,10 @@ def hidden_folder(target: Path) -> Iterator[Path]:
 
 
 def _lock(folder: Path, *, wait: bool) -> int:
-    """Return a descriptor of a folder that holds its lock; on a file system without locks, with `wait`, it holds none.
+    """Return a descriptor of a folder with its lock; on a file system without locks, with `wait`, without one.
 
     Raises:
-        OSError: if the folder is gone; without `wait`, if another process has the lock.
+        OSError: if the folder does not exist; without `wait`, if another process has the lock.
     """
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
@@ -67,13 +67,13 @@ def _lock(folder: Path, *, wait: bool) -> int:
 
 @contextmanager
 def atomic_files(*files: Path) -> Iterator[list[Path]]:
-    """Yield where to write the new contents of files; after the block all of these get their names, or none.
+    """Yield paths for the new contents of files; after the block all of these get their names, or none.
 
-    Until then, and after an error, an interrupt or a kill, what stood under the names still does. Files that exist keep
-    their permissions, links stay links, and what is no file, such as a device, is written into as it is.
+    Until then, and after an error, an interrupt or a kill, the old files are unchanged. Files that exist keep
+    their permissions, links stay links, and other paths, such as devices, are written to directly.
 
     Raises:
-        Rx90Error: if that fails, as `write_error` says.
+        Rx90Error: if that fails, as from `write_error`.
     """
     current = files[0]
     try:
@@ -83,7 +83,7 @@ def atomic_files(*files: Path) -> Iterator[list[Path]]:
                 place = target = current.resolve()
                 if current.is_file() or current.is_dir() or not current.exists():
                     if target.exists():
-                        with target.open("ab"):  # what may not be written may not be replaced either
+                        with target.open("ab"):  # a file that may not be written may not be replaced either
                             pass
                     place = folders.enter_context(hidden_folder(target)) / target.name
                 places.append((place, target))
@@ -120,7 +120,7 @@ def write_all(contents: Mapping[Path, bytes]) -> None:
 
 
 class _Output(io.FileIO):
-    """Standard output; once it has failed, the rest goes nowhere, or Python would complain again at the end."""
+    """Standard output; once it has failed, further output is discarded, or Python would report an error at the end."""
 
     _failed = False
 

@@ -77,9 +77,9 @@ def as_svg(plot: Plot, most: int = _MAX_POINTS) -> str:
 
 
 def write_picture(plot: Plot, path: Path, title: str = "") -> None:
-    """Write the plot with a title as the file's suffix says, one of PICTURES.
+    """Write the plot with a title in the format of the file's suffix, one of PICTURES.
 
-    If that fails an old file stays as it was, and no new one.
+    If that fails an old file stays unchanged, and no new one is left.
 
     Raises:
         Rx90Error: if it cannot be written.
@@ -109,7 +109,7 @@ def drawn(plot: Plot, most: int = _MAX_POINTS, title: str = "") -> Figure:
         _draw_panel(axes, panel, plot.x_range if plot.share_x else panel.x_range, max(4, 10 - 2 * plot.columns))
         labels = tuple(dict.fromkeys(mark.label for mark in panel.marks if mark.label))
         rows_above = 0
-        if labels and labels not in shown:  # equal legends stand once
+        if labels and labels not in shown:  # equal legends are shown once
             shown.add(labels)
             rows_above = _draw_legend(axes, panel, labels, _WIDTH / plot.columns - 1.0)
         axes.set_title(panel.title, pad=4.0 + _LEGEND_ROW * rows_above)
@@ -160,7 +160,7 @@ def _draw_mark(axes: Axes, mark: Mark) -> None:
 
 
 def _draw_legend(axes: Axes, panel: Panel, labels: tuple[str, ...], width: float) -> int:
-    """Draw the legend above the panel, right of the title, and return how many rows of it the title stands above."""
+    """Draw the legend above the panel, right of the title, and return its number of rows below the title."""
     columns = max(1, min(len(labels), int(width / (_HANDLE + _CHARACTER * max(map(len, labels))))))
     handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     axes.legend(handles.values(), handles, loc="lower right", bbox_to_anchor=(1.0, 1.01), ncols=columns)
@@ -170,7 +170,7 @@ def _draw_legend(axes: Axes, panel: Panel, labels: tuple[str, ...], width: float
 
 
 def _draw_heat(axes: Axes, heat: Heat) -> None:
-    """Draw correlations as a square of colours with the names beside it, and what the colours mean."""
+    """Draw correlations as a square of colours with the names beside it, and the scale of the colours."""
     count = len(heat.names)
     image = axes.imshow(np.ma.masked_invalid(heat.values), cmap="RdBu_r", vmin=-1.0, vmax=1.0, interpolation="nearest")
     size = max(3.5, min(9.0, 330.0 / max(1, count)))

@@ -2,8 +2,7 @@
 
 The controller is the arm's drive: no other controller can be loaded or replace it, and such requests are
 answered accordingly. Names, types and meaning are those of ros2_control's controller_manager (Jazzy). To be imported
-only if
-controller_manager_msgs is.
+only if controller_manager_msgs is.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The controller's ticks: it answers the simulation's states, in lock-step or in free-running time.
 
 In lock-step the simulation waits for each command (rx90_common/exchange/lockstep.py). A controller that receives the
-same
-states again sends the same bytes again. The loops begin and hold the arm when the states do not follow the last ones:
+same states again sends the same bytes again. The loops begin and hold the arm when the states do not follow the last
+ones:
 at the start, after a reset of the simulation, or after an interruption of either process.
 
 In free-running time the states do not wait. The loops tick with them, one tick for each, as drives do that share
@@ -103,8 +103,7 @@ class Serving:
         """Answer the simulation until `stop`, on the ticking thread.
 
         A simulation that does not announce its mode within some seconds is assumed to be in lock-step: loops that began
-        in the
-        wrong mode would begin again in the right one, and drop the running trajectory.
+        in the wrong mode would begin again in the right one, and drop the running trajectory.
 
         Raises:
             ExchangeError: if the simulation's rates are not the controller's.

@@ -115,8 +115,7 @@ class TrajectoryClient:
         """Wait until all subscribers that the graph shows, a recorder for example, are matched, and no more appear.
 
         The graph discovers its members one by one. Subscribers with another quality of service are not waited for, and
-        those
-        that cannot be matched no longer than the client's timeout.
+        those that cannot be matched no longer than the client's timeout.
         """
         publisher = self._publisher
         before, since = -1, time.monotonic()

@@ -180,8 +180,7 @@ class TrajectoryGenerator:
 
         Also while one runs: the time on its path then runs slower or faster, as quickly as the accelerations allow.
         A motion that waits behind a running one comes later by as much as that one is slowed down; one that waits at
-        rest
-        keeps its start. A stop that begins at once is not slowed down. The factor survives `reset`.
+        rest keeps its start. A stop that begins at once is not slowed down. The factor survives `reset`.
 
         Raises:
             TrajectoryError: if the factor is not a number in [0, 1].

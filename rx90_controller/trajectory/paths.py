@@ -1,8 +1,7 @@
 """The limits of set-points, and paths within them through the points of a trajectory: splines, lines, stops.
 
 A straight line from point to point would need jumps of the velocity. An arm would lag behind them, and pass the point
-by
-about v^2/(2 a). Each change of velocity therefore becomes a ramp of constant acceleration, as short as the limits
+by about v^2/(2 a). Each change of velocity therefore becomes a ramp of constant acceleration, as short as the limits
 allow and of the same duration in all joints, so that the motion stays straight: linear segments with parabolic blends
 (Craig 2005, section 7.3).
 """

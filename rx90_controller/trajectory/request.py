@@ -2,8 +2,7 @@
 
 A request is checked by itself, on the thread that received it; joined to the motion, outside the ticks if that may
 take long; followed, and compared with its tolerances tick by tick; and ended, with a result code and a reason. The
-rules are
-those of ros2_controllers' joint_trajectory_controller (docs/howto/action.md). No call reads a clock.
+rules are those of ros2_controllers' joint_trajectory_controller (docs/howto/action.md). No call reads a clock.
 """
 
 from __future__ import annotations
@@ -339,8 +338,7 @@ class JoinedAhead:
     To be made between two ticks; then `compute`, outside the ticks; then, between two ticks again, `adopt` if it
     `fits`.
     A trajectory whose start is not in the future begins some ticks later, when it should have been joined, at each
-    attempt
-    with more time; from rest the beginning makes no difference, and it begins as soon as it has been joined.
+    attempt with more time; from rest the beginning makes no difference, and it begins as soon as it has been joined.
 
     Args:
         request: with points.

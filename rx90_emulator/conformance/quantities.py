@@ -273,8 +273,7 @@ class Loop(NamedTuple):
         """Return gain margin, dB, phase margin, deg, modulus margin, and crossover, Hz; NaN if it is not crossed.
 
         Between two frequencies magnitude, dB, and phase are interpolated linearly in the frequency's logarithm. With
-        several
-        crossings the smallest margin counts; a loop that must not lose gain has a gain margin, too.
+        several crossings the smallest margin counts; a loop that must not lose gain has a gain margin, too.
         """
         octave, (level, phase) = np.log(self.frequency), self.bode.values()
         crossed = _crossings(octave, level, 0.0)
@@ -299,8 +298,7 @@ def loops(record: Record) -> list[Loop]:
     """Return the loop of each command, from the run in which sines are added to the torques, with the others closed.
 
     Over whole periods of the sines, with a Hann window: L = -U / (U + D), with the spectra of the controller's commands
-    U
-    and of the sines D. Set-points and feed-forward do not affect it, because they are no sines.
+    U and of the sines D. Set-points and feed-forward do not affect it, because they are no sines.
     """
     sines = record.case.sines
     assert sines is not None

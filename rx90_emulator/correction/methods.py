@@ -36,8 +36,7 @@ _ORDER = 2  # of the Butterworth filter, which is run forwards and backwards
 
 Update: TypeAlias = Callable[[Array, Array, float], Array]
 """Returns the next offsets for offsets, rad, (n, joints), their error, and a share of the gain. The error is that of
-the
-joints by the encoders, rad, (n, joints), or that of the tip, m, (n, 3)."""
+the joints by the encoders, rad, (n, joints), or that of the tip, m, (n, 3)."""
 
 
 class Method(Protocol):

@@ -1,9 +1,8 @@
 """The errors of a trial, from the bag of an arm or of the nodes, and from a tip measured by a sensor.
 
 The beginning of the trajectory is found in the record itself: the nominal motion is shifted to where it fits best. A
-bag
-of the nodes contains their set-points, which determine it exactly. Measured joints lag behind the set-points; this lag
-then does not count, and only the path remains, which is the purpose of a correction.
+bag of the nodes contains their set-points, which determine it exactly. Measured joints lag behind the set-points; this
+lag then does not count, and only the path remains, which is the purpose of a correction.
 """
 
 from __future__ import annotations
@@ -119,8 +118,7 @@ def joints_of_bag(
     """Return set-points less joints by the encoders, the offsets of a correction, and how they were found.
 
     Both are in rad, of shape (n, joints). In a bag of the nodes they are the controller's own; other bags do not
-    contain
-    the offsets, which are then None.
+    contain the offsets, which are then None.
 
     Raises:
         BagError: for a bag that cannot be read, or without these joints.

@@ -130,8 +130,7 @@ def import_arm(path: Path | str) -> dict[str, str]:
     exist
     if bodies have inertias of their own. A fixed tendon with an actuator is a motor that turns with several joints.
     Armatures are rotors; a site tcp or attachment_site is the flange. Other values of drives and controller are assumed
-    in
-    proportion to the arm. A joint without friction gets next to none.
+    in proportion to the arm. A joint without friction gets next to none.
 
     Raises:
         ConfigError: if MuJoCo cannot read it, it is no arm of 1 to 7 hinges in series, or has a spring or a tendon that

@@ -92,8 +92,7 @@ class MeasuredLayout:
 
     The attributes are those of the same names in `RobotOptions`, with other defaults: the topic motor_states where the
     bag has it, else joint_states; this project's names; for motor_states the robot's gears and the coupling of its
-    wrist,
-    where motor 6 turns with joints 5 and 6.
+    wrist, where motor 6 turns with joints 5 and 6.
     """
 
     topic: str | None = None

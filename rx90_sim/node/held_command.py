@@ -28,9 +28,8 @@ class HeldCommand:
 
     A command's age is counted from the states that it answers, by its stamp: it stays the same while time stands still.
     The loops tolerate a few ticks of delay and no more. So if a controller is late for longer, time waits for it,
-    because
-    an old torque would move the arm; if it sends nothing for the whole timeout, the torque is switched off, and time
-    runs on.
+    because an old torque would move the arm; if it sends nothing for the whole timeout, the torque is switched off, and
+    time runs on.
 
     Args:
         channel: receives commands.
@@ -189,8 +188,8 @@ class NewestCommand(HeldCommand):
     """Holds the newest joint command while time goes on, until it is older than a limit.
 
     Its age is counted from the states whose stamp it has. A controller that uses a clock of its own, or sends no
-    stamps, is
-    recognised by stamps that are no recent simulated times; the age of its commands is counted from their arrival.
+    stamps, is recognised by stamps that are no recent simulated times; the age of its commands is counted from their
+    arrival.
     `timeout`
     is the age at which the torque is switched off, s.
     """

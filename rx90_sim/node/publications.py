@@ -33,8 +33,7 @@ class SampledStates:
     """The same messages at SAMPLED_RATE, so that a page or a plot needs a tenth of the time per tick.
 
     That is a rate of simulated time. If a simulation runs faster than real time, 30 are sent in a second of wall time:
-    more
-    cannot be seen, and each of them delays the next tick.
+    more cannot be seen, and each of them delays the next tick.
 
     Args:
         node: owner of the topics.

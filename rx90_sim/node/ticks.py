@@ -286,8 +286,7 @@ class Ticks:
         """Repeat the last publications, to the bit, now and then while the tick stays the same.
 
         Latching would not do: only subscribers that request it get the latched message, and they would get as many old
-        samples
-        as the queue of a recorder is deep.
+        samples as the queue of a recorder is deep.
         """
         now, tick = time.monotonic(), self._plant.tick
         if tick == self._waiting_tick:

@@ -7,7 +7,7 @@ import threading
 
 from processes import TIMEOUT, wait_until
 
-from rx90_sim.node.ticks import RunControl, NextAction
+from rx90_sim.node.ticks import NextAction, RunControl
 
 
 class Ticking:

@@ -1,4 +1,4 @@
-"""Generalised Maxwell slip: blocks on springs side by side, each of which sticks or slips; the memory is not local.
+"""Generalised Maxwell slip: parallel blocks on springs, each of which sticks or slips; the memory is not local.
 
 Lampaert, Al-Bender, Swevers, "A generalized Maxwell-slip friction model appropriate for control purposes", IEEE Physics
 and Control (2003). Block i carries the part k_i of the stiffness c0 and the part a_i of the sliding torque
@@ -14,17 +14,17 @@ damping c1 is shared by the blocks as the stiffness is.
 
 The bound dz_i/dt <= v is not in the paper. Without it a slipping block whose torque lags behind a rising T(v), as while
 a joint comes to rest, would be loaded by the attraction faster than the joint moves: it would slip backwards, against
-its friction, and create energy. With it such a block sticks. Where the attraction asks for no more than v, the
+its friction, and create energy. With it such a block sticks. If the attraction requires no more than v, the
 equations are the paper's; at v = 0 no block moves, to the last bit, and no sticking joint creeps.
 
-**The step is exact for a velocity held over it.** With r_i = a_i g / k_i, the block's deflection in steady sliding, and
-the rate C / T, common to all blocks, a block sticks until its deflection is r_i, or, if it slips already, until it is
-r_i - |v| T / C, where the attraction asks for exactly v. The time until then is known; what remains of the step is an
-exponential approach of r_i. So every step length is stable, and mean torques are those of these solutions.
+**The step is exact for a constant velocity.** Let r_i = a_i g / k_i be the block's deflection in steady sliding, and
+C / T the rate, common to all blocks. A block sticks until its deflection is r_i, or, if it slips already, until it is
+r_i - |v| T / C, where the attraction requires exactly v. The time until then is known; the remainder of the step is an
+exponential approach to r_i. So every step length is stable, and mean torques are those of these solutions.
 
 **Passivity.** The stored energy is c0 times the sum of k_i z_i^2 / 2. A block that sticks, or slips with F_i <= a_i T,
-takes power. One that slips with F_i = (1 + d) a_i T gives v F_i + A_i d F_i, A_i = C a_i / (k_i c0), while c1 takes
--c1 k_i A_i d v of it; the least of this over d > 0 is not negative where
+dissipates power. One that slips with F_i = (1 + d) a_i T supplies v F_i + A_i d F_i, A_i = C a_i / (k_i c0), of which
+c1 dissipates -c1 k_i A_i d v; the least of this over d > 0 is not negative where
 
     c1(v) |v| k_i <= a_i T(v) (1 + sqrt(|v| / A_i))^2    for every block.
 

@@ -36,7 +36,7 @@ def bristles_dtype(width: int) -> np.dtype[np.void]:
 
 
 def bristles_state_dtype(width: int) -> np.dtype[np.void]:
-    """Return the type of what bristles remember beside the deflection that every element has."""
+    """Return the type of the bristles' state besides the deflection that every element has."""
     return np.dtype(
         [
             ("blocks", np.float64, (width, 2, MAX_BLOCKS)),  # deflections and senses, as `maxwell_slip_step` has them
@@ -74,7 +74,7 @@ def bristles_step(
     new, torque = bristle_step(element, z, velocity, step)
     if kinds.elastic_used:
         elastic = load(kinds.elastic, width) > 0.0
-        # An element of another kind stands still here: nothing is computed for its way to sliding.
+        # An element of another kind has no motion here: nothing is computed for its way to sliding.
         moving = select(elastic, velocity, 0.0)
         elasto_plastic, its_torque = elasto_plastic_step(element, load(kinds.break_away, width), z, moving, step)
         new, torque = select(elastic, elasto_plastic, new), select(elastic, its_torque, torque)
@@ -110,7 +110,7 @@ def bristles_torque(element: Any, kinds: Any, state: Any, z: Lanes, velocity: La
 
 @inlined
 def bristles_energy(c0: Lanes, kinds: Any, state: Any, z: Lanes, width: int) -> Lanes:
-    """Return what the bristles of all elements store, J, for their stiffnesses c0, Nm/rad, and deflections, rad."""
+    """Return the stored energy of all elements' bristles, J, for their stiffnesses c0, Nm/rad, and deflections, rad."""
     energy = 0.5 * c0 * z * z
     if kinds.blocks_used:
         store(state.torque, energy)

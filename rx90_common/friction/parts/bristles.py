@@ -1,4 +1,4 @@
-"""The kinds of bristles: what a friction file may hold under `bristles`, and what their passivity asks of c1.
+"""The kinds of bristles: accepted contents of `bristles` in a friction file, and limits of c1 for passivity.
 
 Their equations stand with their compiled steps in rx90_common/friction/bristles/.
 """
@@ -43,13 +43,13 @@ class BristlesPart(FrictionPart):
 
     @classmethod
     def entry(cls) -> Variants:
-        """Return what a file may hold under the name."""
+        """Return the accepted content of a file under the name."""
         groups = {name: kind.group() for name, kind in KINDS.items()}
         return Variants("Bristles of another kind than LuGre's.", key="kind", groups=groups, default=LEFT_OUT)
 
     @classmethod
     def read(cls, content: Mapping[str, Any]) -> BristlesPart:
-        """Return the bristles of what `entry` read."""
+        """Return the bristles for the values that `entry` has read."""
         return KINDS[content["kind"]].of_file(content)
 
     @classmethod
@@ -61,7 +61,7 @@ class BristlesPart(FrictionPart):
         return lines
 
     def values(self) -> dict[str, Any]:
-        """Return the block as it stands in a file."""
+        """Return the block as in a file."""
         return {"kind": self.kind, **super().values()}
 
     def passivity_factor(self, c0: float, speed: ArrayLike) -> Array | float:  # noqa: ARG002 - of other kinds
@@ -97,7 +97,7 @@ def _parts(about: str) -> ListOf:
 
 @dataclass(frozen=True)
 class MaxwellSlip(BristlesPart):
-    """Blocks side by side, 1 to MAX_BLOCKS, each of which sticks or slips.
+    """Parallel blocks, 1 to MAX_BLOCKS, each of which sticks or slips.
 
     Raises:
         ConfigError: also for another number of blocks, and another sum.

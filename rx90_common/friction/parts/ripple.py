@@ -6,7 +6,7 @@
 with the element's angle q and, in the second sum, the motor's n q with the gear ratio n. Harmonic drives have most of
 it at two waves for each turn of the motor (Tuttle and Seering 1996, A nonlinear model of a harmonic drive gear
 transmission), spur gears at tooth mesh, bearings and seals at one wave for each turn of the joint. For the sixth
-element, which turns with joint 6 alone, n q is the turn of motor 6 while joint 5 stands.
+element, which turns with joint 6 alone, n q is the turn of motor 6 while joint 5 is at rest.
 
 The amplitudes sum to less than 1, so the sliding torque stays positive and the part only takes power; passive_damping
 of the element is that of its least sliding torque, (1 - sum of the amplitudes) times.

@@ -329,8 +329,7 @@ class BaseEstimate:
         """Return the base parameters of a fit, with the information of the weighted rows for the fitted friction.
 
         Errors of neighbouring rows are correlated: the information is scaled so that in the median its variances are
-        those
-        of the covariance.
+        those of the covariance.
 
         Args:
             problem: r rows.

@@ -2,13 +2,12 @@
 
 With a wrong zero the model bends the arm at a wrong angle, which no inertia can compensate; `zeros.find_zeros` decides.
 A zero whose error base parameters can compensate (that of a vertical first axis, or of the last joint) changes no
-torque
-and is never reported. A torque constant of the wrong sign reverses its motor's torque: the drive seems to be driven by
-friction. A gear of the wrong sign reverses torque and motion: power and friction are right, and the joint bends the
-other way. Both errors, and a reversed motion alone, are tried one motor after the other, with friction bounded to 0 or
-more. Some signs of gears cannot be determined: an arm whose joints all turn about vertical and parallel axes moves as
-its mirror image does. Signs are checked with runs of a single payload, or none: it counts as a part of the last link,
-so
+torque and is never reported. A torque constant of the wrong sign reverses its motor's torque: the drive seems to be
+driven by friction. A gear of the wrong sign reverses torque and motion: power and friction are right, and the joint
+bends the other way. Both errors, and a reversed motion alone, are tried one motor after the other, with friction
+bounded to 0 or more. Some signs of gears cannot be determined: an arm whose joints all turn about vertical and parallel
+axes moves as its mirror image does. Signs are checked with runs of a single payload, or none: it counts as a part of
+the last link, so
 that a wrong payload is not taken for a wrong sign.
 """
 

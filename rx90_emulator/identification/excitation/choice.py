@@ -103,11 +103,9 @@ class TimeBlocks:
         """Choose the blocks from the residuals of a model, shape (r,).
 
         A block is long compared with the autocorrelation of the residuals, so that errors of blocks are independent.
-        Rows
-        within a correlation time of a block are left out with it, so that neighbours contain no information on it
-        (Burman,
-        Chow and Nolan 1994: h-block cross-validation). A repetition of a time, in another period or run, has the same
-        misfit
+        Rows within a correlation time of a block are left out with it, so that neighbours contain no information on it
+        (Burman, Chow and Nolan 1994: h-block cross-validation). A repetition of a time, in another period or run, has
+        the same misfit
         and belongs to the same block.
         """
         correlation = _correlation_time(problem, residual)

@@ -9,10 +9,9 @@ parallel filtering), so that the filter distorts both sides of the equation in t
 Gaps that are short compared with the bandwidth of the positions hide no motion that this filter passes: they are
 bridged. During a shock the measured torque is not the arm's: it is replaced by a straight line, and so are the columns
 of the model. A controller that misses its period for some milliseconds, for example, produces a torque of tens of Nm
-for
-10 to 15 ms, which the parallel filter would spread over a period of its bandwidth. Such a pulse stands far out of the
-torque's usual scatter about its running median, and ends within 30 ms. Where a joint reverses, friction and bristles
-cause pulses of their own: there a shock must be half as large as the range of the torque.
+for 10 to 15 ms, which the parallel filter would spread over a period of its bandwidth. Such a pulse stands far out of
+the torque's usual scatter about its running median, and ends within 30 ms. Where a joint reverses, friction and
+bristles cause pulses of their own: there a shock must be half as large as the range of the torque.
 """
 
 from __future__ import annotations
@@ -160,8 +159,7 @@ def _spectrum(record: JointRecord, values: Array, degree: int, window: str) -> t
     """Return frequencies, power of each column, and the first indices of bands, of the longest piece without a gap.
 
     Bands are at least a fifth of an octave wide: the median in a band ignores lines of ripple. All results are empty
-    for
-    a piece that is too short.
+    for a piece that is too short.
     piece that is too short.
     """
     start, stop = max(_pieces(record.time), key=lambda piece: piece[1] - piece[0])

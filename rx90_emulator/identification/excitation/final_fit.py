@@ -4,11 +4,9 @@
 the opposite direction to an exponent below 1, and increases the apparent Coulomb friction. Where cross-validation did
 not keep a rise, one of some size may still exist: covariances are then those of a model whose rise lies anywhere from 0
 on. Static torque below Coulomb torque is no friction, and more than twice the Coulomb torque is assumed not to occur;
-an
-unbounded fit may give -125 % with a deviation of 197 %. A bristle without its damping c1 takes over the damping's
-torque,
-which acts in the same rows: it comes out stiffer by 5 to 10 %. Each bristle whose damping was not kept may have a
-damping
+an unbounded fit may give -125 % with a deviation of 197 %. A bristle without its damping c1 takes over the damping's
+torque, which acts in the same rows: it comes out stiffer by 5 to 10 %. Each bristle whose damping was not kept may have
+a damping
 of any size from 0 on. The same holds for viscous friction whose best value is its bound 0.
 
 **Torques at their bound 0.** Friction does not drive: tau_c and c2 are at least 0. A fit without that bound shows why a
@@ -20,8 +18,7 @@ One coefficient for all elements, relative to their Coulomb torques, is tested, 
 than one for each.
 
 **Resolution of the recorded motion.** Presliding ends within milliseconds of a reversal, and a Stribeck rise within
-some
-hundredths of rad/s. The filter of the positions and the sampling smooth the motion there, in the same way at each
+some hundredths of rad/s. The filter of the positions and the sampling smooth the motion there, in the same way at each
 reversal, so residuals do not show it. The shift of the values with a motion that is smoothed once more (half the
 bandwidth, averages over five samples, every second sample) has the size of the shift by the first smoothing.
 """
@@ -55,9 +52,8 @@ class FinalFit:
 
     Exponents that were tried and not kept stay at 1, but the covariance is that with free exponents, because excluding
     an exponent adds no information on tau_c and c2. The same holds for a Stribeck rise, or the damping of a bristle,
-    that
-    may exist. The shifts of the values by these exponents, by a growth of friction with the load, and by a motion that
-    is smoothed once more, widen the covariance, too.
+    that may exist. The shifts of the values by these exponents, by a growth of friction with the load, and by a motion
+    that is smoothed once more, widen the covariance, too.
 
     Args:
         selected: the model.

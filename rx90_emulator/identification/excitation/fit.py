@@ -321,8 +321,7 @@ class WeightedProblem:
 
         Returns:
             Products of columns with columns, shape (k, k), and with the torque, shape (k,), and the first column of
-            each
-            element.
+            each element.
         """
         blocks = [self._columns(e, shape) for e, shape in enumerate(shapes)]
         edges = np.cumsum([0, *(block.values.shape[1] for block in blocks)])
@@ -373,8 +372,7 @@ class WeightedProblem:
         """Return weighted residuals of a fit, shape (r,), and the model's tangent there, shape (r, k).
 
         The tangent consists of the weighted derivatives of the torques by every fitted parameter that is not at a
-        bound,
-        as columns of length 1: the basis of the regressor, then friction.
+        bound, as columns of length 1: the basis of the regressor, then friction.
         """
         inner = fit.inner()
         friction = self._friction(fit, inner)

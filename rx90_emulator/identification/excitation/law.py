@@ -335,8 +335,7 @@ class ElementRows:
         """Return the least presliding distance that the rows can determine, rad.
 
         After a reversal at acceleration a, an element moves by a t^2 / 2 within the period t of the torque's bandwidth;
-        a
-        bristle that slides after a small share of this looks like a step to the filtered torque, as Coulomb friction
+        a bristle that slides after a small share of this looks like a step to the filtered torque, as Coulomb friction
         does.
         """
         distances = []

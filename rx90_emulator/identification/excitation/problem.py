@@ -159,8 +159,7 @@ class StandardColumns:
         """Return the names of P parameters, with the numbers of the joints, from 1 at the base.
 
         m kg, mx .. mz kg m and Ixx .. Izz kg m^2 for links, about the origins of their joints and in their frames; Ia
-        kg
-        m^2, for motors seen through their gears; k Nm, for springs; offset Nm.
+        kg m^2, for motors seen through their gears; k Nm, for springs; offset Nm.
         """
         joints = range(1, len(self.arm.names) + 1)
         links = [f"{kind}_{joint}" for joint in joints for kind in _LINK]
@@ -495,10 +494,10 @@ def element_states(run: FilteredRun, elements: Array) -> tuple[Mask, Mask]:
     """Return where each element rests and where it passes through rest at the run's rows, each of shape (k, n_el).
 
     Below 0.05 rad/s (or, on slow arms, a tenth of its usual speed) the torque of an element depends on the deflection
-    of
-    its bristles rather than on its speed. A reversal and a pause both pass below: a reversal at constant acceleration
-    spends a quarter of that time below a quarter of the speed, a pause most of it. The low-pass of the torque extends
-    over half a period of its bandwidth on both sides: a row as near to a pause as that counts as resting.
+    of its bristles rather than on its speed. A reversal and a pause both pass below: a reversal at constant
+    acceleration spends a quarter of that time below a quarter of the speed, a pause most of it. The low-pass of the
+    torque extends over half a period of its bandwidth on both sides: a row as near to a pause as that counts as
+    resting.
 
     Args:
         run: of n joints.
@@ -540,8 +539,7 @@ def phases(runs: Sequence[FilteredRun]) -> list[tuple[int, Index]]:
 
     Instants with the same motion and phase are repetitions of each other: periods of a run, or runs that are repeated.
     Effects outside the model (ripple, load, cables) follow the motion and return with it. A motion that was recorded
-    ten
-    times contains no more information on its misfit than one recording; deviations that treat the repetitions as
+    ten times contains no more information on its misfit than one recording; deviations that treat the repetitions as
     independent are too small by up to the square root of ten.
     """
     scale = np.sqrt(np.mean(np.concatenate([run.velocity**2 for run in runs]), axis=0))

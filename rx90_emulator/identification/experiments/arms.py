@@ -257,8 +257,7 @@ def robot_of_urdf(urdf: Path, joints: Sequence[str] | None = None, tool: Path | 
 
     Joints that are not of interest are fixed at 0, by default those that are not revolute or mimic another one. A
     continuous joint without a range may turn by half a turn either way. The tool is fixed to the link `tool0`, or to
-    the
-    last link if there is none. Without a tool the tool centre point is that link's frame.
+    the last link if there is none. Without a tool the tool centre point is that link's frame.
 
     Args:
         urdf: the robot's description.

@@ -140,8 +140,7 @@ class FollowedTrajectory:
     """Determines from sampled set-points whether a trajectory that was sent has begun and ended.
 
     It begins when the controller accepts it, which in a simulation without a pace may be many seconds of its time after
-    it
-    was sent; so time counts from the first set-point that moved.
+    it was sent; so time counts from the first set-point that moved.
 
     Args:
         points: of the trajectory.

@@ -337,8 +337,7 @@ def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction:
     motion.sweep(direction, 0.05, 0.6, _ACCELERATION)
     for amplitude, tone_amplitude in zip(options.presliding_cycles, options.tone_amplitudes, strict=True):
         # Each one fades out, which leaves the bristles near zero. Bristles under load would creep, due to vibrations
-        # below the
-        # resolution of the encoders.
+        # below the resolution of the encoders.
         motion.oscillate(direction, [amplitude], [1.0], 2.0)
         motion.oscillate(direction, [tone_amplitude / len(_TONES)] * len(_TONES), _TONES, options.burst)
     motion.rest(0.2)

@@ -2,8 +2,7 @@
 
 An identification determines links, rotors and friction. The other values that the simulation needs are chosen such that
 it moves the arm without limiting it: motors with the URDF's efforts, brakes and end stops about as stiff as those of
-the
-RX90B for their inertia, gains that are stable for the inertia of every pose, and the arm itself as the model of the
+the RX90B for their inertia, gains that are stable for the inertia of every pose, and the arm itself as the model of the
 feed-forward.
 """
 

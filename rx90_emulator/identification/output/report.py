@@ -182,8 +182,7 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         numbers=[(name, number, estimate.texts() if estimate.identifiable else (f"{one.value(number):.4g}", ""))
                  for name, one in named.items() if not one.given_bristles
                  for number, estimate in one.estimates.items() if number.startswith("bristles.")],
-        most_motions=MAX_MOTIONS_ALONE,
-        most_of_bag=MAX_MOTIONS_OF_BAG,
+        most_motions=MAX_MOTIONS_ALONE, most_of_bag=MAX_MOTIONS_OF_BAG,
         distinguishable_se=DISTINGUISHABLE_SE,
         kind_loops=[_loop_plot(one.element, "torque of the bristles, Nm", *one.largest) for one in compared],
         correlations=_correlation_plots(result, own_bristles),

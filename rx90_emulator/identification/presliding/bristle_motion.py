@@ -108,8 +108,7 @@ def _deflect_lugre(speed: Array, sliding_torque: Array, step: float, c0: float, 
     """Deflect one of LuGre's bristles by the exact steps of the simulation.
 
     For each step of constant speed, with c0 g(v) for this speed, `result` receives the means of the bristle's torque,
-    Nm,
-    and of the rate of deflection, rad/s, shape (m, 2).
+    Nm, and of the rate of deflection, rad/s, shape (m, 2).
     """
     z = start
     for row in range(len(speed)):
@@ -266,8 +265,7 @@ class GroupModel:
     """Residuals of M motions for bristles of given kinds of a group's e elements, as a function of parameters x.
 
     x contains ln c0, the damping, and the kind's own numbers, element by element; then the errors of the inertia, in
-    units
-    of sqrt(M_jj M_ii); then the start deflections in units of those of steady sliding, motion by motion. All
+    units of sqrt(M_jj M_ii); then the start deflections in units of those of steady sliding, motion by motion. All
     micro-oscillations are made at one pose, so errors of the links' description are a constant error of the inertia.
 
     Attributes:

@@ -277,8 +277,7 @@ class _GroupFit:
     def _doubts(self, arm: RigidArm, jacobian: Array, covariance: Array) -> list[str]:
         """Return why the model does not hold for each element; empty if it does."""
         # The prior shrinks the errors of the inertia towards zero: if it is right, their variance is the prior's less
-        # the
-        # posterior's. The part of the covariance beyond noise may be due to errors of the model, and is added.
+        # the posterior's. The part of the covariance beyond noise may be due to errors of the model, and is added.
         own = self.model.inertial
         posterior = np.diag(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True))[own]
         beyond = np.maximum(np.diag(covariance)[own] - posterior, 0.0)
@@ -321,8 +320,7 @@ class _GroupFit:
         """Return the numbers of the spectral line of a motion, and of the motion, that each residual belongs to.
 
         Errors may be correlated over the line of a tone, 1 Hz widened by its fade. The prior of a start deflection
-        belongs to
-        its motion, that of the inertia to the first motion.
+        belongs to its motion, that of the inertia to the first motion.
         """
         motions, width = self.model.motions, len(self.model.scale)
         index = np.repeat(np.arange(len(motions)), [width * len(motion.line) for motion in motions])
@@ -352,8 +350,7 @@ def _cluster_robust(jacobian: Array, residual: Array, groupings: Sequence[NDArra
     """Return the covariance due to noise, widened where clusters of residuals exceed the noise.
 
     The noise is white in the band, and is estimated between the spectral lines of the motions. Errors of the model lie
-    on
-    the lines and grow with the amplitude; cluster-robust (sandwich) estimates contain them, with CR2 also for few
+    on the lines and grow with the amplitude; cluster-robust (sandwich) estimates contain them, with CR2 also for few
     clusters of unequal leverage. Of several groupings the one with the largest variance is used.
     """
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)

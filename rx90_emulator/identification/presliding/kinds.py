@@ -1,8 +1,7 @@
 """Select the kind of an element's bristles by cross-validation over its micro-motions, where the data suffice.
 
 Each kind is fitted to all micro-motions but one, which it then predicts, in turn. The residual of the predicted
-motions,
-line by line of the spectrum, is the measure of the prediction.
+motions, line by line of the spectrum, is the measure of the prediction.
 
 A kind is ruled out if the logarithm of its residual power in a line, noise included, exceeds that of the best kind by
 more than three standard errors, in the mean over the lines. If every other kind is ruled out, the best one is the

@@ -217,8 +217,7 @@ def _on_grid(record: JointRecord, torque_delay: float) -> tuple[float, Array, Ar
     for k in np.flatnonzero(np.diff(there) > max(_MAX_GAP_S, _MAX_GAP_SAMPLES * step)):
         known[slice(*np.searchsorted(time, (there[k] - _TRANSIENT_S, there[k + 1] + _TRANSIENT_S)))] = False
     # Set-points are constant between updates, which makes images of an oscillation near multiples of their rate;
-    # without
-    # the low-pass, coarser steps would alias them onto it.
+    # without the low-pass, coarser steps would alias them onto it.
     sections = butter(4, min(_LOW_PASS_HZ, 0.4 / step), fs=1.0 / step, output="sos")
     position, torque = (
         np.asarray(sosfiltfilt(sections, np.column_stack([np.interp(at, there, c) for c in columns[rows].T]), axis=0))

@@ -52,8 +52,8 @@ _MAX_RELATIVE_SD = 0.3  # relative standard deviation up to which a parameter is
 _MAX_CORRELATION = 0.98  # correlation above which two parameters cannot be separated
 _SYSTEMATIC_SD = 1e-3
 """Relative standard deviation beyond repeatability: the mean of a sampled torque whose ripple is nearly synchronous
-with
-the sampling has an error of this size even far from a beat (measured on the engine, whose parameters are known)."""
+with the sampling has an error of this size even far from a beat (measured on the engine, whose parameters are
+known)."""
 _STRIBECK = ("tau_s_positive", "tau_s_negative", "omega_s", "delta")
 _LINE_POINTS = 100
 _DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"

@@ -1,8 +1,8 @@
 """Block means of the plateaus of records, and an account of what was used of each bag.
 
 A plateau is a stretch in which every joint keeps its velocity, except for ripple and noise. The time that the servo
-loop
-and the bristles need to settle is left out at its beginning; the rest is cut into blocks, each with its own velocity.
+loop and the bristles need to settle is left out at its beginning; the rest is cut into blocks, each with its own
+velocity.
 """
 
 from __future__ import annotations

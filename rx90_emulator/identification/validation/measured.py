@@ -310,8 +310,7 @@ def _recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, layout: Ba
     """Return the set-points of this project's controller in a bag; None if it contains none.
 
     A bag that begins at time 0 with an arm at rest is simulated as it ran, from the release of its brakes on. `first`
-    is
-    the first measured position, rad, shape (n,).
+    is the first measured position, rad, shape (n,).
     """
     bag, period = run.source.path, setup.rates.position_period
     found = read_setpoints(bag, run.names, layout.zero, layout.mapping)
@@ -465,8 +464,7 @@ def run_along(
 
     Returns:
         The records at the base rate and at the position loop's rate, and the share of the ticks in which each motor was
-        at
-        its limit, shape (n,).
+        at its limit, shape (n,).
     """
     ticks = len(setpoints) * setup.rates.ratio
     plant, controller = setup.plant(), setup.cs7b()

@@ -271,8 +271,8 @@ def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationPro
     """Return the torque of the arm's inertial errors at the rows, Nm, shape (r,); 0 for joints where it is uncertain.
 
     Sweeps of some joints, or at one pose, leave the weights of other joints and at other poses undetermined. Their
-    error
-    in the fit is then hundreds of Nm with a standard deviation as large, and the weights of the description are better.
+    error in the fit is then hundreds of Nm with a standard deviation as large, and the weights of the description are
+    better.
     Sweeps at constant velocity determine hardly anything of the inertias.
     """
     position = np.concatenate([run.position[run.rows] for run in problem.runs])

@@ -176,8 +176,7 @@ def torque_noise(run: FilteredRun) -> Array:
     """Return the standard deviation of the noise of the filtered torque, Nm, shape (n,).
 
     The median third difference of the recorded torque gives the noise of a sample: motion is smooth between samples,
-    and
-    the steps of friction are rare. The filter passes the sum of its squared taps of white noise.
+    and the steps of friction are rare. The filter passes the sum of its squared taps of white noise.
     """
     size = np.median(np.abs(np.diff(run.torque, _DIFFERENCES, axis=0)), axis=0)
     return np.asarray(size / (_NORMAL_MAD * math.sqrt(_DIFFERENCE_GAIN)) * math.sqrt(np.sum(run.taps**2)))
