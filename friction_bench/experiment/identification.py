@@ -106,8 +106,7 @@ class RampIdentification:
     Attributes:
         source: the source's f_c = m b / a and f_v = m / a, mean over the ramps long enough for it; None without any.
         exact: fit of all ramps, intervals from its covariance, which contains the differences from ramp to ramp; None
-        with
-            one slope.
+            with one slope.
         repeated: from each repeat alone, intervals from their scatter, for comparison; None with fewer than 2 repeats.
         consistency: p-value of the chi-square test that the ramps differ only by torque noise and counts.
         spread: standard deviations from ramp to ramp of the torque's scale and of f_c, relative, shape (2,); None with

@@ -105,7 +105,7 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
         options: of the command.
         rig: the rig.
         out: the folder, which is made; it is removed if nothing was measured, so that the next attempt may use its
-        name.
+            name.
         seconds: expected duration.
         what: text before the progress bar.
 

@@ -12,8 +12,8 @@ are the common values plus an error, whose variances are also estimated by restr
 model). T is found by Gauss-Newton steps. The data seldom determine the Stribeck effect: the fits without an effect and
 with each w_s and e of a grid are averaged by their marginal likelihoods (Bayesian model averaging), so that the
 intervals contain this uncertainty. Around each point of the grid w_s and e are fitted, too, with a prior as wide as the
-grid's
-cell: readings that determine them more finely than the grid change them, and the marginal likelihoods are Laplace's
+grid's cell: readings that determine them more finely than the grid change them, and the marginal likelihoods are
+Laplace's
 approximation there.
 
 Units: w in rad/s at the motor; tau, f_c and delta_s in Nm, f_v in Nm s/rad, J in kg m²; hence alpha in rad/(s Nm),
@@ -482,8 +482,7 @@ def fit_sliding(windows: Sequence[SlidingWindow], runs: Sequence[int] | None = N
     Args:
         windows: of ramps with at least two slopes, or with rising and with falling torque.
         runs: number, from 0, of the run of each window; None if each window is a run. Torque scale and friction differ
-        from
-            run to run: they are drawn once for all windows of a swing.
+            from run to run: they are drawn once for all windows of a swing.
     """
     ramps = _Ramps(windows, range(len(windows)) if runs is None else runs)
     point = ramps.start()

@@ -99,7 +99,7 @@ class FrictionLaw:
         parameters: their number, including those of sliding.
         stribeck: the law has a static torque above the Coulomb one.
         starts: initial values of fits: a factor of the stiffness that the loops show, and the other values,
-        transformed.
+            transformed.
         bristles: computed from the transformed values but the first, which is ln c0; None for a law without presliding.
     """
 

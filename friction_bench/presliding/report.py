@@ -39,7 +39,7 @@ class PreslidingResult:
         rig: the rig.
         deflection: of the joint up to break-away, rad, on the slowest ramps; None if it does not break away.
         break_away: the torque's rate, Nm/s, and the largest friction before sliding, Nm, of each ramp; backward ones
-        separately.
+            separately.
         failures: the reason for each part that was run without a result, one line each.
     """
 

@@ -40,8 +40,7 @@ class TopicPlot:
         plot: the plot.
         messages: of each bag.
         differences: between two bags: quantity, joint, largest difference, its time in s, RMS, and the number of
-        messages with
-            common stamps.
+            messages with common stamps.
         robots: the names of two different robots, if the bags have them; then no difference is drawn.
     """
 
@@ -78,8 +77,7 @@ def plot_bags(
 
     Raises:
         BagError: if a bag cannot be read; if a topic or joint is missing, with the existing ones; or if two bags have
-        no
-            common stamp.
+            no common stamp.
     """
     there = []
     for path in paths:

@@ -89,7 +89,7 @@ class PathError(NamedTuple):
     Attributes:
         along: (n,) distance from the start, measured along the path, m; below 0 or above its length beyond an end.
         perpendicular: (n,) distance from the path, extended by straight lines beyond its ends, m; this is the path
-        error.
+            error.
     """
 
     along: Array
@@ -123,8 +123,7 @@ def nearest_corner(points: Array, corners: Array, near: Index | None = None) -> 
         points: m.
         corners: m.
         near: where to start the search, (n,): the next local minimum from there; None for everywhere. A path that
-        crosses
-            itself has more than one.
+            crosses itself has more than one.
     """
     if near is None:
         from scipy.spatial import cKDTree  # here, because it takes its time to import

@@ -37,7 +37,7 @@ class Correction:
 
     Raises:
         TrajectoryError: for another shape, values that are no numbers, and offsets beyond LARGEST or faster than
-        FASTEST.
+            FASTEST.
     """
 
     offsets: Array

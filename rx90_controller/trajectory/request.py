@@ -306,7 +306,7 @@ def check_request(
         options: permitted exceptions from the checks.
         position_hz: rate of the position loop, Hz.
         goal: control_msgs/action/FollowJointTrajectory goal that contains the trajectory, or anything with its
-        attributes.
+            attributes.
 
     Raises:
         TrajectoryError: naming joint, index of the point or field, and reason.

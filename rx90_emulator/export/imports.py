@@ -127,8 +127,8 @@ def import_arm(path: Path | str) -> dict[str, str]:
     """Return the texts of a robot folder for an MJCF arm by the files' names: URDF, drives, friction, controller.
 
     Hinges become joints; a slide, such as that of a finger, is fixed at its start. Shapes are ignored, and need not
-    exist
-    if bodies have inertias of their own. A fixed tendon with an actuator is a motor that turns with several joints.
+    exist if bodies have inertias of their own. A fixed tendon with an actuator is a motor that turns with several
+    joints.
     Armatures are rotors; a site tcp or attachment_site is the flange. Other values of drives and controller are assumed
     in proportion to the arm. A joint without friction gets next to none.
 

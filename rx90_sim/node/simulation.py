@@ -72,7 +72,7 @@ class Simulation:
             follow: called with the time mode, or with None when it ends; raises ExchangeError for rates or a robot that
                 differ from the controller's own.
             publishers: returns the publishers whose messages must arrive as well before a run that is not paced goes
-            on.
+                on.
         """
         self._follow, self._also_listening = follow, publishers
 

@@ -47,8 +47,7 @@ class MessageReader(threading.Thread):
 
     Attributes:
         error: the reason why reading has ended: a BagError if the middleware refuses, a BagWriteError if the queue
-        became
-            too long for its share of memory or the thread did not end; messages read before can still be collected.
+            became too long for its share of memory or the thread did not end; earlier messages can still be collected.
     """
 
     def __init__(self) -> None:
@@ -197,8 +196,7 @@ class Recorder:
 
     Attributes:
         stalls: times, s, in which this process did not run, and which publishers may have taken for its end: whether
-        they
-            sent messages then is not known here.
+            they sent messages then is not known here.
     """
 
     def __init__(self, topics: Sequence[str], ros_args: Sequence[str], status: StatusLine) -> None:

@@ -105,8 +105,7 @@ class TimeBlocks:
         A block is long compared with the autocorrelation of the residuals, so that errors of blocks are independent.
         Rows within a correlation time of a block are left out with it, so that neighbours contain no information on it
         (Burman, Chow and Nolan 1994: h-block cross-validation). A repetition of a time, in another period or run, has
-        the same misfit
-        and belongs to the same block.
+        the same misfit and belongs to the same block.
         """
         correlation = _correlation_time(problem, residual)
         motion = np.unique(problem.motion, return_inverse=True)[1].ravel()

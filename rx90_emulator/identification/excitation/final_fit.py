@@ -6,8 +6,7 @@ not keep a rise, one of some size may still exist: covariances are then those of
 on. Static torque below Coulomb torque is no friction, and more than twice the Coulomb torque is assumed not to occur;
 an unbounded fit may give -125 % with a deviation of 197 %. A bristle without its damping c1 takes over the damping's
 torque, which acts in the same rows: it comes out stiffer by 5 to 10 %. Each bristle whose damping was not kept may have
-a damping
-of any size from 0 on. The same holds for viscous friction whose best value is its bound 0.
+a damping of any size from 0 on. The same holds for viscous friction whose best value is its bound 0.
 
 **Torques at their bound 0.** Friction does not drive: tau_c and c2 are at least 0. A fit without that bound shows why a
 value ends there: friction that falls with speed, a torque that does not oppose the motion, or noise.

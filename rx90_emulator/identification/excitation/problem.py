@@ -468,8 +468,7 @@ class ExcitationProblem:
 
         Args:
             share: weight of each joint's torque (row) in that of each joint (column), shape (n, n): the identity for
-            all
-                of it, other matrices for the part of one motor.
+                all of it, other matrices for the part of one motor.
         """
         leading, n = list(self.base.leading), len(self.arm.names)
         regressor, payload = np.zeros((len(self), len(leading))), np.zeros(len(self))
