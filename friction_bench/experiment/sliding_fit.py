@@ -13,8 +13,7 @@ model). T is found by Gauss-Newton steps. The data seldom determine the Stribeck
 with each w_s and e of a grid are averaged by their marginal likelihoods (Bayesian model averaging), so that the
 intervals contain this uncertainty. Around each point of the grid w_s and e are fitted, too, with a prior as wide as the
 grid's cell: readings that determine them more finely than the grid change them, and the marginal likelihoods are
-Laplace's
-approximation there.
+Laplace's approximation there.
 
 Units: w in rad/s at the motor; tau, f_c and delta_s in Nm, f_v in Nm s/rad, J in kg m²; hence alpha in rad/(s Nm),
 beta and kappa in rad/s, T in s.
