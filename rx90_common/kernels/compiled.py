@@ -33,7 +33,7 @@ class _Watch(Listener):
 
     def on_end(self, event: Event) -> None:
         cache = event.data["dispatcher"]._cache
-        if sys.exc_info()[0] is not None and isinstance(cache, KernelCache):  # of its failures the event tells nothing
+        if sys.exc_info()[0] is not None and isinstance(cache, KernelCache):  # the event reports no failure
             cache.give_up()
 
 

@@ -349,8 +349,8 @@ def _constant_remarks(problem: ExcitationProblem, selected: Selection, fit: Line
                 k = problem.names.index(offset)
                 value = f", {fit.value[k]:.3g} Nm with a standard deviation of {fit.deviation[k]:.2g} Nm"
             yield (
-                f"{name}: tau_c is the mean of both directions; their difference is a constant torque, which no motion "
-                f"tells from the offset of the joint{value}"
+                f"{name}: tau_c is the mean of both directions; their difference is a constant torque, which no "
+                f"motion distinguishes from the offset of the joint{value}"
             )
 
 
@@ -416,7 +416,7 @@ def _reason(
     if part is not None and part not in one.shape.parts:
         return refusal(part)
     if name == "delta" and "delta" in one.shape.fixed:
-        return "not told from the size of the rise; 1 was assumed"
+        return "not distinguished from the size of the rise; 1 was assumed"
     limit = _MAX_ALPHA_SD if name == "alpha" else _MAX_RELATIVE_SD.get(name, math.inf) * value
     checks = (
         (name.startswith("tau") and value <= 0.0, torques["tau_c"] or "no Coulomb friction shows"),

@@ -181,7 +181,7 @@ def drive_gains(problem: ExcitationProblem, friction: Array) -> DriveGains:
             return gains
         identified = sure
     raise IdentificationError(
-        f"the payload tells no drive gain to better than {_MAX_GAIN_SD:.0%}; accepted: a heavier payload, or faster "
+        f"the payload determines no drive gain better than {_MAX_GAIN_SD:.0%}; accepted: a heavier payload, or faster "
         "motion"
     )
 

@@ -112,7 +112,7 @@ def unexplained(runs: Sequence[RunTorques]) -> dict[str, str]:
                 share = residual / varying if varying else 1.0
                 found[name] = (
                     f"{share:.0%} of what varies in the torque of {name} is not explained: its friction and its "
-                    "offset, and the inertias that it alone tells, are not to be trusted"
+                    "offset, and the inertias that it alone determines, are not to be trusted"
                 )
     return found
 

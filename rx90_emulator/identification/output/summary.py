@@ -173,7 +173,7 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         chi = (">1e4" if k else _number(v, ".3g") for k, v in zip(run.noiseless, run.chi_square, strict=True))
         fits.append(["  chi^2 over noise", *chi])
         if run.noiseless.any():
-            fits.append(["  (>1e4: next to no noise beside the difference, as in smoothed torques; tells nothing)"])
+            fits.append(["  (>1e4: next to no noise beside the difference, as in smoothed torques; no information)"])
     width, places = max(8, *(len(run.source.path.name) + 9 for _, run in runs)), [max(10, len(n) + 2) for n in joints]
     lines += _table(["torque RMS", *joints, "all"], [width, *places, 8], fits)
     lines += [result.zeros.text] if result.zeros.text else []

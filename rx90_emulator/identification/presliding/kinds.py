@@ -269,7 +269,7 @@ class ElementKind:
         """Return the decision with its margin, or why there is none."""
         if self.reason:
             return f"{self.decision}: {self.reason}"
-        return f"{self.decision}, told from the others by {self.margin:.1f} standard errors or more"
+        return f"{self.decision}, better than the others by {self.margin:.1f} standard errors or more"
 
     @property
     def largest(self) -> tuple[Array, dict[str, Array]]:
