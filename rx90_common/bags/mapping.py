@@ -289,7 +289,7 @@ class LogMapping:
             )
         if (mapping.delimiter, mapping.decimal) == (",", ","):
             raise ConfigError(
-                f"{root.where('decimal')} is ',', and so is delimiter: a field could not be separated from a decimal; "
+                f"{root.where('decimal')} is ',', and so is delimiter: they could not be distinguished; "
                 "accepted: two different ones"
             )
         return mapping
