@@ -3,7 +3,7 @@
 The motion is the input and the torque the prediction, as in the laws themselves, so that no simulation diverges because
 of a small error. Between two readings the velocity is assumed constant, and the bristles follow it by the steps of
 rx90_common/friction, which are exact for that. A law without bristles predicts no motion below the static
-torque: if a step of torque moves the joint by a count,
+torque: if a step of torque moves the joint by a count, it predicts the sliding torque.
 
 The choice is by cross-validation over whole blocks: each law is fitted to some of the blocks and predicts the others.
 Blocks begin with a slide, so that no reading shares noise or memory with one of another block. Squared errors of the

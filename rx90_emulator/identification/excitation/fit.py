@@ -243,7 +243,7 @@ class SeparableFit:
 
     Attributes:
         shapes: of the elements.
-        at_bound: names of the free parameters of each element that lie at a bound.
+        linear: tau_c, c2 and c1 of each element, none negative, shape (n_el, 3).
         at_bound: names of the free parameters of each element that lie on a bound.
     """
 

@@ -72,6 +72,7 @@ class BagUse:
     """The parts of one bag of sweeps that were used.
 
     Attributes:
+        bag: the bag.
         stretches: number of stretches of constant velocity that were used.
         seconds: their total duration.
         speeds: rad/s, slowest and fastest used speed of each element, 0 if there is none, shape (n_el, 2).
