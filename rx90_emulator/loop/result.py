@@ -29,7 +29,7 @@ from rx90_common.exchange.topics import (
     TRAJECTORY_ACCEPTED,
     motor_names,
 )
-from rx90_common.process.files import written_beside
+from rx90_common.process.files import atomic_files
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.points import message_content
 from rx90_emulator.loop.setup import Setup
@@ -229,5 +229,5 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
     path = Path(file)
     if os.path.lexists(path):
         raise ConfigError(f"{plain(path)} exists; accepted: a new file")
-    with written_beside(path) as (place,), place.open("wb") as stream:
+    with atomic_files(path) as (place,), place.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
