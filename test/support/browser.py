@@ -31,7 +31,7 @@ _FLAGS = (
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
-    # All but WebGL is drawn by the processor itself: through a graphics card that is none it takes several times as long.
+    # All but WebGL is drawn without GL: in software that takes three times the processor time.
     "--disable-gpu-rasterization",
     "--disable-accelerated-2d-canvas",
     "--host-resolver-rules=MAP *.example 127.0.0.1",  # names that their owners let point here
