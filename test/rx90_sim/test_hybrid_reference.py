@@ -28,8 +28,8 @@ def test_the_solver_solves_the_paper_s_equations(shipped: Setup, arm_oracle: Any
     want = stiff.y.copy()
     for torque in ([1.2, -0.8, 0.9, 0.3, -0.2, 0.2], [-1.4, 1.0, -0.3, -0.2, 0.3, 0.1]):
         motor = np.array(torque)
-        want = arm_oracle.integrate(want, motor, 10 * shipped.rates.period, 1e-10)
-        for _ in range(10):
+        want = arm_oracle.integrate(want, motor, 20 * shipped.rates.period, 1e-10)
+        for _ in range(20):
             stiff.step(motor)
     assert np.abs(want[6:12]).max() > 1e-2
     assert stiff.y == pytest.approx(want, abs=1e-8)
