@@ -151,3 +151,8 @@ def mutant(tmp_path: Path) -> Callable[..., NativeBoard]:
         return NativeBoard(library=library)
 
     return build
+
+
+@pytest.fixture(autouse=True)
+def _no_plots(undrawn: None) -> None:
+    """Leave plots out where a test does not look at them; those of shared runs are drawn."""

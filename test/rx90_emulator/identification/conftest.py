@@ -73,3 +73,8 @@ def identified(series: Path) -> tuple[Path, str]:
 def hinge(tmp_path_factory: pytest.TempPathFactory) -> Hinge:
     """Return the joint with its files."""
     return make_hinge(tmp_path_factory.mktemp("hinge"))
+
+
+@pytest.fixture(autouse=True)
+def _no_plots(undrawn: None) -> None:
+    """Leave plots out where a test does not look at them; those of shared runs are drawn."""
