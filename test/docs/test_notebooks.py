@@ -24,6 +24,7 @@ def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     code = [cell for cell in notebook.cells if cell.cell_type == "code"]
     assert not any(cell.outputs or cell.execution_count for cell in code)
     mpl.use("Agg")
+    plt.close("all")
     names: dict[str, object] = {}
     with plt.rc_context():
         for cell in code:

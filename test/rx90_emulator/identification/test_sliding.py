@@ -193,17 +193,6 @@ def test_a_viscous_exponent_is_found_where_there_is_one(
     assert f"{' +- '.join(found['alpha'].texts()):>22}" in row
 
 
-def test_correlations_are_correlations_and_the_curve_goes_through_its_points(sweeps: Any, arm: RigidArm) -> None:
-    """Correlations have ones on the diagonal and no negative eigenvalue; plateaus lie on the curve within the noise."""
-    fit = identify_sliding([sweeps([2], 11, longest=4.0)[0]], arm)
-    correlation, curve = fit.estimates[2].correlation, fit.curves[2]
-    assert np.allclose(np.diag(correlation), 1.0)
-    assert np.allclose(correlation, correlation.T)
-    assert np.linalg.eigvalsh(correlation).min() > -1e-9
-    assert len(curve.velocity) == 24
-    assert np.abs((curve.torque - curve.fitted) / curve.deviation).max() < 4.5
-
-
 def test_speeds_close_to_each_other_count(sweeps: Any, arm: RigidArm) -> None:
     """Sweeps at speeds of which each is 8 % above the one before are many speeds, not one."""
     record, friction = sweeps([2], 3, count=80, poses=1, longest=0.9)
