@@ -26,6 +26,7 @@ from friction_bench.experiment.dialogue import (
     HIGH,
     LONGEST_HOLD,
     OF_PROCESSOR,
+    Comparison,
 )
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig
@@ -478,3 +479,10 @@ def test_terminal_keeps_the_rig_alive_while_it_waits(rig: Rig, tmp_path: Path) -
     ]  # fmt: skip
     found = [one["found"] for one in document["steps"][1]["quantities"]][2:]
     assert found == [2.76, 0.0, "not measured"]
+
+
+def test_a_comparison_holds_up_to_its_tolerance() -> None:
+    """The bound itself is good, what lies beyond is not, nor is what was not measured."""
+    one = Comparison("VSET", "V", 1.0, 0.5)
+    found = [replace(one, found=value).good for value in (0.5, 1.5, 0.49, 1.51, None)]
+    assert found == [True, True, False, False, False]
