@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,7 +12,6 @@ from benchmarks import closed_loop
 from benchmarks.closed_loop import PinocchioArm, PythonDrives, PythonLaw, check_same_arm
 from benchmarks.hybrid_reference import Work
 from benchmarks.mujoco_lugre import mujoco_arm
-from benchmarks.report import merge, ratios
 from rx90_common.description.coupling import to_joint_torque
 from rx90_emulator.loop.setup import Setup
 
@@ -102,18 +98,3 @@ def test_pinocchio_s_step_follows_the_plant(shipped: Setup) -> None:
     assert np.abs(q - start).max() > 0.3
     assert peer.q == pytest.approx(q, abs=5e-3)
     assert peer.z == pytest.approx(plant.friction_states()[0], abs=1e-6)
-
-
-def test_ratios_are_medians_of_rounds() -> None:
-    """A slow round of both leaves the ratio as it is."""
-    times = {"this project": [1.0, 10.0, 1.0], "other": [3.0, 30.0, 3.3]}
-    assert ratios(times, "this project") == pytest.approx({"this project": 1.0, "other": 3.0})
-
-
-def test_figures_are_added_to_those_of_others(tmp_path: Path) -> None:
-    """Merging keeps what other benchmarks wrote and replaces what is measured anew."""
-    file = tmp_path / "out" / "bench.json"
-    merge({"a": 1.23456789, "b": 2.0}, file)
-    merge({"b": 3.0}, file)
-    figures: dict[str, Any] = json.loads(file.read_text())
-    assert figures == {"a": 1.235, "b": 3.0}

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from rig_bench import Bench, greeted
 from rig_simulators import simavr, ucsim
+from shared_files import made_once
 
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, NativeBoard, compile_core, firmware_directory
@@ -48,15 +49,22 @@ def make_firmware(target: str, sources: Path, out: Path, defines: str = "") -> P
 @pytest.fixture(scope="session")
 def firmware(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """Return a builder of a target's binary, once a session."""
-    out = tmp_path_factory.mktemp("firmware")
-    return cache(lambda target: make_firmware(target, REPOSITORY / "firmware", out))
+    return _builder(tmp_path_factory, "firmware", "")
 
 
 @pytest.fixture(scope="session")
 def bipolar_firmware(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """Return a builder of a target's binary for torque of both signs, once a session."""
-    out, defines = tmp_path_factory.mktemp("bipolar"), "-DBIPOLAR=1 -DCOUNTS_DOWN=1"
-    return cache(lambda target: make_firmware(target, REPOSITORY / "firmware", out, defines))
+    return _builder(tmp_path_factory, "bipolar", "-DBIPOLAR=1 -DCOUNTS_DOWN=1")
+
+
+def _builder(factory: pytest.TempPathFactory, name: str, defines: str) -> Callable[[str], Path]:
+    def build(target: str) -> Path:
+        sources = REPOSITORY / "firmware"
+        folder = made_once(factory, f"{name}_{target}", lambda out: make_firmware(target, sources, out, defines))
+        return folder / BINARIES[target]
+
+    return cache(build)
 
 
 @pytest.fixture
@@ -151,3 +159,8 @@ def mutant(tmp_path: Path) -> Callable[..., NativeBoard]:
         return NativeBoard(library=library)
 
     return build
+
+
+@pytest.fixture(autouse=True)
+def _no_plots(undrawn: None) -> None:
+    """Leave plots out where a test does not look at them; those of shared runs are drawn."""

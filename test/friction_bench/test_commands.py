@@ -20,6 +20,7 @@ import pytest
 import yaml
 from launch_stub import arguments as launch_arguments
 from launch_stub import build, ending, parameters
+from report_pages import leave_plots_out
 from rig_bench import greeted, rig_file_with
 from schema_faults import schema_faults
 from scipy.integrate import solve_ivp
@@ -325,7 +326,10 @@ def measured(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     folder = tmp_path_factory.mktemp("presliding")
     file = rig_file_with(folder, PRESLIDING_RIG, {"omega_d: 0.05}": f"omega_d: 0.05{BRISTLES[request.param]}}}"})
     words = ["--rig", str(file), *QUICK_PRESLIDING, "--output", str(folder / "run")]
-    assert run("friction_presliding", words) == (0 if request.param == "LuGre" else 1)
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param != "LuGre":  # pages differ in numbers alone
+            leave_plots_out(patch)
+        assert run("friction_presliding", words) == (0 if request.param == "LuGre" else 1)
     return request.param, folder / "run"
 
 
@@ -397,7 +401,7 @@ def test_the_folder_holds_every_reading_and_a_page(
     page = (out / "report.html").read_text()
     assert page.count('<figure class="plot">') == 4
     assert "counts, up to break-away" in page
-    if law == "LuGre":  # pages differ in numbers alone
+    if law == "LuGre":
         check_report(out / "report.html")
 
 

@@ -40,7 +40,7 @@ from friction_bench.experiment.record import (
     write_csv,
 )
 from friction_bench.experiment.sliding_fit import fit_sliding, whiten
-from friction_bench.rig.plant import Shaft, shaft_of, turn
+from friction_bench.rig.plant import shaft_of
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
@@ -167,13 +167,6 @@ def test_asymptote_is_that_of_generalised_least_squares() -> None:
     found = _solve(time, angle, STEP, start, T)
     assert found[:2] == pytest.approx((a, b), rel=1e-6)
     assert found[2] == pytest.approx(covariance[:0:-1, :0:-1], rel=1e-3)
-
-
-def test_exact_formula_recovers_noiseless_friction() -> None:
-    """From rounded encoder counts alone, two slopes give f_c, f_v to 0.1 % and J to 1 %."""
-    exact = identify_ramps([ideal_record(replace(MODEL, slope=m), 40.0) for m in (0.02, 0.05)], 0.0).exact
-    assert (exact.coulomb.value, exact.viscous.value) == pytest.approx((0.05, 0.02), rel=1e-3)
-    assert exact.inertia.value == pytest.approx(3e-3, rel=1e-2)
 
 
 GRID = [
@@ -339,18 +332,6 @@ def test_an_effect_that_settles_slowly_is_kept() -> None:
     fit = fit_sliding([sliding_window(quick.ramp(m, 0.16, True, "x")) for _ in range(5) for m in (0.0178, 0.0446)])
     assert np.abs(fit.values / truth_of(rig, True) - 1.0) == pytest.approx([0.0, 0.0, 0.0], abs=0.03)
     assert fit.values[:2] == pytest.approx(truth_of(rig, True)[:2], rel=0.01)
-
-
-@pytest.mark.parametrize(("speed", "torque"), [(5.0, 0.1), (5.0, -0.1), (-3.0, 0.02), (0.0, 0.04), (0.0, 0.06)])
-def test_emulated_shaft_is_the_solution_of_equation_3(speed: float, torque: float) -> None:
-    """One exact slice equals a stiff solver with a smoothed sign, through a stop and a reversal."""
-    inertia, coulomb, viscous, dt = 6e-5, 0.05, 8e-4, 0.02
-
-    def derivative(_: float, y: Array) -> list[float]:
-        return [y[1], (torque - viscous * y[1] - coulomb * np.tanh(y[1] / 1e-4)) / inertia]
-
-    exact = solve_ivp(derivative, (0, dt), [0.0, speed], "Radau", rtol=1e-9, atol=1e-11).y[:, -1]
-    assert turn(0.0, speed, torque, Shaft(inertia, coulomb, viscous), dt) == pytest.approx(exact, abs=3e-4)
 
 
 def test_the_commands_staircase_does_not_bend_the_asymptote(rig: Rig) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from report_pages import leave_plots_out
 from rig_bench import rig_file_with
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
@@ -32,7 +33,9 @@ SPREADS = {"ramp_error: 0.02 ": "ramp_error: 0.0 ", "gain_error: 0.003": "gain_e
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of one measurement; its exit code 1 says that a joint's viscous friction below 0 is none."""
     out = tmp_path_factory.mktemp("source") / "out"
-    assert run("friction_ramp", ["--source", "--output", str(out)]) == 1
+    with pytest.MonkeyPatch.context() as patch:
+        leave_plots_out(patch)
+        assert run("friction_ramp", ["--source", "--output", str(out)]) == 1
     return out
 
 

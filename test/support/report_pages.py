@@ -108,3 +108,16 @@ class ReportCheck:
 def check_report(chromium: Any) -> Callable[[Path], None]:
     """Return the check of a report; see ReportCheck."""
     return ReportCheck(chromium)
+
+
+def leave_plots_out(patch: pytest.MonkeyPatch) -> None:
+    """Have pages written without their plots, which take most of a command's time."""
+    for drawn in ("as_svg", "plot_json"):
+        patch.setattr(f"rx90_common.report.page.{drawn}", lambda *_: "")
+
+
+@pytest.fixture
+def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the plots out of pages that the test writes, unless it looks at one in the browser."""
+    if "check_report" not in request.fixturenames:
+        leave_plots_out(monkeypatch)

@@ -21,64 +21,66 @@ WEAK = """\
 """
 
 
-def result(folder: Path) -> dict[str, Any]:
-    """Return what a check has written."""
+def checked(folder: Path, *words: object) -> tuple[int, dict[str, Any]]:
+    """Check a controller in this process; return the exit code and what the check has written."""
+    code = run("rx90_controller_check", ["--output", str(folder), *map(str, words)])
     assert "<h2>step</h2>" in (folder / "report.html").read_text(encoding="utf-8")
-    return dict(json.loads((folder / "result.json").read_text(encoding="utf-8")))
+    return code, dict(json.loads((folder / "result.json").read_text(encoding="utf-8")))
 
 
-def test_the_cs7b_as_a_node_passes_with_the_numbers_of_the_closed_loop(processes: Processes, tmp_path: Path) -> None:
+def values_of(case: dict[str, Any]) -> dict[tuple[str, str], float]:
+    """Return the values of a case by quantity and joint."""
+    return {(one["quantity"], one["joint"]): one["value"] for one in case["findings"]}
+
+
+@pytest.mark.usefixtures("processes")
+def test_the_cs7b_as_a_node_passes_with_the_numbers_of_the_closed_loop(tmp_path: Path) -> None:
     """With commands lost and states sent twice, too, each number is that of the run without ROS, to the last bit."""
-    words = ("--output", tmp_path / "out", "--case", "step", "--case", "saturation", *CS7B)
-    done = processes.run("rx90_controller_check", *words)
-    assert done.returncode == DONE, done.stderr
-    found = result(tmp_path / "out")
-    assert found["passed"] is True
+    code, found = checked(tmp_path / "out", "--case", "step", "--case", "saturation", *CS7B)
+    assert (code, found["passed"]) == (DONE, True)
     findings = [one for case in found["cases"] for one in case["findings"]]
     assert len(findings) > 50
     assert [one["value"] for one in findings] == [one["cs7b"] for one in findings]
 
 
-def test_bad_gains_do_not_pass_and_it_is_said_what_decided(processes: Processes, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("processes", "undrawn")
+def test_bad_gains_do_not_pass_and_it_is_said_what_decided(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A parameter file with weak gains: exit code 1, and lines with case, quantity, joint, value and limit."""
     file = tmp_path / "weak.yaml"
     file.write_text(WEAK, encoding="utf-8")
-    words = ("--output", tmp_path / "out", "--case", "step", *CS7B, "--ros-args", "--params-file", file)
-    done = processes.run("rx90_controller_check", *words)
-    assert done.returncode == VERDICT_NO, done.stderr
-    (beyond,) = [one for one in result(tmp_path / "out")["cases"][0]["findings"]
+    code, found = checked(tmp_path / "out", "--case", "step", *CS7B, "--ros-args", "--params-file", file)
+    assert code == VERDICT_NO
+    (beyond,) = [one for one in found["cases"][0]["findings"]
                  if (one["quantity"], one["joint"]) == ("tracking_error_rms", "joint_2")]  # fmt: skip
     assert beyond["value"] > beyond["limit"]
-    said = [line for line in done.stderr.splitlines() if "tracking_error_rms of joint_" in line]
+    said = [line for line in capsys.readouterr().err.splitlines() if "tracking_error_rms of joint_" in line]
     assert len(said) == 1
     assert said[0].startswith("rx90_controller_check: step: ")
     assert " rad; accepted: up to " in said[0]
 
 
-def test_another_controller_gets_set_points_one_by_one_and_twice_the_same_run(
-    processes: Processes, tmp_path: Path
-) -> None:
+@pytest.mark.usefixtures("processes", "undrawn")
+def test_another_controller_gets_set_points_one_by_one_and_twice_the_same_run(tmp_path: Path) -> None:
     """An rclpy node without trajectories follows set-points by their stamps, and a second check has the same bits."""
     found = []
     for name in ("first", "second"):
-        words = ("--output", tmp_path / name, "--case", "step", "--set-points", "set_points", *OWN, "motor")
-        done = processes.run("rx90_controller_check", *words)
-        assert done.returncode in (DONE, VERDICT_NO), done.stderr
-        found.append(result(tmp_path / name)["cases"])
+        code, one = checked(tmp_path / name, "--case", "step", "--set-points", "set_points", *OWN, "motor")
+        assert code in (DONE, VERDICT_NO)
+        found.append(one["cases"])
     assert found[0] == found[1]
-    values = {(one["quantity"], one["joint"]): one["value"] for one in found[0][0]["findings"]}
+    values = values_of(found[0][0])
     assert values["torque_off", "all"] == 0.0
     assert 0.0 < values["tracking_error_peak", "joint_1"] < 5e-3  # of a way of 0.035 rad: it followed
 
 
-def test_a_controller_of_the_joints_is_checked_at_its_rate(processes: Processes, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("processes", "undrawn")
+def test_a_controller_of_the_joints_is_checked_at_its_rate(tmp_path: Path) -> None:
     """Torques at the joints at 1 kHz: the arm follows, and each loop has margins, beside those of the CS7B's motors."""
-    words = ("--output", tmp_path / "out", "--case", "step", "--case", "sweep", "--set-points", "set_points",
-             "--command-interface", "joint", *OWN, "joint")  # fmt: skip
-    done = processes.run("rx90_controller_check", *words)
-    assert done.returncode in (DONE, VERDICT_NO), done.stderr
-    step, sweep = result(tmp_path / "out")["cases"]
-    values = {(one["quantity"], one["joint"]): one["value"] for one in step["findings"]}
+    words = ("--case", "step", "--case", "sweep", "--set-points", "set_points", "--command-interface", "joint")
+    code, found = checked(tmp_path / "out", *words, *OWN, "joint")
+    assert code in (DONE, VERDICT_NO)
+    step, sweep = found["cases"]
+    values = values_of(step)
     assert values["torque_off", "all"] == 0.0
     assert 0.0 < values["tracking_error_peak", "joint_1"] < 5e-3  # of a way of 0.035 rad
     margins = [one for one in sweep["findings"] if one["quantity"] == "phase_margin"]
@@ -86,6 +88,7 @@ def test_a_controller_of_the_joints_is_checked_at_its_rate(processes: Processes,
     assert all(30.0 < one["value"] < 100.0 and 30.0 < one["cs7b"] < 100.0 for one in margins)
 
 
+@pytest.mark.usefixtures("processes", "undrawn")
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -94,13 +97,12 @@ def test_a_controller_of_the_joints_is_checked_at_its_rate(processes: Processes,
     ],
 )
 def test_a_controller_that_ends_or_is_silent(
-    words: tuple[str, ...], said: str, processes: Processes, tmp_path: Path
+    words: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It could not be carried out: exit code 3, one line that says why, no report."""
-    options = ("--output", tmp_path / "out", "--case", "step", "--timeout", "2")
-    done = processes.run("rx90_controller_check", *options, *words)
-    assert done.returncode == FAILED, done.stderr
-    assert said in done.stderr.splitlines()[-1]
+    options = ["--output", str(tmp_path / "out"), "--case", "step", "--timeout", "2"]
+    assert run("rx90_controller_check", [*options, *words]) == FAILED
+    assert said in capsys.readouterr().err.splitlines()[-1]
     assert not (tmp_path / "out" / "report.html").exists()
 
 

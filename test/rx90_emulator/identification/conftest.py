@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hinge_arm import Hinge, make_hinge
+from shared_files import made_once
 
 from benchmarks.synthetic_sweeps import Noise, Program, drive_torque, measured, random_friction
 from rx90_common.base.errors import DONE
@@ -53,23 +54,35 @@ def sweeps(shipped: Setup) -> Sweeps:
 @pytest.fixture(scope="session")
 def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the bags of a short series for joint 3, whose neighbours react, on the engine."""
-    folder = tmp_path_factory.mktemp("engine") / "series"
-    assert run("rx90_experiment", ["run", "--engine", "--quick", "--group", "joint_3", "--output", str(folder)]) == 0
-    return folder
+
+    def make(folder: Path) -> None:
+        words = ["--engine", "--quick", "--group", "joint_3", "--output", str(folder)]
+        assert run("rx90_experiment", ["run", *words]) == DONE
+
+    return made_once(tmp_path_factory, "series", make)
 
 
 @pytest.fixture(scope="session")
-def identified(series: Path) -> tuple[Path, str]:
+def identified(series: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Return the friction file of the short series, its report beside it, and what the command printed."""
-    output = series.parent / "friction.yaml"
-    said = io.StringIO()
-    with redirect_stdout(said):
-        code = run("rx90_identify", [str(series), "--output", str(output)])
-    assert code == DONE, said.getvalue()
-    return output, said.getvalue()
+
+    def make(folder: Path) -> None:
+        folder.mkdir()
+        with redirect_stdout(io.StringIO()) as said:
+            code = run("rx90_identify", [str(series), "--output", str(folder / "friction.yaml")])
+        assert code == DONE, said.getvalue()
+        (folder / "said.txt").write_text(said.getvalue(), encoding="utf-8")
+
+    folder = made_once(tmp_path_factory, "identified", make)
+    return folder / "friction.yaml", (folder / "said.txt").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")
 def hinge(tmp_path_factory: pytest.TempPathFactory) -> Hinge:
     """Return the joint with its files."""
     return make_hinge(tmp_path_factory.mktemp("hinge"))
+
+
+@pytest.fixture(autouse=True)
+def _no_plots(undrawn: None) -> None:
+    """Leave plots out where a test does not look at them; those of shared runs are drawn."""

@@ -68,18 +68,6 @@ def series(
     return found
 
 
-def test_a_recording_that_mostly_accelerates_holds_no_plateau() -> None:
-    """Nine seconds of Fourier motion at 5 kHz between two rests are no sweeps, whatever the median jump is."""
-    time = np.arange(45_000) / 5000.0
-    moves = (time > 1.0) & (time < 8.0)
-    velocity = np.where(moves, 2.0 * np.sin(3.1 * time) + 1.5 * np.sin(7.3 * time + 1.0), 3e-6)
-    torque = straight(velocity) + np.random.default_rng(1).normal(size=len(time))
-    with pytest.raises(
-        IdentificationError, match=r"bag: .* s changes of velocity.* s at rest.*: no stretch of constant"
-    ):
-        find_blocks([record(time, velocity, torque)], np.eye(1))
-
-
 @pytest.mark.parametrize(("noise", "hertz"), [(0.0, 0.1), (0.001, 0.1), (0.004, 0.1), (0.01, 0.1), (0.004, 0.05)])
 def test_the_crests_of_a_slow_sine_are_no_plateaus(noise: float, hertz: float) -> None:
     """A sine of 0.9 rad/s, whose crest keeps within 2 % for 0.6 s, is left out, and so are the pieces noise cuts it in.

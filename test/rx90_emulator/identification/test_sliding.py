@@ -45,14 +45,6 @@ def test_random_friction_is_found_within_two_per_cent_at_the_rigs_noise(sweeps: 
     assert max(errors(estimate, friction.elements[joint]).values()) < 0.02
 
 
-def test_element_seven_separates_from_joints_five_and_six(sweeps: Any, arm: RigidArm) -> None:
-    """With joints 5 and 6 moved apart, together and against each other, all three elements are within 2 %."""
-    record, friction = sweeps([4, 5], 1, count=14, poses=2)
-    fit = identify_sliding([record], arm)
-    for e in (4, 5, 6):
-        assert max(errors(fit.estimates[e], friction.elements[e]).values()) < 0.02
-
-
 def test_wrist_joints_moved_one_at_a_time_do_not_identify_element_seven(sweeps: Any, arm: RigidArm) -> None:
     """With joint 5 alone no parameter of joint 5 is given out as if element 7 were not there."""
     record, _ = sweeps([4], 1)
@@ -199,17 +191,6 @@ def test_a_viscous_exponent_is_found_where_there_is_one(
     assert head.split()[8] == "alpha"
     row = next(line for line in lines if line.startswith(f"joint_{joint + 1} "))
     assert f"{' +- '.join(found['alpha'].texts()):>22}" in row
-
-
-def test_correlations_are_correlations_and_the_curve_goes_through_its_points(sweeps: Any, arm: RigidArm) -> None:
-    """Correlations have ones on the diagonal and no negative eigenvalue; plateaus lie on the curve within the noise."""
-    fit = identify_sliding([sweeps([2], 11, longest=4.0)[0]], arm)
-    correlation, curve = fit.estimates[2].correlation, fit.curves[2]
-    assert np.allclose(np.diag(correlation), 1.0)
-    assert np.allclose(correlation, correlation.T)
-    assert np.linalg.eigvalsh(correlation).min() > -1e-9
-    assert len(curve.velocity) == 24
-    assert np.abs((curve.torque - curve.fitted) / curve.deviation).max() < 4.5
 
 
 def test_speeds_close_to_each_other_count(sweeps: Any, arm: RigidArm) -> None:

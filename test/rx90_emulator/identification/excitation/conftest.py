@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from rx90_common.report import page
 from rx90_emulator.identification.excitation import instruments
 
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out what other tests look at: simulations of the closed loop, and plots."""
+    """Leave out the simulations of the closed loop, which other tests look at."""
     monkeypatch.setattr(instruments, "_MAX_ROUNDS", 0)
-    for drawn in ("as_svg", "plot_json"):
-        monkeypatch.setattr(page, drawn, lambda *_: "")

@@ -25,7 +25,6 @@ from rx90_common.base.errors import DONE, REFUSED, ConfigError, IdentificationEr
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.estimates import ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.excitation import filtering, identify
 from rx90_emulator.identification.excitation.checks import coulomb_viscous
 from rx90_emulator.identification.excitation.choice import Scored
@@ -42,7 +41,7 @@ from rx90_emulator.identification.excitation.known_payload import (
     trimmed,
 )
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, Payload, payloads_of, read_payloads
-from rx90_emulator.identification.excitation.result import base_parameters, simulated_elements
+from rx90_emulator.identification.excitation.result import base_parameters
 from rx90_emulator.identification.output.robot_files import torque_constants
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.validation.verdict import run_torques
@@ -495,19 +494,3 @@ def test_the_least_useful_part_goes_first() -> None:
     assert list(reasons) == [2]
     assert reasons[2].startswith("with a load part, by blocks the error rises by 0.20 %")
     assert gain.startswith("by blocks the error falls by 33.47 %")
-
-
-def test_each_element_gets_its_own_part(problem: ExcitationProblem) -> None:
-    """Driving and driven with their deviations; who has none says why."""
-    names, value = problem.arm.element_names, np.zeros((7, 2))
-    value[[1, 4]] = [[0.031234567, 0.05], [0.0, 0.12]]
-    reasons = ("", "", "why not", "", "", "", "")
-    found = LoadParts(value, (1, 4), np.diag([1e-6, 4e-6, 9e-6, 1.6e-5]), base_of(problem), np.ones(7), reasons)
-    assert found.deviation[[1, 4]] == pytest.approx(np.array([[1e-3, 2e-3], [3e-3, 4e-3]]))
-    known = {name: ParameterEstimate(1.0, 0.1) for name in ("tau_c_positive", "tau_c_negative", "c2")}
-    elements = simulated_elements([ElementEstimate(name, known, np.eye(3), ()) for name in names], None, found)
-    parts = {e: one.element.load for e, one in enumerate(elements) if one.element.load is not None}
-    assert {e: (part.driving, part.driven) for e, part in parts.items()} == {1: (0.0312346, 0.05), 4: (0.0, 0.12)}
-    told = elements[1].estimates
-    assert (told["load.driving"].deviation, told["load.driven"].value) == (pytest.approx(1e-3), 0.05)
-    assert elements[2].estimates["load.driven"].reason == "why not"

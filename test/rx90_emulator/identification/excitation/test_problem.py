@@ -22,9 +22,7 @@ from rx90_emulator.identification.excitation.fit import solve
 from rx90_emulator.identification.excitation.problem import (
     BaseGroups,
     ExcitationProblem,
-    Payload,
     StandardColumns,
-    described_inertials,
     element_states,
     phases,
 )
@@ -222,42 +220,6 @@ def test_a_stop_is_left_out_and_a_quick_reversal_is_not(velocity: Callable[[Arra
     rests = element_states(moved, np.eye(2))[0][:, 0]
     assert rests[np.argmin(np.abs(time[run.rows]))] == out
     assert np.mean(rests) < 0.1
-
-
-def test_a_prior_holds_what_runs_do_not_tell(tmp_path: Path) -> None:
-    """With one joint moving alone what belongs to the others is named as undetermined; the description stands in."""
-    arm = plain_arm(5, 3, coupled=False)
-    (run,) = runs_of(arm, 200.0, NOTHING, Bandwidths(40.0, 20.0))
-    motion = {name: getattr(run, name) * np.array([1.0, 0.0, 0.0])
-              for name in ("position", "velocity", "acceleration")}  # fmt: skip
-    torque = arm.frictionless(*motion.values()) + 0.1 * np.random.default_rng(0).normal(size=run.torque.shape)
-    problem = ExcitationProblem.of(rigid_arm(arm, tmp_path, wrong=0.0), [replace(run, **motion, torque=torque)])
-    assert "offset_2" in undetermined(problem, solve(problem, problem.regressor))
-    prior = described_inertials(problem.columns, problem.base, 0.1)
-    held = solve(problem, problem.regressor, prior=prior)
-    expected = problem.base.combination @ problem.columns.values()
-    links = [k for k, name in enumerate(problem.names) if name.startswith(("mx", "my", "I"))]
-    alone = [k for k in links if "Ia" not in problem.base.groups[k]]
-    assert held.determined.all()
-    assert held.value[alone] == pytest.approx(expected[alone], abs=1e-2 * float(np.abs(expected).max()))
-
-
-def test_a_known_payload_is_taken_off_the_torque(tmp_path: Path) -> None:
-    """With the payload of a run given, its rows hold the torque of the arm alone."""
-    arm = plain_arm(6, 3, coupled=False)
-    (run,) = runs_of(arm, 200.0, NOTHING, Bandwidths(40.0, 20.0))
-    payload, last = Payload(3.0, (0.1, 0.0, 0.2), 0.01 * np.eye(3)), arm.links[-1]
-    body = payload.parameters() + last.parameters
-    mass, center = body[0], body[1:4] / body[0]
-    about = np.array([[body[4], body[5], body[7]], [body[5], body[6], body[8]], [body[7], body[8], body[9]]])
-    inertia = about - mass * (center @ center * np.eye(3) - np.outer(center, center))
-    heavy = replace(arm, links=(*arm.links[:-1], replace(last, mass=mass, center=center, inertia=inertia)))
-    motion = run.position, run.velocity, run.acceleration
-    loaded = replace(run, torque=heavy.frictionless(*motion))
-    problem = ExcitationProblem.of(rigid_arm(arm, tmp_path), [loaded], payloads=[payload])
-    bare = problem.rows_of([arm.frictionless(*motion)[:, :, None]])[:, 0]
-    assert problem.torque == pytest.approx(bare, abs=1e-8)
-    assert np.abs(problem.payload).max() > 1.0
 
 
 def test_instants_of_equal_phase_are_the_same_point_of_the_same_motion() -> None:
