@@ -169,6 +169,13 @@ def test_asymptote_is_that_of_generalised_least_squares() -> None:
     assert found[2] == pytest.approx(covariance[:0:-1, :0:-1], rel=1e-3)
 
 
+def test_exact_formula_recovers_noiseless_friction() -> None:
+    """From rounded encoder counts alone, two slopes give f_c, f_v to 0.1 % and J to 1 %."""
+    exact = identify_ramps([ideal_record(replace(MODEL, slope=m), 40.0) for m in (0.02, 0.05)], 0.0).exact
+    assert (exact.coulomb.value, exact.viscous.value) == pytest.approx((0.05, 0.02), rel=1e-3)
+    assert exact.inertia.value == pytest.approx(3e-3, rel=1e-2)
+
+
 GRID = [
     # f_c, f_v, J, slopes, end torque
     (0.030, 6.4e-4, 1.3e-5, (0.02, 0.05), 0.15),
