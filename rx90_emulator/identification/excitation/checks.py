@@ -6,7 +6,9 @@ base parameters can make good for (a vertical first axis, the last joint) change
 A motor's torque constant of the wrong sign turns its torque round: the drive seems to be driven by friction. A gear of
 the wrong sign turns torque and motion round: power and friction are right, and the joint bends the other way. Both,
 and a motion alone that is turned round, are tried one motor after the other, friction being no less than 0. Some gears
-cannot be told: an arm whose joints all turn about vertical and parallel axes moves as its mirror image does.
+cannot be told: an arm whose joints all turn about vertical and parallel axes moves as its mirror image does. Only runs
+with one payload, or none, are asked for signs: it counts as a part of the last link, so that a wrong payload passes for
+no wrong sign.
 """
 
 from __future__ import annotations
@@ -169,12 +171,21 @@ class _Search:
             np.concatenate([run.parallel(getattr(run, name)) for run in problem.runs])
             for name in ("position", "velocity", "acceleration", "torque")
         )
-        self._carried = np.array([np.zeros(10) if body is None else body.parameters() for body in problem.payloads])
         self._block, self._all = time_blocks(problem), np.arange(len(problem))
         fit = solve(problem, np.hstack([problem.regressor, self._friction]))
         self._weight = (1.0 / fit.sigma[problem.joint])[:, None]
         # Whole instants are taken, so that no more regressors are computed than rows are compared.
-        self._some = np.flatnonzero(problem.sample % max(1, math.ceil(len(problem) / _SCREENING_ROWS)) == 0)
+        self._some = self._screened(np.arange(len(problem)))
+
+    def _screened(self, rows: Index) -> Index:
+        return rows[self._problem.sample[rows] % max(1, math.ceil(len(rows) / _SCREENING_ROWS)) == 0]
+
+    @cached_property
+    def _of_one_payload(self) -> Index:
+        """Return the rows that signs are compared on: of the runs with one payload, or none, that have most rows."""
+        bodies = [np.zeros(10) if body is None else body.parameters() for body in self._problem.payloads]
+        kind = np.unique(bodies, axis=0, return_inverse=True)[1].reshape(-1)[self._problem.run]
+        return self._screened(np.flatnonzero(kind == np.argmax(np.bincount(kind))))
 
     @cached_property
     def doubtful(self) -> Mask:
@@ -252,7 +263,7 @@ class _Search:
             ]
             wrong = (*wrong[:k], one._replace(alike=tuple(alike)), *wrong[k + 1 :])
         named = [motor for one in wrong for motor in (one.motor, *one.alike)]
-        own = np.isin(self._problem.joint[self._some], named)
+        own = np.isin(self._problem.joint[self._of_one_payload], named)
         size = max(float(np.linalg.norm(first.torque[own])), 1e-300)
         before, after = (float(np.linalg.norm(one.residual(now.sigma)[own])) / size for one in (first, now))
         return wrong, before, after
@@ -266,17 +277,17 @@ class _Search:
 
         A wrong sign hides in the large noise that it makes of its joint; the right one does not.
         """
-        block, count = self._block[self._some], int(self._block.max()) + 1
+        block, count = self._block[self._of_one_payload], int(self._block.max()) + 1
         left = ((one.residual(other.sigma) / other.sigma) ** 2 for one in (now, other))
         first, second = (np.bincount(block, squares, count).astype(np.float64) for squares in left)
         return first, second
 
     def _signed(self, wrong: Sequence[WrongSign]) -> _Signed:
-        """Return the equations of the screened rows with some signs turned round.
+        """Return the equations of rows of one payload with some signs turned round: the last link holds it.
 
         The friction's columns are those of the filtered velocities, which is near enough.
         """
-        problem, rows, coupling = self._problem, self._some, self._problem.arm.coupling
+        problem, rows, coupling = self._problem, self._of_one_payload, self._problem.arm.coupling
         signs = np.ones((2, len(coupling)))
         for motor, motion, torque, _ in wrong:
             signs[[motion, torque], motor] = -1.0
@@ -284,10 +295,9 @@ class _Search:
         instants, place = np.unique(problem.sample[rows], return_inverse=True)
         joint = problem.joint[rows]
         moved = [values[instants] @ moves.T for values in (self._position, self._velocity, self._acceleration)]
-        columns, n = problem.columns.torque(*moved)[place, joint], len(coupling)
-        payload = np.sum(columns[:, 10 * n - 10 : 10 * n] * self._carried[problem.run[rows]], axis=1)
+        columns = problem.columns.torque(*moved)[place, joint]
         speed, share = (moved[1] @ problem.arm.element_matrix.T)[place], problem.arm.element_matrix.T[joint]
-        recorded = (self._torque[instants] @ acts)[place, joint] - payload
+        recorded = (self._torque[instants] @ acts)[place, joint]
         return _Signed(
             joint, columns[:, list(problem.base.leading)], np.hstack([share * np.sign(speed), share * speed]), recorded
         )
