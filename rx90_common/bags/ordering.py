@@ -1,12 +1,13 @@
 """Give recorded messages their log time and their order, both of simulated time alone.
 
 In which order messages of different topics arrive depends on the load of the machine. They are held back for a moment
-and sorted by their stamps, so that equal runs make equal bags.
+and sorted by their stamps, so that equal runs make equal bags. The moment is one of simulated time, by which topics run
+apart, and one of the wall clock, in which the middleware sends again what was lost: a run may be faster than real time.
 """
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from enum import Enum, auto
 from typing import Final, NamedTuple
@@ -18,6 +19,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import ENCAPSULATION, cdr_stamp_ns
 
 _HOLD_NS = 500_000_000  # of simulated time; far above what topics run apart
+_SENT_AGAIN_NS = 1_000_000_000  # of the wall clock; a lost message keeps its topic waiting for some heartbeats
 _MAX_UNDATED_BYTES = 16 << 20
 OTHER_CLOCK_NS: Final = 86_400 * NANOSECONDS
 """A stamp this far from the newest one is not of the same clock: wall-clock time beside simulated time, for example."""
@@ -89,6 +91,8 @@ class LogOrder:
         self._held: list[Dated] = []
         self._undated: list[Arrived] = []
         self._next_release = 0
+        # What the newest log time was at receptions of the last second, and the last one before: pairs, ns.
+        self._progress: deque[tuple[int, int]] = deque()
 
     @property
     def newest_ns(self) -> int | None:
@@ -110,6 +114,11 @@ class LogOrder:
         undated_bytes = sum(each.messages.total for each in self._undated)
         if self._newest is not None or self._by_reception or undated_bytes > _MAX_UNDATED_BYTES:
             self._date_others()
+        received = max((int(each.received_ns[-1]) for each in arrived if len(each.messages)), default=None)
+        if self._newest is not None and received is not None:
+            self._progress.append((received, self._newest))
+            while len(self._progress) > 1 and self._progress[1][0] <= received - _SENT_AGAIN_NS:
+                self._progress.popleft()
 
     def release(self) -> Dated | None:
         """Return what is old enough that nothing older can be expected, if there is any."""
@@ -117,8 +126,11 @@ class LogOrder:
             return self.release_all() if self._by_reception else None
         if self._newest < self._next_release:
             return None
+        (before, known), (now, _) = self._progress[0], self._progress[-1]
+        if now - before < _SENT_AGAIN_NS:
+            return None
         self._next_release = self._newest + _HOLD_NS // 2
-        return self._cut(self._newest - _HOLD_NS)
+        return self._cut(min(known, self._newest - _HOLD_NS))
 
     def release_all(self) -> Dated | None:
         """Return all that is held, if there is any."""
