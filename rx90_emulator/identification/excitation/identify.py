@@ -203,9 +203,17 @@ def _leave_shocks_out(records: Mapping[str, list[JointRecord]], robot: RecordedR
 
 
 def log_warnings(problem: ExcitationProblem, held: Sequence[str] = ()) -> list[str]:
-    """Return warnings of fewer instants than parameters, over which nothing averages out, and of joints held at 0."""
-    instants, parameters = len(np.unique(problem.sample)), len(problem.names) + 2 * len(problem.arm.element_names)
-    found = []
+    """Return warnings of fewer instants than parameters, over which nothing averages out, and of joints held at 0.
+
+    Raises:
+        IdentificationError: for no more equations than parameters.
+    """
+    instants, parameters, found = len(np.unique(problem.sample)), problem.parameters, []
+    if len(problem) <= parameters:
+        raise IdentificationError(
+            f"{len(problem)} equations ({instants} instants below {problem.runs[0].bandwidths.torque:.3g} Hz) for "
+            f"{parameters} parameters; accepted: more than these, from longer runs or a wider --bandwidth"
+        )
     if instants < parameters:
         found.append(
             f"warning: a short log, {instants} instants for {parameters} parameters: it does not tell single bodies, "

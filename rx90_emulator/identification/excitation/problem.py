@@ -397,6 +397,11 @@ class ExcitationProblem:
         """Return the names of the columns, shape (b,)."""
         return self.base.names
 
+    @property
+    def parameters(self) -> int:
+        """Return how many the simplest model has: base parameters, Coulomb and viscous torque of each element."""
+        return len(self.names) + 2 * len(self.arm.element_names)
+
     @cached_property
     def sample(self) -> Index:
         """Return each row's place among the filtered samples of all runs, one run after the other, shape (r,)."""

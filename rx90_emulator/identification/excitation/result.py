@@ -112,7 +112,7 @@ def unexplained(runs: Sequence[RunTorques]) -> dict[str, str]:
                 for series in ([one.residual for one in own], [one.recorded for one in own])
             )
             if left > _UNEXPLAINED_SHARE * varying:
-                share = left / varying if varying else 1.0
+                share = min(left / varying, 1.0) if varying else 1.0
                 found[name] = (
                     f"{share:.0%} of what varies in the torque of {name} is not explained: its friction and its "
                     "offset, and the inertias that it alone tells, are not to be trusted"

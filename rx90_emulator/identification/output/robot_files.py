@@ -517,8 +517,7 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
 def _torques(run: RunTorques) -> dict[str, Any]:
     columns = zip(run.rms.tolist(), run.share.tolist(), run.chi_square.tolist(), strict=True)
     figures = [_rounded(dict(zip(("rms", "relative", "chi_square"), row, strict=True))) for row in columns]
-    for row in figures:  # of torques that were smoothed before, which have next to no noise, it tells nothing
-        if row.get("chi_square", 0.0) > LARGEST:
-            del row["chi_square"]
+    # Of torques that were smoothed before, which have next to no noise, chi^2 tells nothing, nor shares of no torque.
+    figures = [{key: value for key, value in row.items() if not value > LARGEST} for row in figures]
     joints = {name: row for name, row in zip(run.names, figures, strict=True) if "rms" in row}
     return {"relative": digits(run.total_share), "joints": joints}

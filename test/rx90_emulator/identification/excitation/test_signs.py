@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from excitation_arms import plain_arm, rigid_arm, runs_of
+from foreign_arms import some_rows
 
-from benchmarks.excitation_runs import NOISE
+from benchmarks.excitation_runs import NOISE, FourierMotion, measured
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.checks import check_signs
-from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
+from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
+from rx90_emulator.identification.excitation.identify import log_warnings
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, Payload
 from rx90_emulator.identification.options import RobotOptions
 
@@ -122,3 +124,22 @@ def test_right_signs_raise_no_alarm(recorded: tuple[RigidArm, tuple[FilteredRun,
     arm, runs = recorded
     dead = [replace(run, torque=run.torque * np.array([1.0, 1.0, 0.0])) for run in runs]
     check_signs(ExcitationProblem.of(arm, dead))
+
+
+def test_a_second_of_a_log_names_no_sign(tmp_path: Path) -> None:
+    """With 1.4 equations for a parameter any sign fits: none is named, and the log is called short; with fewer than one
+    the log is refused, for that reason.
+
+    Both efforts and gears of this arm had been called wrong.
+    """
+    true = plain_arm(5, 5, coupled=False)
+    arm, record = rigid_arm(true, tmp_path), measured(true, FourierMotion.random(true, 5, periods=1), 100.0, 5, NOISE)
+    short, shorter = (
+        ExcitationProblem.of(arm, filter_record(some_rows(record.record(true), slice(500, last)), Bandwidths(20.0, 8.0)))
+        for last in (650, 610)
+    )
+    assert short.parameters < len(short) < 2 * short.parameters
+    check_signs(short)
+    assert "short log" in log_warnings(short)[0]
+    with pytest.raises(IdentificationError, match=rf"{len(shorter)} equations .* for {shorter.parameters} parameters; "):
+        log_warnings(shorter)
