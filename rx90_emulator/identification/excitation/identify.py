@@ -23,7 +23,7 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
 from rx90_emulator.identification.excitation.bodies import make_consistent, written_arm
-from rx90_emulator.identification.excitation.checks import check_signs, check_zeros
+from rx90_emulator.identification.excitation.checks import ROWS_PER_PARAMETER, check_signs, check_zeros
 from rx90_emulator.identification.excitation.choice import stages
 from rx90_emulator.identification.excitation.filtering import Bandwidths, recording_notes, without_shocks
 from rx90_emulator.identification.excitation.friction import (
@@ -136,6 +136,8 @@ def identify_excitation(
 
     bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
     notes += [*recording_notes(records["excitation"], bandwidths), *log_warnings(problem, source.held)]
+    if not fixed and len(problem) < ROWS_PER_PARAMETER * problem.parameters:
+        parts = ()  # what so few rows prefer is chance
     check_signs(problem, replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source)))
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)

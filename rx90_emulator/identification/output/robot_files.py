@@ -283,7 +283,7 @@ def robot_texts(
             result.elements,
             result.robot.fallback_name or ASSUMED,
             now,
-            joints=_joints(result, drives=base is not None),
+            joints=_joints(result),
             bandwidths=result.problem.runs[0].bandwidths,
             unit=result.unit,
             warnings=notes,
@@ -339,11 +339,14 @@ def _begun(
     return dict(load_yaml(base.files.drives).content), controller
 
 
-def _joints(result: ExcitationIdentification, *, drives: bool) -> dict[str, dict[str, float]]:
-    """Return what is identified at each joint and no file of the arm holds: all but the offset are in a drives file."""
+def _joints(result: ExcitationIdentification) -> dict[str, dict[str, float]]:
+    """Return what is identified at each joint beside links and friction; of this project's arms the offset alone.
+
+    Rotors and springs of another arm may be in a drives file, too: its URDF alone is held against bags with these.
+    """
     names, standard = result.problem.arm.names, result.problem.columns.names
     values = dict(zip(standard, result.consistency.inertias.parameters.tolist(), strict=True))
-    kinds = {"offset": "offset"} if drives else {"offset": "offset", "rotor_inertia": "Ia", "spring": "k"}
+    kinds = {"offset": "offset"} | ({} if result.robot.setup else {"rotor_inertia": "Ia", "spring": "k"})
     found = {
         name: {key: digits(values.get(f"{kind}_{joint}", 0.0)) for key, kind in kinds.items()}
         for joint, name in enumerate(names, 1)

@@ -372,8 +372,7 @@ def test_a_joint_that_is_not_identified_follows_the_bag(tmp_path: Path) -> None:
         estimate = one.estimates["tau_c_positive"]
         assert abs(estimate.value - curve.tau_c_positive) < 4.0 * estimate.deviation
     rx.write_excitation(result, tmp_path / "identified")
-    written = replace(robot, urdf=tmp_path / "identified" / "robot.urdf",
-                      rotor_inertia=result.consistency.inertias.rotors[:2].tolist())  # fmt: skip
+    written = replace(robot, urdf=tmp_path / "identified" / "robot.urdf")
     (again,) = rx.check_friction(tmp_path / "identified" / "friction.yaml", [tmp_path / "unseen"], written)
     np.testing.assert_allclose(again.rms_share, check.files.share, atol=5e-4)
     motors = RecordedRobot.load(replace(robot, gear=[1.0, 1.0]), [tmp_path / "run"], massless=True, follow=True)
