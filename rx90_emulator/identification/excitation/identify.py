@@ -136,8 +136,7 @@ def identify_excitation(
 
     bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
     notes += [*recording_notes(records["excitation"], bandwidths), *log_warnings(problem, source.held)]
-    if not fixed and len(problem) < ROWS_PER_PARAMETER * problem.parameters:
-        parts = ()  # what so few rows prefer is chance
+    parts = parts if fixed or len(problem) >= ROWS_PER_PARAMETER * problem.parameters else ()  # no choice by so few
     check_signs(problem, replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source)))
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)

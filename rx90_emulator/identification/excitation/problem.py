@@ -248,7 +248,7 @@ class BaseGroups:
         return tuple(texts)
 
 
-_WIDEST_PRIOR = 1e4  # relative deviation: beyond, a description says nothing
+_PRIOR_BOUNDS = (1e-6, 1e4)  # of its relative deviation: below and above, a description says all or nothing
 _UNINFORMATIVE = 1e4  # deviations of a parameter that is not given, in units of the arm's largest of its kind
 
 
@@ -273,10 +273,9 @@ def described_inertials(columns: StandardColumns, base: BaseGroups, relative: fl
     Raises:
         IdentificationError: for a deviation that is not positive, and for a description without inertials.
     """
-    if not 0.0 < relative <= _WIDEST_PRIOR:
-        raise IdentificationError(
-            f"relative deviation of the prior: {relative:g}; accepted: above 0, up to {_WIDEST_PRIOR:g}"
-        )
+    low, high = _PRIOR_BOUNDS
+    if not low <= relative <= high:
+        raise IdentificationError(f"relative deviation of the prior: {relative:g}; accepted: {low:g} to {high:g}")
     value, count = columns.values(), 10 * len(columns.arm.names)
     if not value[:count].any():
         raise IdentificationError("a prior from a description without <inertial>; accepted: no --prior, or inertials")

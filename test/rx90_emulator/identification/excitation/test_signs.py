@@ -127,19 +127,16 @@ def test_right_signs_raise_no_alarm(recorded: tuple[RigidArm, tuple[FilteredRun,
 
 
 def test_a_second_of_a_log_names_no_sign(tmp_path: Path) -> None:
-    """With 1.4 equations for a parameter any sign fits: none is named, and the log is called short; with fewer than one
-    the log is refused, for that reason.
+    """With 1.4 equations for a parameter any sign fits: none is named, and the log is called short.
 
-    Both efforts and gears of this arm had been called wrong.
+    With fewer than one the log is refused for that reason. Both efforts and gears of this arm had been called wrong.
     """
     true = plain_arm(5, 5, coupled=False)
-    arm, record = rigid_arm(true, tmp_path), measured(true, FourierMotion.random(true, 5, periods=1), 100.0, 5, NOISE)
-    short, shorter = (
-        ExcitationProblem.of(arm, filter_record(some_rows(record.record(true), slice(500, last)), Bandwidths(20.0, 8.0)))
-        for last in (650, 610)
-    )
+    arm, run = rigid_arm(true, tmp_path), measured(true, FourierMotion.random(true, 5, periods=1), 100.0, 5, NOISE)
+    records = [some_rows(run.record(true), slice(500, last)) for last in (650, 610)]
+    short, shorter = (ExcitationProblem.of(arm, filter_record(one, Bandwidths(20.0, 8.0))) for one in records)
     assert short.parameters < len(short) < 2 * short.parameters
     check_signs(short)
     assert "short log" in log_warnings(short)[0]
-    with pytest.raises(IdentificationError, match=rf"{len(shorter)} equations .* for {shorter.parameters} parameters; "):
+    with pytest.raises(IdentificationError, match=rf"^{len(shorter)} equations .* for {shorter.parameters} parameters"):
         log_warnings(shorter)
