@@ -67,7 +67,7 @@ def test_order_does_not_depend_on_the_interleaving(data: Any) -> None:
 
 
 def test_a_topic_that_is_sent_again_late_is_in_its_place() -> None:
-    """A run ten times faster than real time: a topic that comes 0.8 s by the wall clock behind the other is sorted in."""
+    """In a run ten times faster than real time a topic that is 0.8 s of the wall clock late is sorted in."""
     sent = [(stamp * MS, topic) for stamp in range(0, 20_000, 50) for topic in range(2)]
     order, released = LogOrder(), list[Entry]()
     for stamp, topic in sorted(sent, key=lambda each: each[0] // 10 + each[1] * 800 * MS):
