@@ -181,7 +181,7 @@ class _Search:
         self._some = self._screened(np.arange(len(problem)))
 
     def _screened(self, rows: Index) -> Index:
-        return rows[self._problem.sample[rows] % max(1, math.ceil(len(rows) / _SCREENING_ROWS)) == 0]
+        return np.asarray(rows[self._problem.sample[rows] % max(1, math.ceil(len(rows) / _SCREENING_ROWS)) == 0])
 
     @cached_property
     def _of_one_payload(self) -> Index:
