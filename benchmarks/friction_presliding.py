@@ -100,7 +100,7 @@ def _right(kind: str, text: str) -> str:
 def _drift_right(kind: str, verdict: DriftVerdict) -> str:
     if verdict is DriftVerdict.UNKNOWN:
         return "right" if kind == "Coulomb and viscous" else "cannot tell"
-    expected = DriftVerdict.DRIFTS if kind in ("LuGre", "Stribeck") else DriftVerdict.STAYS
+    expected = DriftVerdict.DRIFTS if kind in ("LuGre", "Stribeck") else DriftVerdict.NO_DRIFT
     return "right" if verdict is expected else "wrong"
 
 

@@ -127,10 +127,10 @@ def searches(seed: int, largest: int) -> Iterator[tuple[str, str, Array, ZeroChe
             none = np.zeros(len(arm.links))
             first = search(none)
             yield name, condition, none, first
-            if not first.told.any():
+            if not first.identifiable.any():
                 continue
             same = np.random.default_rng((seed, 70))  # one joint for all conditions, as far as they tell the same
-            axis = np.eye(len(arm.links))[same.choice(np.flatnonzero(first.told))] * same.choice([-1.0, 1.0])
+            axis = np.eye(len(arm.links))[same.choice(np.flatnonzero(first.identifiable))] * same.choice([-1.0, 1.0])
             for size in ERRORS.values():
                 yield name, condition, size * axis, search(size * axis)
 

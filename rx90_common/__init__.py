@@ -1,1 +1,1 @@
-"""What every room shares: errors, checked configuration files, data folders, compilation, tick rates."""
+"""Shared by all packages: errors, checked configuration files, data folders, compilation, tick rates."""

@@ -1,1 +1,1 @@
-"""What the CS7B computes: trajectories, Cartesian lines, the servo law; and the controller node."""
+"""Functions of the CS7B: trajectories, Cartesian lines, the servo law; and the controller node."""

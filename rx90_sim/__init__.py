@@ -1,1 +1,1 @@
-"""What nature does: drives and the plant they make; and the simulation node."""
+"""The simulated hardware: drives and the plant that they move; and the simulation node."""

@@ -1,28 +1,29 @@
 """The drives in compiled code: cogging of the motors, heat of the windings, errors of current sensors, resolvers.
 
-**Cogging.** torque = sum of a_k cos(h_k angle + p_k) is the slope of an energy. What acts over a step is the mean along
-the way of the motor, the difference of that energy over the way: each wave's torque at the middle of the way times
-sin(h way / 2) / (h way / 2). So no energy is gained or lost where a step covers much of a wave, and a wave that passes
-in less than two steps is not aliased into a slow one.
+**Cogging.** torque = sum of a_k cos(h_k angle + p_k) is the derivative of an energy. A step applies the mean torque
+over the motor's motion in it, the difference of that energy divided by the angle: each wave's torque at the middle of
+the motion times sin(h angle / 2) / (h angle / 2). So no energy is gained or lost if a step covers much of a wave, and a
+wave that passes in less than two steps is not aliased into a slow one.
 
-**Windings.** C dT/dt = R I^2 (1 + a (T - T_r)) - (T - T_a) / R_th is linear in T where the current I is held, as it is
-for a tick, and is advanced exactly. From `derating` on the peak current falls linearly and is 0 at `limit`: servo
-amplifiers fold their current back before they give up, so that a motor that is too warm still brakes; what the arm then
-cannot follow, the controller's supervision switches off.
+**Windings.** C dT/dt = R I^2 (1 + a (T - T_r)) - (T - T_a) / R_th is linear in T if the current I is constant, as it is
+within a tick, and is advanced exactly. Above the temperature `derating` the peak current falls linearly and is 0 at
+`limit`: servo amplifiers reduce their current before they switch off, so that a motor that is too warm still brakes. If
+the arm then cannot follow its set-points, the controller's supervision switches off.
 
-**Current sensors.** reported = resolution round((i + offset + noise) / resolution). The current loop regulates what is
-reported, not the current i. The control law's loop of first order, whose current is the one without errors, then leaves
-a current that is off by e, which follows the error through the loop's lag:
+**Current sensors.** reported = resolution round((i + offset + noise) / resolution). The current loop regulates the
+reported current, not the actual one i. The control law's loop of first order computes the current without sensor
+errors;
+the actual current differs from it by e, which follows the error with the loop's lag:
 
     i = i_without - e,   e(t + T) = e + (1 - exp(-2 pi bandwidth T)) (reported - i - e)
 
-as equating both loops gives, tick by tick. So an offset does not show in the mean of what a drive reports: it is a
-torque that the drive does not know of.
+which results tick by tick from equating both loops. So an offset does not appear in the mean of the reported current:
+it is a torque that the drive cannot measure.
 
 **Resolvers** have a tracking converter. It rounds the position to its counts, but its velocity is the analog signal
 inside the tracking loop (Analog Devices, data sheet of the AD2S83: it replaces a tachogenerator), so counts do not
-appear in it. A velocity made from counts would jump by 1.8 mrad/s for one count of joint 1 or 2, which the velocity
-loop answers with 10 Nm.
+appear in it. A velocity computed from counts would jump by 1.8 mrad/s for one count of joint 1 or 2, to which the
+velocity loop would respond with 10 Nm.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.description.coupling import add_drive_torques, to_motor
-from rx90_common.description.drives import MOST_TERMS, Cogging, CurrentSensor, Windings
+from rx90_common.description.drives import MAX_TERMS, Cogging, CurrentSensor, Windings
 from rx90_common.friction.bristle import decay
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import GOLDEN, WHOLE, mixed, nearly_normal, sine_cosine
@@ -50,9 +51,9 @@ def cogging_dtype(motors: int) -> np.dtype[np.void]:
     return np.dtype(
         [
             ("terms", np.int64),
-            ("harmonic", np.float64, MOST_TERMS),
-            ("cosine", np.float64, (MOST_TERMS, motors)),  # Nm, joint side
-            ("sine", np.float64, (MOST_TERMS, motors)),
+            ("harmonic", np.float64, MAX_TERMS),
+            ("cosine", np.float64, (MAX_TERMS, motors)),  # Nm, joint side
+            ("sine", np.float64, (MAX_TERMS, motors)),
         ],
         align=True,
     )
@@ -64,7 +65,7 @@ def cogging_state_dtype(motors: int) -> np.dtype[np.void]:
 
 
 def fill_cogging(record: Any, cogging: Cogging, gear: Array) -> None:
-    """Write the constants, with torques as seen through the gears."""
+    """Write the constants, with torques converted to the joints by the gears."""
     terms = len(cogging.harmonic)
     record["terms"] = terms
     record["harmonic"][:terms] = cogging.harmonic
@@ -188,8 +189,8 @@ def warm_motors(plant: Record, temperature: Array) -> str:
 
 @inlined
 def whole_steps(value: Number, step: Number) -> Number:
-    """Return what a converter makes of a value: rounded to whole multiples of its `step`, in the value's unit."""
-    # Adding and subtracting a number whose last bit is worth 1 rounds to a whole number, half to even.
+    """Return the output of a converter: the value rounded to whole multiples of its `step`, in the value's unit."""
+    # Adding and subtracting a number whose last bit has the value 1 rounds to a whole number, half to even.
     whole = (value / step + WHOLE) - WHOLE
     return whole * step
 
@@ -243,7 +244,7 @@ def reset_sensors(sensor: Any, state: Any) -> None:
 
 @kernel
 def sense_currents(sensor: Any, state: Any, torque: Array, powered: bool) -> None:
-    """Take the errors off motor torques, Nm, shape (n,), and write what is reported of them."""
+    """Subtract the current errors from motor torques, Nm, shape (n,), and write the reported torques."""
     for i in range(size(state.error)):
         if powered:
             torque[i] -= sensor.torque_constant[i] * state.error[i]

@@ -6,17 +6,17 @@ and the matrix C of the coupling (rx90_common.description.coupling), for a step'
 
     M a + h = C^T s - friction on the links + end stops,   B (C a + d2t/dt2) = drive torque - friction - s.
 
-M is the mass matrix of the links alone, B holds the rotors; that these count by their own turning alone is Spong's
-assumption (1987, "Modeling and control of elastic joint robots", Journal of Dynamic Systems, Measurement, and Control
-109). s depends on the end of the step. Linearised drive by drive, s = offset + slope d2t/dt2,
-the motors are eliminated:
+M is the mass matrix of the links alone, B contains the rotors; that a rotor's inertia acts only on its own rotation is
+Spong's assumption (1987, "Modeling and control of elastic joint robots", Journal of Dynamic Systems, Measurement, and
+Control 109). s depends on the end of the step. It is linearised for each drive, s = offset + slope d2t/dt2, and the
+motors are eliminated:
 
     (M + C^T W C) a + h = C^T (B offset + slope drive) / (B + slope) + ...,   W = B slope / (B + slope),
 
-which is the rigid plant where the slope is infinite. With play s bends, and Newton's method repeats this.
+which is the rigid plant if the slope is infinite. With play s is piecewise linear, and Newton's method repeats this.
 
-**The transmitted torque.** A spring and a damper lie between the motor, seen through its gear, and what it moves. The
-twist t is by how much the motor is ahead. Without play
+**The transmitted torque.** A spring and a damper connect the motor, converted to the joint by its gear, and the driven
+side. The twist t is the motor's angle minus that of the driven side. Without play
 
     torque = k t + d dt/dt.
 
@@ -25,10 +25,10 @@ With play of the width 2 b they push where the flanks touch, and never pull:
     torque = max(0, k (t - b) + d dt/dt)   where t > b,   min(0, k (t + b) + d dt/dt)   where t < -b,   else 0
 
 (the dead-zone model of Nordin and Gutman 2002, "Controlling mechanical systems with backlash - a survey", Automatica
-38, with the damper in contact alone). A step takes the mean of this torque along the way of the twist, at its mean
-rate. For the spring that is the difference of its energy over the way, a discrete gradient (Gonzalez 1996, "Time
-integration and discrete Hamiltonian systems", Journal of Nonlinear Science 6): whatever the step, it gives back what
-was put into it, also where flanks meet or part within the step.
+38, with the damper acting in contact only). A step applies the mean of this torque over the motion of the twist, at its
+mean rate. For the spring that is the difference of its energy divided by the motion, a discrete gradient (Gonzalez
+1996, "Time integration and discrete Hamiltonian systems", Journal of Nonlinear Science 6): for any step size the spring
+returns the energy that was put into it, also if flanks meet or part within the step.
 """
 
 from __future__ import annotations
@@ -59,9 +59,9 @@ from rx90_sim.joint_friction import (
     take_last_friction,
 )
 
-_MOST_ITERATIONS = 50  # of Newton's method, which takes two or three
+_MAX_ITERATIONS = 50  # of Newton's method, which takes two or three
 _TOLERANCE = 1e-12  # of a transmitted torque, relative to the torques about it
-_MOST_SAG_ROUNDS = 100
+_MAX_SAG_ROUNDS = 100
 
 
 def transmission_dtype(drives: int) -> np.dtype[np.void]:
@@ -84,7 +84,7 @@ def transmission_state_dtype(drives: int) -> np.dtype[np.void]:
     """Return the type of the state."""
     return np.dtype(
         [
-            ("twist", np.float64, (drives,)),  # of the motor, seen through the gear, beyond what it moves, rad
+            ("twist", np.float64, (drives,)),  # motor angle at the gear's output minus that of the driven side, rad
             ("rate", np.float64, (drives,)),
             ("torque", np.float64, (drives,)),  # mean over the last step, Nm
             ("friction", np.float64, (drives,)),  # on the motors, with brakes and cogging, mean over the last step, Nm
@@ -108,7 +108,7 @@ def transmission_state_dtype(drives: int) -> np.dtype[np.void]:
 def mean_torque(
     stiffness: float, damping: float, half_play: float, twist: float, way: float, step: float
 ) -> tuple[float, float]:
-    """Return the mean torque, Nm, over a step in which the twist goes on by `way`, and its derivative by `way`.
+    """Return the mean torque, Nm, over a step in which the twist changes by `way`, and its derivative by `way`.
 
     Args:
         stiffness: Nm/rad, > 0.
@@ -127,7 +127,7 @@ def mean_torque(
 
 @kernel
 def _push(stiffness: float, damping: float, depth: float, way: float, step: float) -> tuple[float, float]:
-    """Return what one flank pushes, and the derivative, for a depth of contact that goes on by `way`."""
+    """Return the torque of one flank, and its derivative, for a depth of contact that changes by `way`."""
     damper, drag = damping * way / step, damping / step
     if way < 0.0:
         # The flank pushes no more as soon as the damper would pull as much as the spring pushes.
@@ -164,7 +164,7 @@ def hang_links(plant: Any, state: Any) -> None:
     for i in range(n):
         gears.motor_angle[i] = state.q[i]
     # The weight changes little with the sag: each round leaves a hundredth or so of the error.
-    for _ in range(_MOST_SAG_ROUNDS):
+    for _ in range(_MAX_SAG_ROUNDS):
         mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
         _twist_by_weight(plant, gears, state.bias)
         add_twist(plant.gear, gears.motor_angle, gears.twist, -1.0, state.q_mid)
@@ -279,7 +279,7 @@ def _add_friction(plant: Any, state: Any, step: float) -> None:
 def _balance(plant: Any, state: Any, step: float) -> None:
     """Find the accelerations of links and twists, and the transmitted torques, for the torques on links and motors."""
     constants, gears = plant.transmission, state.transmission
-    for _ in range(_MOST_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         _linearise(constants, gears, step)
         _accelerate_links(plant, gears, state)
         if _accelerate_twists(plant, gears, state.acceleration, step):

@@ -1,4 +1,4 @@
-"""What acts in the joints in a step of the plant: friction elements, closed brakes, end stops.
+"""Torques in the joints within a step of the plant: friction elements, closed brakes, end stops.
 
 Elements with parts go through `_parted_friction`, those without through the same instructions as if there were no
 parts.
@@ -31,7 +31,7 @@ from rx90_sim.drives import relative_resistance
 
 @kernel
 def reset_friction(plant: Any, state: Any) -> None:
-    """Begin with undeflected bristles, with brakes that carry all that `state.bias` asks for, Nm, shape (n,)."""
+    """Begin with undeflected bristles, and with brakes that carry all of `state.bias`, Nm, shape (n,)."""
     for i in range(size(state.z)):
         state.z[i] = 0.0
     share_among_drives(plant.gear, state.bias, state.rhs)
@@ -45,14 +45,14 @@ def reset_friction(plant: Any, state: Any) -> None:
 
 @kernel
 def add_friction(plant: Any, state: Any, angle: Array, velocity: Array, torque: Array, step: float) -> None:
-    """Advance the bristles of the elements, and of closed brakes, and take their torques off.
+    """Advance the bristles of the elements, and of closed brakes, and subtract their torques.
 
     Args:
         plant: constants, `plant_dtype`.
         state: state, `state_dtype`.
         angle: of the joints, rad, in the middle of the step, shape (n,).
         velocity: the same, rad/s.
-        torque: on the joints, Nm, shape (n,); the friction is taken off.
+        torque: on the joints, Nm, shape (n,); the friction is subtracted.
         step: s.
     """
     friction = _advance_elements(plant, state, angle, velocity, step)
@@ -131,13 +131,13 @@ def friction_now(plant: Any, state: Any, angle: Array, velocity: Array, torque: 
 
 @kernel
 def advance_loads(plant: Any, state: Any, torque: Array, acceleration: Array, step: float) -> None:
-    """Let the parts follow what the joints transmitted over a step.
+    """Update the parts with the torques that the joints transmitted over a step.
 
     Args:
         plant: constants, `plant_dtype`.
         state: state, `state_dtype`.
         torque: drive torque less friction, brakes included, at the joints, Nm, shape (n,).
-        acceleration: of the rotors, seen at the joints, rad/s^2, shape (n,).
+        acceleration: of the rotors, converted to the joints, rad/s^2, shape (n,).
         step: s.
     """
     transmit(plant.gear, plant.arm.rotor, torque, acceleration, state.parts.transmitted)
@@ -146,7 +146,7 @@ def advance_loads(plant: Any, state: Any, torque: Array, acceleration: Array, st
 
 @kernel
 def advance_parts(plant: Any, state: Any) -> None:
-    """Advance by a tick what changes slowly: random walks and temperatures of the friction."""
+    """Advance the slow states by a tick: random walks and temperatures of the friction."""
     advance_scatter(plant.parts.scatter, state.parts)
     if plant.parts.temperature.used:
         _warm_joints(plant, state)
@@ -165,7 +165,7 @@ def _warm_joints(plant: Any, state: Any) -> None:
 
 @kernel
 def add_stops(plant: Any, state: Any) -> None:
-    """Add to `state.rhs` what the stops push: a spring and damper beyond the limits that only push back."""
+    """Add the torques of the stops to `state.rhs`: a spring and damper beyond the limits that only push back."""
     for i in range(size(state.q)):
         q, push = state.q_mid[i], 0.0
         if q > plant.upper[i]:

@@ -1,4 +1,4 @@
-"""The drives seen from the joints: what they measure there, and the motor torques that joint efforts ask for."""
+"""The drives as seen from the joints: their measurements there, and the motor torques for commanded joint efforts."""
 
 from __future__ import annotations
 

@@ -37,9 +37,9 @@ from rx90_sim.drives import (
 )
 from rx90_sim.elastic_gears import transmission_dtype, transmission_state_dtype
 from rx90_sim.plant_step import friction_states, plant_reset, plant_step
-from rx90_sim.plant_steps import MOST_STEPS, plant_steps
+from rx90_sim.plant_steps import MAX_STEPS, plant_steps
 
-_MOST_CORRECTIONS = 50
+_MAX_CORRECTIONS = 50
 
 
 @cache
@@ -87,8 +87,8 @@ def state_dtype(arm: ArmSize) -> np.dtype[np.void]:
             ("acceleration", np.float64, (n,)),  # mean over the last step
             ("drive_torque", np.float64, (n,)),  # joint side, Nm
             ("motor_torque", np.float64, (n,)),
-            ("motor_position", np.float64, (n,)),  # what the encoder says
-            ("motor_velocity", np.float64, (n,)),  # what the observer makes of it
+            ("motor_position", np.float64, (n,)),  # measured by the encoder
+            ("motor_velocity", np.float64, (n,)),  # estimated by the observer
             ("observer", np.float64, (n,)),  # the observer's position
             ("saturated", np.int64, (n,)),  # ticks in which a motor gave less than its command
             # Workspace of a step; the factor of the mass matrix is also the next step's predictor.
@@ -146,9 +146,9 @@ def _plant_record(
 
 
 def _check(drives: DriveParameters, rates: Rates, substeps: int | None, seed: int) -> None:
-    """Refuse what does not fit the tick."""
-    if substeps is not None and not (isinstance(substeps, int | np.integer) and 1 <= substeps <= MOST_STEPS):
-        raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1, up to {MOST_STEPS}")
+    """Refuse friction that is too fast for the tick."""
+    if substeps is not None and not (isinstance(substeps, int | np.integer) and 1 <= substeps <= MAX_STEPS):
+        raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1, up to {MAX_STEPS}")
     if drives.velocity_bandwidth >= rates.base_hz / 2:
         raise ConfigError(
             f"velocity_bandwidth is {drives.velocity_bandwidth} Hz; accepted: below half the base rate, "
@@ -219,7 +219,7 @@ class Plant:
         tick: number of the tick whose states are sampled now.
         constants: compiled constants, shape (1,), of `plant_dtype`.
         state: compiled state, shape (1,), of `state_dtype`.
-        temperatures: how warm the joints are.
+        temperatures: temperatures of the joints.
     """
 
     def __init__(
@@ -264,16 +264,16 @@ class Plant:
         self.tick = 0
 
     def position_of(self, links: ArrayLike) -> Array:
-        """Return the position for `reset`, rad, shape (n,), that leaves the links at rest where they are wanted.
+        """Return the position for `reset`, rad, shape (n,), that leaves the links at rest in the required position.
 
-        To the last bit wherever rounding allows, so that a run that is done again from its first sample has the same
+        Exact to the last bit wherever rounding allows, so that a run repeated from its first sample has the same
         bits.
         """
-        wanted = np.array(links, dtype=np.float64)
-        position = wanted.copy()
-        for _ in range(_MOST_CORRECTIONS):
+        target = np.array(links, dtype=np.float64)
+        position = target.copy()
+        for _ in range(_MAX_CORRECTIONS):
             self.reset(position)
-            off = wanted - self.state["q"][0]
+            off = target - self.state["q"][0]
             if not off.any():
                 break
             position += off
@@ -289,13 +289,13 @@ class Plant:
         self.state[:], self.tick = before, tick
 
     def step(self, command: Array | None) -> None:
-        """Hold motor torques for one tick; None takes the torque away and closes the brakes.
+        """Hold motor torques for one tick; None switches the torque off and closes the brakes.
 
         Args:
             command: motor torques, motor side, Nm, shape (n,).
 
         Raises:
-            DivergenceError: naming joint and tick; the state is then no longer of use.
+            DivergenceError: naming joint and tick; the state is invalid afterwards.
         """
         if command is None:
             joint = plant_step(self.constants, self.state, self._no_command, False)
@@ -376,9 +376,9 @@ class JointTemperatures:
 
     def set(self, temperatures: ArrayLike) -> None:
         """Make the joints so warm, degrees Celsius, shape (e,); those without a temperature take none."""
-        wanted = np.broadcast_to(np.asarray(temperatures, dtype=np.float64), self.now.shape)
+        values = np.broadcast_to(np.asarray(temperatures, dtype=np.float64), self.now.shape)
         for i in self.elements:
-            self.now[i] = wanted[i]
+            self.now[i] = values[i]
         _follow(self._constants, self._state)
 
     def beyond_law(self) -> str:

@@ -1,4 +1,4 @@
-"""How many steps the plant must take in a tick: what bristles, brakes, stops and gears ask for on the arm's inertia.
+"""The number of plant steps in a tick, required by bristles, brakes, stops and gears and the arm's inertia.
 
 **A stuck joint.** Where all bristles stick, a step of length h is linear. With the midpoint velocity that the last
 acceleration predicts, v_m = v + h/2 a, the exact bristle, mean torque c0 (z + h/2 v_m) + d v_m, d = c1 and the viscous
@@ -9,25 +9,26 @@ slope at rest, and the mass m, its eigenvalues s are the roots of
 By Jury's criterion they lie within the unit circle where d < 1 and (k - 2 d) (k + d) < 4 d. Without damping a vibration
 grows by k^2 / 8 in a step, whatever the step.
 
-**The arm.** Its map is the same polynomial with matrices M, K = W^T C0 W and D, W being what the elements turn for
-velocities of the arm. Multiplied by its eigenvector from the left it is the scalar one, whose k and d are Rayleigh
-quotients. So k is at most the largest eigenvalue of (h^2 K, M), d that of (h D, M), also where only some of the
-elements stick, and M^-1 K has the eigenvalues of sqrt(C0) (W M^-1 W^T) sqrt(C0). Of W M^-1 W^T the largest entries over
-poses in all of the range are kept, once for an arm: a matrix of positive numbers that bounds another's entries bounds
-its eigenvalues (Perron and Frobenius).
+**The arm.** Its map is the same polynomial with matrices M, K = W^T C0 W and D, where W maps velocities of the arm to
+those of the elements. Multiplied by its eigenvector from the left, the polynomial is the scalar one, and k and d are
+Rayleigh quotients. So k is at most the largest eigenvalue of (h^2 K, M), d that of (h D, M), also if only some of the
+elements stick, and M^-1 K has the eigenvalues of sqrt(C0) (W M^-1 W^T) sqrt(C0). The largest entries of W M^-1 W^T over
+poses in the whole range are computed once for an arm: a matrix of positive numbers that bounds another's entries also
+bounds its eigenvalues (Perron and Frobenius).
 
-**Bounds.** Friction: k <= 0.05, where a stuck joint's frequency is 1 % off, and d <= 0.5, half of what is stable.
-Closed brakes and end stops, where the arm stands or is stopped: k <= 0.25, d <= 0.8. What damping does not cover of k,
-by the criterion above, is kept so small that a vibration grows by at most GROWTH in a second. Other bristles are as
-stiff as LuGre's where they stick.
+**Bounds.** Friction: k <= 0.05, where a stuck joint's frequency is 1 % off, and d <= 0.5, half of the stable limit.
+Closed brakes and end stops, which hold or stop the arm: k <= 0.25, d <= 0.8. The part of k that the damping does not
+stabilise, by the criterion above, is limited so that a vibration grows by at most GROWTH in a second. Other bristles
+have the stiffness of LuGre's while they stick.
 
-**Elastic gears** are implicit, stable for every stiffness. But a frequency w far above the step is seen at another one,
-where the controller may drive it: h w <= 0.5, unless damping d >= 0.05 h k takes it away within some ten steps.
-Friction on the motors' side has the inertia of the rotors alone where the gear is soft, and this is what counts here.
+**Elastic gears** are implicit, stable for every stiffness. But a frequency w far above the step rate is aliased to
+another one, at which the controller may excite it: h w <= 0.5, unless damping d >= 0.05 h k removes it within some ten
+steps.
+Friction on the motors' side acts on the inertia of the rotors alone if the gear is soft; this inertia is used here.
 
-**A weak direction.** Bristles with next to no torque in one direction spring back at once when the joint turns that
-way, while the step goes on with the torque of its middle: of first order, whatever the number of steps. So the torques
-of both directions are at most DIRECTIONS times apart.
+**A weak direction.** If bristles have next to no torque in one direction, they spring back at once when the joint turns
+that way, while the step uses the torque of its middle: the error is of first order, for any number of steps. So the
+torques of both directions may differ by a factor of DIRECTIONS at most.
 """
 
 from __future__ import annotations
@@ -50,11 +51,11 @@ from rx90_common.friction import FrictionSet
 from rx90_common.friction.element import SIGNS
 from rx90_common.kernels.compiled import kernel
 
-MOST_AUTOMATIC: Final = 64
-"""Steps in a tick that the plant takes without being asked to."""
+MAX_AUTOMATIC_STEPS: Final = 64
+"""Largest number of steps in a tick that is used without a request."""
 
-MOST_STEPS: Final = 1000
-"""Steps in a tick that it can be asked for."""
+MAX_STEPS: Final = 1000
+"""Largest number of steps in a tick that can be requested."""
 
 GROWTH: Final = 0.1
 """By which a vibration of a stuck arm may grow in a second where nothing damps it, 1/s."""
@@ -68,19 +69,19 @@ _ROOTS = (
     1.0969815577985598,
 )  # fmt: skip
 _LARGE = 1e100  # beyond all that an eigenvalue can be computed of
-_GEAR_DAMPING = 0.05  # d / (h k) from which a gear's vibration is gone within some ten steps
+_GEAR_DAMPING = 0.05  # d / (h k) from which a gear's vibration decays within some ten steps
 
 
 class _Rows(NamedTuple):
-    """What acts on the arm: friction elements, brakes, end stops, gears; each a stiffness and a damper.
+    """The loads on the arm: friction elements, brakes, end stops, gears; each a stiffness and a damper.
 
     Attributes:
         names: of stiffness and damping of each, for messages.
-        named_damping: what the name of the damping stands for, Nm s/rad.
+        named_damping: value, Nm s/rad, of the parameter that the damping's name refers to.
         stiffness: Nm/rad.
         damping: the least at rest, Nm s/rad.
         most_damping: the most up to full speed, Nm s/rad.
-        elements: of friction; brakes, stops and gears share the rest.
+        elements: number of friction elements; brakes, stops and gears follow them.
     """
 
     names: Sequence[tuple[str, str]]
@@ -97,13 +98,13 @@ class _Rows(NamedTuple):
 
 
 class _Load(NamedTuple):
-    """What has to keep within a bound.
+    """A quantity with its bound.
 
     Attributes:
         largest: eigenvalue.
-        row: that has the largest part in it.
+        row: the one with the largest part in it.
         most: its bound.
-        cover: k that a d of 1 covers; None if damping does not count, 0 for a bound of d.
+        cover: k that a d of 1 stabilises; None if damping does not count, 0 for a bound of d.
     """
 
     largest: float
@@ -118,10 +119,10 @@ def plant_steps(
     friction: FrictionSet,
     arm: Any,
     period: float,
-    asked: int | None = None,
+    requested: int | None = None,
     braked: bool = True,
 ) -> int:
-    """Return how many steps the plant takes in a tick: those asked for, or as many as the arm needs.
+    """Return the number of plant steps in a tick: the requested one, or the number that the arm needs.
 
     Args:
         robot: its limits.
@@ -129,31 +130,31 @@ def plant_steps(
         friction: the elements.
         arm: the rigid arm, shape (1,), of `manipulator_dtype(n)`; with the rotors.
         period: of a tick, s.
-        asked: steps in a tick, None for as many as it needs.
+        requested: steps in a tick, None for as many as it needs.
         braked: whether there are brakes and end stops.
 
     Raises:
-        ConfigError: for torques of two directions too far apart; for less than the arm needs, and for more than
-            MOST_AUTOMATIC that nobody asked for, naming what asks for them, its value, what is accepted and the steps
-            that would do.
+        ConfigError: if torques of two directions are too far apart; for fewer steps than the arm needs; for more than
+            MAX_AUTOMATIC_STEPS without a request. The message names the cause, its value, accepted values and the
+            sufficient number of steps.
     """
     _check_directions(friction)
     rows = _rows(drives, friction, robot.max_velocity)
     numbers = robot.lower, robot.upper, drives.rotor_inertia, drives.turning.turns
     elastic, link_friction = drives.elasticity.elastic.tobytes(), drives.elasticity.friction_side == LINK
     gram = _compliance(arm.tobytes(), *(one.astype(np.float64).tobytes() for one in numbers), elastic, link_friction)
-    most = MOST_AUTOMATIC if asked is None else asked
+    most = MAX_AUTOMATIC_STEPS if requested is None else requested
 
     def bear(steps: int) -> bool:
         return all(load.largest <= load.most for load in _loads(rows, gram, period / steps, braked))
 
-    if bear(1 if asked is None else asked):
-        return 1 if asked is None else asked
+    if bear(1 if requested is None else requested):
+        return 1 if requested is None else requested
     needed = _first(bear)
     if needed is not None and needed <= most:
         return needed
     loads = sorted(_loads(rows, gram, period / most, braked), key=lambda one: one.largest / one.most)
-    raise ConfigError(_refusal(rows, gram, loads, period / most, most, asked, needed))
+    raise ConfigError(_refusal(rows, gram, loads, period / most, most, requested, needed))
 
 
 def _check_directions(friction: FrictionSet) -> None:
@@ -170,9 +171,9 @@ def _check_directions(friction: FrictionSet) -> None:
 
 def _first(bear: Any) -> int | None:
     """Return the least number of steps in a tick that will do, None if there is none: all bounds ease with the step."""
-    if not bear(MOST_STEPS):
+    if not bear(MAX_STEPS):
         return None
-    low, high = 1, MOST_STEPS
+    low, high = 1, MAX_STEPS
     while low < high:
         middle = (low + high) // 2
         low, high = (low, middle) if bear(middle) else (middle + 1, high)
@@ -184,7 +185,7 @@ def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -
     slopes = [e.viscous_slopes(speed) for e, speed in zip(friction.elements, speeds, strict=True)]
     c1 = np.array([element.c1 for element in friction.elements])
     least, cold, fast = np.array(slopes).T
-    rest, most = c1 + least, np.maximum(c1 + cold, fast)
+    at_rest, most = c1 + least, np.maximum(c1 + cold, fast)
     elasticity = drives.elasticity
     gears = np.where(elasticity.elastic, elasticity.stiffness, 0.0)
     others = np.concatenate([drives.brake_damping, drives.stop_damping, elasticity.damping])
@@ -198,14 +199,14 @@ def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -
         names,
         np.concatenate([np.where(c1 >= 0.5 * most, c1, most), others]),
         np.concatenate([[e.c0 for e in friction.elements], drives.brake_stiffness, drives.stop_stiffness, gears]),
-        np.concatenate([rest, others]),
+        np.concatenate([at_rest, others]),
         np.concatenate([most, others]),
         len(friction.elements),
     )
 
 
 def _loads(rows: _Rows, gram: Array, step: float, braked: bool) -> Iterator[_Load]:
-    """Yield what has to keep within its bound for a step, s."""
+    """Yield the quantities with their bounds for a step, s."""
     k, d = step * step * rows.stiffness, step * rows.damping
     still = math.sqrt(8.0 * GROWTH * step)  # k whose undamped vibration grows by GROWTH
     for part, most_k, most_d in ((slice(rows.elements), 0.05, 0.5), (slice(rows.held), 0.25, 0.8))[: 1 + braked]:
@@ -213,14 +214,14 @@ def _loads(rows: _Rows, gram: Array, step: float, braked: bool) -> Iterator[_Loa
         yield stiff
         yield _load(step * rows.most_damping, part, gram, most_d, 0.0)
         cover = 3.2 / min(max(stiff.largest, 1e-100), most_k)  # up to this k the criterion lies above still + cover d
-        with np.errstate(over="ignore"):  # damping that is refused beside it
+        with np.errstate(over="ignore"):  # damping that another check refuses
             bare = k - cover * d
         yield _load(bare, part, gram, still, cover)
     yield _load(k - d / _GEAR_DAMPING, slice(rows.held, None), gram, 0.25, 1.0 / _GEAR_DAMPING)
 
 
 def _load(values: Array, part: slice, gram: Array, most: float, cover: float | None) -> _Load:
-    """Return the largest eigenvalue of k or d, beside its bound."""
+    """Return the largest eigenvalue of k or d, with its bound."""
     values = np.maximum(values[part], 0.0)
     largest, row = float(values.max()), int(values.argmax())
     if largest > 0.0:
@@ -228,9 +229,9 @@ def _load(values: Array, part: slice, gram: Array, most: float, cover: float | N
         form = root[:, None] * gram[part, part] * root
         if largest < _LARGE:
             largest = float(np.linalg.eigvalsh(form)[-1])
-            if largest > most:  # which is asked of the mode
+            if largest > most:  # required of the mode
                 row = int(np.argmax(np.abs(np.linalg.eigh(form)[1][:, -1])))
-        else:  # beside which others do not count
+        else:  # others are negligible
             largest *= float(gram[part, part][row, row])
     return _Load(largest, row + (part.start or 0), most, cover)
 
@@ -299,9 +300,9 @@ def _raise_to_largest(arms: Record, bodies: Record, poses: Array, whole: Array, 
 
 
 def _refusal(
-    rows: _Rows, gram: Array, loads: Sequence[_Load], step: float, most: int, asked: int | None, needed: int | None
+    rows: _Rows, gram: Array, loads: Sequence[_Load], step: float, most: int, requested: int | None, needed: int | None
 ) -> str:
-    """Return what is beyond `most` steps in a tick, the last of the loads most of all, and what is accepted."""
+    """Return the message for a need of more than `most` steps in a tick: the worst load and accepted values."""
     load = loads[-1]
     over, row = load.largest / load.most, load.row
     damping = load.cover == 0.0
@@ -313,7 +314,9 @@ def _refusal(
     if load.cover and loads[-2].largest <= loads[-2].most:
         accepted.append(f"{rows.names[row][1]} from about {rows.stiffness[row] * step / load.cover:.3g}")
     if needed is not None:
-        accepted.append(f"substeps {needed}" + (f", more than the {most} used without asking" if asked is None else ""))
+        accepted.append(
+            f"substeps {needed}" + (f", more than the {most} used without asking" if requested is None else "")
+        )
     return (
         f"{name} is {size[row]:.6g} {unit}{slope}, {over:.3g} times what {steps} on {1.0 / gram[row, row]:.3g} kg m^2; "
         f"accepted: {', or '.join(accepted)}"

@@ -31,7 +31,7 @@ ONSET_SHARE = 0.1
 MIN_POINTS = 30
 MIN_WINDOW = 4.0
 """Shortest window, in time constants."""
-MOST_POINTS = 100
+MAX_POINTS = 100
 ROUGH_POINTS = 30
 """Least squares are solved with at most so many readings, as their cost is cubic; fewer for preliminary fits."""
 CURVATURE_LIMIT = 0.05
@@ -84,7 +84,7 @@ def fit_asymptote(record: RampRecord, time_constant: float | None = None) -> Ram
     T = time_constant or max(T, b / a - break_away)
     if record.torque is not None:
         # The command is a staircase about the ramp. Its steps are known, so their effect on an inertia with time
-        # constant T is taken out instead of being counted as noise.
+        # constant T is subtracted instead of being counted as noise.
         final = (record.torque - record.slope * (time + record.tick / 2)) * a / record.slope
         angle = angle - respond(time, np.where(time >= break_away, final, 0.0), 0.0, T)[0]
     use = _settled(record, time, break_away, T)
@@ -138,7 +138,7 @@ def _settled(record: RampRecord, time: Array, break_away: float, T: float) -> Ma
 
 
 def _solve(
-    time: Array, angle: Array, step: float, break_away: float, T: float, most: int = MOST_POINTS
+    time: Array, angle: Array, step: float, break_away: float, T: float, most: int = MAX_POINTS
 ) -> tuple[float, float, Array]:
     """Return a, b and their covariance by generalised least squares; q by restricted maximum likelihood."""
     every = -(-time.size // most)  # decimation costs next to nothing: neighbouring angles are strongly correlated

@@ -1,10 +1,12 @@
 """The bring-up check of a board that has just been soldered: each line, sign, scale and the watchdog, step by step.
 
-A stage for torque of both signs has a step more, its direction line, and sense and current are checked both ways.
+On a stage for torque of both signs there is one more step, for its direction line, and sense and current are checked in
+both directions.
 
-Each step says what to prepare, asks before it switches anything on, and compares what the rig reports, and what a
-person measures or sees, with what the board's drawing (docs/howto/rig_build.md) and the rig file let one expect. The
-steps before the motor's supply is switched on show that the board takes a torque away; only then a torque is applied.
+Each step describes the preparation, asks for confirmation before it switches anything on, and compares the rig's
+reports, and the person's measurements and observations, with the values expected from the board's drawing
+(docs/howto/rig_build.md) and the rig file. The steps before the motor's supply is switched on verify that the board can
+switch the torque off; only then a torque is applied.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ from rx90_common.base.errors import DONE, FAILED, VERDICT_NO
 from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.process.files import write_text
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 
 ENABLE_VOLTS = 0.5
 """Tolerance of the enable's levels, V: outputs of 0.45 V when low, 0.2 V for the port's own pull-up when high."""
@@ -52,7 +54,7 @@ AMPERES = 0.05, 0.03
 """Of a current: sense resistor and gain, 2.4 %, and a meter of 2 %; 30 mA for an untrimmed offset, or ripple."""
 READING = 0.05, 2.0
 """Of the mean of ADC codes, share and codes: gain and reference, 2.4 %, and noise; quantisation and offset."""
-TURN_SHARE = 0.05
+HAND_TURN_TOLERANCE = 0.05
 """Of a turn by hand: 18 degrees."""
 PARTS = 0.25, 0.5
 """Of the highest DAC code: those at which scales are compared."""
@@ -60,7 +62,7 @@ SIDES = 0.01, 1.0
 """Of the difference of the ADC codes forward and backward: one regulator and one resistor serve both; quantisation."""
 LISTENED_TICKS = 50
 SETTLING_TICKS, AVERAGED_TICKS = 15, 50
-TURNED_SHARE = 0.05
+MIN_TURN_SHARE = 0.05
 """Of a turn: a shaft that has moved so far turns, and has not only given way."""
 WRONG_SENSE = {
     "counts": "the torque counts down: the motor's leads are exchanged, or the encoder's lines",
@@ -74,8 +76,8 @@ class BringUp(Dialogue):
     """The check of one rig; arguments as of `Dialogue`.
 
     Attributes:
-        steps: what to do, by title.
-        lost: the rig does not answer any more.
+        steps: the steps, by title.
+        lost: the rig no longer answers.
     """
 
     def __init__(self, client: RigClient, person: Terminal, board: str | None = None) -> None:
@@ -103,10 +105,11 @@ class BringUp(Dialogue):
         return self.client.hello.torque_limit_code
 
     def run(self) -> int:
-        """Do all steps, and print what each found.
+        """Run all steps, and print the result of each.
 
         Returns:
-            The exit code: 0 all is as expected; 1 something is not, or was not measured; 3 the rig does not answer.
+            The exit code: 0 all values are as expected; 1 a value is not, or was not measured; 3 the rig does not
+            answer.
         """
         for number, (title, do) in enumerate(self.steps.items(), 1):
             self.results.append(result := StepResult(title))
@@ -134,7 +137,7 @@ class BringUp(Dialogue):
 
     @property
     def verdict(self) -> str:
-        """Return what the steps come to; those that were not reached leave it incomplete at best."""
+        """Return the verdict of the steps; steps that were not reached leave it incomplete at best."""
         found = {result.verdict for result in self.results}
         if "failed" in found:
             return "failed"
@@ -271,19 +274,19 @@ class BringUp(Dialogue):
         self._ready(f"Put code {code} on the DAC, and fall silent")
         with armed(client):
             self._put(code)
-            took = self._silence(3 * hello.watchdog_ticks)
-            if took is None:
+            elapsed = self._silence(3 * hello.watchdog_ticks)
+            if elapsed is None:
                 client.request(Command.STOP)
                 raise RigError(f"the torque stayed on for {3 * expected:g} s without a host: the watchdog does not act")
             tolerance = 1e3 * self.rig.tick  # a report may be lost
-            self._compare("from the last frame to torque off, at most", "ms", 1e3 * expected, tolerance, 1e3 * took)
+            self._compare("from the last frame to torque off, at most", "ms", 1e3 * expected, tolerance, 1e3 * elapsed)
         client.clear()
         self._measure(f"{self.board.enable} after that", "V", self.board.off, ENABLE_VOLTS)
 
     def _silence(self, ticks: int) -> float | None:
-        """Send a last frame; return the time until the torque is off, s, at most; None if it stays on so many ticks.
+        """Send a last frame; return the longest possible time until the torque is off, s; None if it stays on.
 
-        The frame came within the tick before the first report that answers it.
+        The frame arrived within the tick before the first report that answers it.
         """
         client = self.client
         assert client.last is not None
@@ -314,7 +317,7 @@ class BringUp(Dialogue):
             before = self._listen(1)[0].counts
             self._ready(f"Turn it once in the {sense} sense")
             found[sense] = moved = self._listen(SETTLING_TICKS)[-1].counts - before
-            self._compare(f"one {sense} turn", "counts", sign * counts, TURN_SHARE * counts, moved)
+            self._compare(f"one {sense} turn", "counts", sign * counts, HAND_TURN_TOLERANCE * counts, moved)
         wrong = [sense for sense, moved in found.items() if moved * (1 if sense == "positive" else -1) < 0]
         if not any(found.values()):
             self._fault("no counts: the encoder's supply or line A, or the decoder's pulse, is missing")
@@ -336,10 +339,10 @@ class BringUp(Dialogue):
         most = self.codes[-1]
         self._say(
             "Close S1; keep a hand on it. The shaft must be free to turn. The torque rises code by code until the "
-            f"shaft has turned by {TURNED_SHARE:g} of a turn, at most to code {most}, {self.rig.torque(most):.3g} Nm, "
-            "and goes off. Watch the shaft."
+            f"shaft has turned by {MIN_TURN_SHARE:g} of a turn, at most to code {most}, "
+            f"{self.rig.torque(most):.3g} Nm, and goes off. Watch the shaft."
         )
-        counted, seen = [], []
+        counted, senses = [], []
         for sense, way in self._ways.items():
             self._ready(f"Apply the torque in the {sense} sense" if self.rig.bipolar else "Apply the torque")
             if self._turn_by_torque(way) * way < 0:
@@ -348,10 +351,10 @@ class BringUp(Dialogue):
             while (answer := self._ask(question).lower()) not in ("y", "n", ""):
                 self._say(f"{quoted(answer)}; accepted: y, n, or Enter")
             if answer == "n":
-                seen.append(sense)
+                senses.append(sense)
             elif not answer:
                 self.results[-1].left_out.append(f"nobody saw whether the shaft turned in the {sense} sense")
-        for wrong, what in ((counted, "counts"), (seen, "turns the shaft")):
+        for wrong, what in ((counted, "counts"), (senses, "turns the shaft")):
             if len(wrong) == 1 and self.rig.bipolar:
                 other = "negative" if wrong[0] == "positive" else "positive"
                 self._fault(
@@ -365,7 +368,7 @@ class BringUp(Dialogue):
         rig, most, moved, code = self.rig, self.codes[-1], 0, 0
         wait_for_rest(self.client)
         start = self._listen(1)[0].counts
-        enough = max(2.0, TURNED_SHARE * rig.counts_per_revolution)
+        enough = max(2.0, MIN_TURN_SHARE * rig.counts_per_revolution)
         with self._stage_on():
             while abs(moved) < enough and code < most:
                 code += 1
@@ -430,13 +433,13 @@ def _mean_reading(samples: list[Sample]) -> float:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Check the rig at a port; what was found stands in `--output` however the check ends.
+    """Check the rig at a port; the results are written to `--output` however the check ends.
 
     Returns:
         The exit code of `BringUp.run`.
 
     Raises:
-        Rx90Error: for what is refused, or a port that cannot be opened.
+        Rx90Error: for bad options or files, or a port that cannot be opened.
     """
     rig: Rig = load_rig(resolve_config(options.rig))
     port = SerialPort(options.port, options.baud or rig.baud)
@@ -446,7 +449,7 @@ def run(options: argparse.Namespace) -> int:
         print("Nothing is switched on before you say so; Ctrl-C takes the torque away. S1 is the emergency stop.")
         code = check.run()
     finally:
-        with interrupts_later():
+        with deferred_interrupts():
             port.close()
             if output is not None:
                 write_text(output, yaml_text(check.document()))

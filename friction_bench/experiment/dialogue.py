@@ -1,4 +1,4 @@
-"""What the bring-up check is made of: points of each board, questions to a person, comparisons, a torque that ends."""
+"""Parts of the bring-up check: points of each board, questions to a person, comparisons, a torque that ends."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ INDENT = "   "
 WIDTH = 100
 """Of the texts, characters."""
 LONGEST_HOLD = 30.0
-"""For which a torque stands while a person measures, s: a stalled motor and its stage get hot."""
+"""Time for which a torque is applied while a person measures, s: a stalled motor and its stage get hot."""
 
 
 class Board(NamedTuple):
@@ -65,12 +65,12 @@ BIPOLAR_BOARDS = {**BOARDS, "8051": BOARDS["8051"]._replace(off=2.87)}
 HIGH = 5.0
 """Of a direction line, V."""
 OF_PROCESSOR = {"mcs51": "8051", "avr": "nano"}
-"""The board that a processor stands on, unless --board says otherwise."""
+"""The board that carries a processor, unless --board names another."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One quantity: what is expected, by how much it may differ, and what was found; None where it was not measured."""
+    """A quantity: expected value, tolerance, and measured value; None if it was not measured."""
 
     name: str
     unit: str
@@ -80,12 +80,12 @@ class Comparison:
 
     @property
     def good(self) -> bool:
-        """Return whether what was found is as expected."""
+        """Return whether the measured value is as expected."""
         return self.found is not None and abs(self.found - self.expected) <= self.tolerance
 
     @property
     def expectation(self) -> str:
-        """Return in words what is expected."""
+        """Return the expected value in words."""
         return f"{self.name}: expected {self.expected:.4g} ± {self.tolerance:.2g} {self.unit}"
 
     def __str__(self) -> str:
@@ -97,7 +97,7 @@ class Comparison:
 
 @dataclass
 class StepResult:
-    """What a step found: quantities, faults in words, and what nobody did or saw."""
+    """The results of a step: quantities, faults in words, and observations that nobody made."""
 
     title: str
     quantities: list[Comparison] = field(default_factory=list)
@@ -137,9 +137,9 @@ class Terminal:
         self._echo = sys.stdin is None or not sys.stdin.isatty()
 
     def answer(self, question: str, meanwhile: Callable[[], object]) -> str | None:
-        """Return the line that answers a question, without blanks around it, None if nobody is there.
+        """Return the line that answers a question, stripped, None if nobody is there.
 
-        A file's answer is printed, as a terminal shows what is typed. `meanwhile` keeps the rig alive: it is called
+        The answer from a file is printed, as a terminal shows typed text. `meanwhile` keeps the rig alive: it is called
         every few hundredths of a second.
         """
         print(f"{INDENT}{question}: ", end="", flush=True)
@@ -162,15 +162,15 @@ class SkippedError(Exception):
 
 
 class Dialogue:
-    """A rig, the person at it, and what the steps found.
+    """A rig, the person who operates it, and the results of the steps.
 
     Args:
-        client: of the rig, which need not have been greeted.
-        person: at the rig.
-        board: one of BOARDS; by default the one of the processor that greets.
+        client: of the rig, before or after its greeting.
+        person: who operates the rig.
+        board: one of BOARDS; by default the one of the processor that sends the greeting.
 
     Attributes:
-        results: of the steps so far; what is compared belongs to the last one.
+        results: of the steps so far; comparisons are added to the last one.
     """
 
     def __init__(self, client: RigClient, person: Terminal, board: str | None = None) -> None:
@@ -188,7 +188,7 @@ class Dialogue:
         print(textwrap.fill(text, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT), flush=True)
 
     def _listen(self, ticks: int) -> list[Sample]:
-        """Return so many readings; raise what a fault bit among them says."""
+        """Return so many readings; raise RigFaultError if a fault bit is set among them."""
         samples: list[Sample] = []
         while len(samples) < ticks:
             samples += self._pump()
@@ -201,7 +201,7 @@ class Dialogue:
         if self.client.port.now() > self._until:
             self._until = float("inf")
             self.client.request(Command.TORQUE, *self.client.torque_values(0))
-            print(flush=True)  # the question stands in the line
+            print(flush=True)  # ends the line of the question
             self._say(f"the torque is off again after {LONGEST_HOLD:g} s")
         return samples
 
@@ -225,7 +225,7 @@ class Dialogue:
         return answer
 
     def _ready(self, question: str) -> None:
-        """Wait until the person is ready for what the question names; skip the step where they are not."""
+        """Wait until the person confirms the preparation; skip the step if they do not."""
         while (answer := self._ask(f"{question} [Enter, or s skips the step]").lower()) != "":
             if answer == "s":
                 raise SkippedError("skipped")

@@ -1,7 +1,7 @@
 """The source's comparison: rig, block diagram, multibody model and closed form of one ramp test.
 
 The source compares its experiment with Simulink (equation 3 as a block diagram) and ADAMS (a multibody model) and
-solves the equation in Maple. Neither program is available here; what each makes of Coulomb friction is:
+solves the equation in Maple. Neither program is available here; their models of Coulomb friction are:
 
 - block diagram: a sign block gives +1, 0 and -1, so that friction is off at a velocity of exactly 0 and switches on
   with the first motion, and a fixed-step solver, which cannot meet the zero, lets the shaft chatter about it;
@@ -71,9 +71,9 @@ class Pair(NamedTuple):
 
 
 class Sensor(NamedTuple):
-    """What the block diagram's joint sensor gives, at the motor, each shape (n,).
+    """The outputs of the block diagram's joint sensor, at the motor, each shape (n,).
 
-    Time s, position rad, velocity rad/s, acceleration rad/s², and reaction torque Nm: what the joint's base feels
+    Time s, position rad, velocity rad/s, acceleration rad/s², and reaction torque Nm: the torque on the joint's base
     about the axis, drive less friction, tau - f = J q'' (equation 1).
     """
 
@@ -143,7 +143,7 @@ def block_diagram(model: RampModel, start: float, time: Array, step: float = FIX
     step = min(step, STABLE * model.time_constant)
     count = int(np.ceil(time[-1] / step)) + 2
     found = _fixed_steps(model.slope, start, (model.coulomb, model.viscous), model.inertia, step, count)
-    at = np.rint(time / step).astype(int)  # what the scope has is the solver's last step, not a line between two
+    at = np.rint(time / step).astype(int)  # the scope shows the solver's last step, not a line between two
     return Sensor(time, *found[:, at])
 
 
@@ -207,7 +207,7 @@ def measured_velocity(record: RampRecord) -> tuple[Array, Array]:
 
 
 def _pairs(velocities: dict[str, Array], slides: Mask) -> list[Pair]:
-    """Return the differences of all pairs; `slides` says at which times the shaft does."""
+    """Return the differences of all pairs; `slides` marks the times at which the shaft slides."""
     final, pairs = float(velocities[CLOSED][-1]), []
     for first, second in combinations(velocities, 2):
         difference = 100.0 * np.abs(velocities[first] - velocities[second]) / final

@@ -1,8 +1,9 @@
 """From ramps to friction: the source's formulas, the exact fit, their uncertainties, and the joint's own friction.
 
-By the source, for each ramp whose asymptote a t - b shows: f_v = m / a and f_c = m b / a, which is biased high by J a.
-The exact f_c = m b / a - J a needs J, which needs two slopes; it comes from all ramps in one fit (`sliding_fit`), which
-uses a ramp from where the shaft slides. A ramp that cannot be used is left out, and the result says which and why.
+The source's method, for each ramp with a visible asymptote a t - b: f_v = m / a and f_c = m b / a, which is biased high
+by J a. The exact f_c = m b / a - J a needs J, which needs two slopes; it comes from all ramps in one fit
+(`sliding_fit`), which uses each ramp from the beginning of sliding. A ramp that cannot be used is left out, and the
+result gives the reason.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import VERDICT_NO, IdentificationError
 
 LEVEL = 0.95
-SAME_SLOPE = 0.02
+SLOPE_TOLERANCE = 0.02
 """Slopes closer than this, relative, are one slope."""
 
 _Item = TypeVar("_Item")
@@ -34,7 +35,7 @@ _Result = TypeVar("_Result")
 
 
 class UnphysicalError(IdentificationError):
-    """The ramps were evaluated, and what they give is no friction: a verdict, not a refusal."""
+    """The ramps were evaluated, but the result is no valid friction: a verdict, not a refusal."""
 
     exit_code = VERDICT_NO
 
@@ -82,8 +83,8 @@ class UsedRamp:
 
     Attributes:
         break_away: time of break-away, s.
-        time, velocity: where it was fitted, s, and the fitted velocity, rad/s, shape (n,).
-        asymptote: by the source's method; None where the ramp is too short for it.
+        time, velocity: times of the fit, s, and the fitted velocity, rad/s, shape (n,).
+        asymptote: by the source's method; None if the ramp is too short for it.
     """
 
     record: RampRecord
@@ -100,18 +101,18 @@ class UsedRamp:
 
 @dataclass(frozen=True)
 class RampIdentification:
-    """What was identified from a set of ramps under one load.
+    """Friction and inertia identified from a set of ramps under one load.
 
     Attributes:
         source: the source's f_c = m b / a and f_v = m / a, mean over the ramps long enough for it; None without any.
-        exact: fit of all ramps, intervals from its covariance, in which is what differs from ramp to ramp; None with
-            one slope.
-        repeated: by each repeat alone, intervals from their scatter, to compare; None with fewer than 2 repeats.
-        consistency: p-value of the chi-square test of ramps that do not differ but for torque noise and counts.
+        exact: fit of all ramps, intervals from its covariance, which contains the differences from ramp to ramp; None
+            with one slope.
+        repeated: from each repeat alone, intervals from their scatter, for comparison; None with fewer than 2 repeats.
+        consistency: p-value of the chi-square test that the ramps differ only by torque noise and counts.
         spread: standard deviations from ramp to ramp of the torque's scale and of f_c, relative, shape (2,); None with
             one slope.
         stribeck: probability that the friction falls with the velocity after break-away; None with one slope.
-        unused: why each ramp was left out that could not be used, one line each.
+        unused: the reason for each ramp that could not be used, one line each.
     """
 
     ramps: tuple[UsedRamp, ...]
@@ -150,10 +151,10 @@ def source_formulas(a: float, b: float, m: float) -> tuple[float, float]:
 
 
 def slopes_of(ramps: Iterable[RampRecord | UsedRamp]) -> list[float]:
-    """Return the slopes of some ramps that differ by more than SAME_SLOPE, ascending."""
+    """Return the slopes of some ramps that differ by more than SLOPE_TOLERANCE, ascending."""
     distinct: list[float] = []
     for slope in sorted(ramp.slope for ramp in ramps):
-        if not distinct or slope > distinct[-1] * (1 + SAME_SLOPE):
+        if not distinct or slope > distinct[-1] * (1 + SLOPE_TOLERANCE):
             distinct.append(slope)
     return distinct
 
@@ -189,9 +190,9 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
         fit = fit_sliding(windows)
         coulomb, viscous, inertia = fit.values.tolist()
         T = max(inertia / viscous, records[0].tick / 4)
-        straight, asymptotes, bent = _usable(windows, lambda window, T=T: _asymptote(window.record, T))  # type: ignore[misc]
-        unused += bent
-        if not bent:
+        straight, asymptotes, unfitted = _usable(windows, lambda window, T=T: _asymptote(window.record, T))  # type: ignore[misc]
+        unused += unfitted
+        if not unfitted:
             break
         windows, records = straight, [window.record for window in straight]
     else:
@@ -239,7 +240,7 @@ def _one_slope(
 
 
 def _asymptote(record: RampRecord, T: float) -> RampFit | None:
-    """Return the asymptote by the source's method, with T of all ramps; None where the ramp is too short for it."""
+    """Return the asymptote by the source's method, with T of all ramps; None if the ramp is too short for it."""
     try:
         return fit_asymptote(record, T)
     except ShortRampError:
@@ -249,8 +250,9 @@ def _asymptote(record: RampRecord, T: float) -> RampFit | None:
 def _by_source(ramps: Sequence[UsedRamp], scale: float) -> RampFriction | None:
     """Return the source's f_c = m b / a and f_v = m / a (equations 4 and 5), mean over the ramps with an asymptote.
 
-    Of several ramps of one slope the covariance is that of their scatter, in which is what differs from ramp to ramp;
-    else that of their fits, as ramps of other slopes differ by J a, too.
+    The covariance of several ramps of one slope is that of their scatter, which contains the differences from ramp to
+    ramp;
+    otherwise it is that of their fits, because ramps of other slopes also differ by J a.
     """
     fits = [(ramp.slope, ramp.asymptote) for ramp in ramps if ramp.asymptote is not None]
     if not fits:
@@ -292,13 +294,13 @@ class JointFrictionEstimate(NamedTuple):
 def difference(
     high: RampFriction, low: RampFriction, scale: float, factors: tuple[float, float] = (1.0, 1.0)
 ) -> tuple[IntervalEstimate, IntervalEstimate]:
-    """Return by how much f_c and f_v of one measurement exceed those of another on the same torque scale.
+    """Return the differences of f_c and f_v between two measurements on the same torque scale, at the joint.
 
     Args:
         high: at the motor.
         low: the other one, at the motor.
-        scale: relative standard uncertainty of what carries torques over, which scales the difference and counts once.
-        factors: by which it carries f_c and f_v over.
+        scale: relative standard uncertainty of the conversion of torques, which scales the difference and counts once.
+        factors: conversion factors of f_c and f_v.
     """
     found = []
     for index, factor in enumerate(factors):
@@ -344,7 +346,7 @@ class SourceFigures(NamedTuple):
 
 
 class SourceEvaluation(NamedTuple):
-    """What the source would state: loads by name, and f_joint = f_load - f_noload, Nm; None where a load is missing."""
+    """The source's figures: loads by name, and f_joint = f_load - f_noload, Nm; None if a load is missing."""
 
     loads: dict[str, SourceFigures]
     joint: float | None
@@ -363,9 +365,9 @@ SOURCE_STATES = SourceEvaluation(
 def evaluate_as_source(loads: Mapping[str, Sequence[RampRecord]]) -> SourceEvaluation:
     """Evaluate as the source does: a line through each ramp's velocities, counts of a tick divided by its time.
 
-    Each velocity belongs to the middle of its tick, and the line goes through those of a sliding shaft; the source
-    does not say either. It adds f_v to f_c without load and not with it, a sum of different quantities, and takes the
-    difference of rounded figures: so does this.
+    Each velocity belongs to the middle of its tick, and the line is fitted to those of a sliding shaft; the source
+    states neither. The source adds f_v to f_c without load but not with it, a sum of different quantities, and
+    subtracts rounded figures: so does this function.
     """
     figures = {}
     for name, records in loads.items():
@@ -392,10 +394,10 @@ class RampTestResult:
 
     Attributes:
         parts: the identified loads, by name.
-        joint, comparison: None where they cannot be found.
-        failures: why a load that was run carries no estimate, one line each.
-        as_source: by the source's own evaluation, where it was asked for.
-        way: the direction, where there are two.
+        joint, comparison: None if they cannot be computed.
+        failures: the reason for each load that was run without an estimate, one line each.
+        as_source: by the source's own evaluation, if it was requested.
+        way: the direction, if there are two.
     """
 
     parts: list[tuple[str, RampIdentification]]
@@ -413,7 +415,7 @@ class RampTestResult:
 
     @property
     def unphysical(self) -> tuple[str, ...]:
-        """Return what is no friction among the joint's estimates, or those of the one load: value, cause and remedy."""
+        """Return the invalid values among the joint's estimates, or those of the only load: value, cause and remedy."""
         of = f"the joint's{' ' * bool(self.way)}{self.way}" if self.joint is not None else f"the {self.parts[0][0]}"
         single = [name for name, part in self.parts if part.exact is None]
         if single:
@@ -458,9 +460,9 @@ def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False, w
 
 
 def _compare_models(part: RampIdentification, rig: Rig) -> FourWay | None:
-    """Compare the slowest ramp with the models; None where neither ramps nor rig file say what turns.
+    """Compare the slowest ramp with the models; None if neither ramps nor rig file determine the inertia.
 
-    With one slope the inertia is unknown, and the models have that of an emulated rig's file.
+    With one slope the inertia is unknown, and the models use that of an emulated rig's file.
     """
     best, ramp = part.best, min(part.ramps, key=lambda ramp: ramp.slope)
     if best.inertia is not None:

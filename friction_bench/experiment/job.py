@@ -1,4 +1,4 @@
-"""The run of `friction_ramp`, apart from its options: new ramps, planned by what the first shows, or old ones."""
+"""The run of `friction_ramp` without its options: new ramps, planned from the first one, or recorded ones."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ MIN_SLIDING_TIME = 1.5
 MIN_TIME_CONSTANTS = 8.0
 """The same in time constants; the longer of the two counts."""
 MAX_TIME_CONSTANT = 0.5
-"""The time constant, s, that is taken if the first ramp shows a longer one: a single ramp shows it poorly."""
+"""The time constant, s, that is assumed if the first ramp shows a longer one: a single ramp determines it poorly."""
 MIN_SLOPE_RATIO = 1.8
 """Smallest ratio of fastest to slowest slope."""
 SLOPE_RATIO = 2.5
@@ -49,7 +49,7 @@ MIN_SLIDING_READINGS = 300
 """Fewest readings of a sliding shaft at the fastest slope, all repeats together."""
 MAX_REPEATS = 20
 SWING_TURNS = 4
-"""Of a swing, at which the torque goes to its opposite end: two hysteresis loops."""
+"""Number of times the torque of a swing goes to its opposite end: two hysteresis loops."""
 SWINGS = 2
 """Under each load."""
 LOADS = {False: "no-load", True: "loaded"}
@@ -135,11 +135,11 @@ def run_planned(
 
 
 def plan_from(first: RampRecord, plan: RampPlan, rig: Rig) -> RampPlan:
-    """Return the plan, with other slopes and more repeats where the first ramp shows that its own do not do.
+    """Return the plan, with other slopes and more repeats if the first ramp shows that its own are unsuitable.
 
     Args:
         first: a ramp of the plan's slowest slope.
-        plan: slopes and end torques to begin with; the end torques are kept.
+        plan: initial slopes and end torques; the end torques do not change.
         rig: for the limits of travel and speed.
 
     Raises:
@@ -176,10 +176,10 @@ def run(options: argparse.Namespace) -> int:
     """Measure or read ramps, identify friction, and write the report.
 
     Returns:
-        The exit code: 1 where a load that was asked for carries no estimate.
+        The exit code: 1 if a requested load has no estimate.
 
     Raises:
-        Rx90Error: for what is refused; what has been measured until then stands in the folder.
+        Rx90Error: for bad options or files; everything measured until then is in the folder.
     """
     rig = load_rig(resolve_config(SOURCE_RIG if options.source and options.rig == SHIPPED_RIG else options.rig))
     out: Path = options.output
@@ -210,7 +210,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace, base: FrictionFile) -> None:
-    """Refuse now what would otherwise be noticed after minutes of ramps."""
+    """Refuse errors now that would otherwise be noticed after minutes of ramps."""
     if options.element not in base.elements:
         known = ", ".join(base.elements)
         raise ConfigError(f"--element is {quoted(options.element)}; accepted: {known}")
@@ -245,7 +245,7 @@ def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
 
 
 def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[RampRecord]:
-    """Run the ramps of all loads; each stands as a CSV file when it is over."""
+    """Run the ramps of all loads; each is written as a CSV file when it ends."""
     records: list[RampRecord] = []
     loads = _CHOSEN_LOADS[options.load]
     seconds = sum(_seconds(plan, rig, loaded) for loaded in loads)
@@ -289,7 +289,7 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
                 run_planned(one, planned, loaded, choose)
                 if rig.bipolar:
                     back_and_through_zero(run_all[0])
-            except IdentificationError as error:  # what was measured before stands, and is evaluated
+            except IdentificationError as error:  # earlier measurements are on disk, and are evaluated
                 bar.write(f"{error}; no more ramps", sys.stderr)
                 break
     return records

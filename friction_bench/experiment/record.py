@@ -1,6 +1,6 @@
 """One ramp test as data: from a rig, a CSV file, or the plain text that the source's program saved; its sliding part.
 
-What makes a ramp useless is refused here, in `first_motion` and `sliding_window`.
+Useless ramps are refused here, by `first_motion` and `sliding_window`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, Rx90Error
 from rx90_common.base.quoting import quoted
-from rx90_common.process.files import written_beside
+from rx90_common.process.files import atomic_files
 
 CSV_COLUMNS = ("time", "counts", "torque", "measured_torque")
 TEXT_KINDS = ("increments", "counts", "velocity")
@@ -34,7 +34,7 @@ SLIDING_ANGLE = 0.1
 """The shaft slides after both of these, counts and rad at the motor: presliding ends within one or two counts of a
 coarse encoder, and within some mrad of the joint."""
 MIN_READINGS = 15
-"""Fewest readings of a sliding shaft that say something about friction and inertia."""
+"""Least number of readings of a sliding shaft from which friction and inertia can be estimated."""
 ONSET_TICKS = 5
 """Break-away is fitted to this many readings after the first certain motion."""
 EARLIER_TICKS = 25
@@ -98,12 +98,12 @@ class RampRecord:
         time: of each reading, s, increasing, shape (n,).
         angle: of the motor, rad, cumulative, shape (n,).
         slope: m of tau = m t, Nm/s.
-        angle_step: what one encoder count stands for, rad.
+        angle_step: angle of an encoder count, rad.
         torque: commanded torque held from each reading to the next, Nm, shape (n,), None if unknown.
         measured_torque: by the current, Nm, shape (n,), None if unknown.
         loaded: the revolute joint was coupled.
         label: names the ramp in messages and plots.
-        backward: angle and torques count backward, so that they rise as those of any ramp.
+        backward: angle and torques are counted backward, so that they rise as those of any ramp.
         swing: the torque goes through zero, up and down at the slope; angle and torques have their signs.
     """
 
@@ -172,8 +172,8 @@ def _rows(path: Path, split: Callable[[str], list[str]]) -> list[tuple[int, list
 def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) -> RampRecord:
     """Read a CSV file with a header of `time` (s) and `counts`, and perhaps `torque`, `measured_torque` (Nm).
 
-    Lines that start with # are comments. A ramp whose torque, or, without it, whose counts end below 0 is one backward;
-    one whose torque has both signs is a swing.
+    Lines that start with # are comments. A ramp whose torque, or without torques whose counts, end below 0 is a
+    backward ramp; one whose torque has both signs is a swing.
 
     Raises:
         RecordError: naming line and column of what cannot be used.
@@ -229,7 +229,7 @@ def write_table(path: Path, comment: str, columns: Mapping[str, Sequence[object]
     Raises:
         Rx90Error: if the file cannot be written.
     """
-    with written_beside(path) as (beside,), beside.open("w", newline="", encoding="utf-8") as stream:
+    with atomic_files(path) as (temporary,), temporary.open("w", newline="", encoding="utf-8") as stream:
         stream.write(f"# {comment}\n")
         writer = csv.writer(stream)
         writer.writerow(columns)
@@ -240,7 +240,7 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
     """Read the plain text of the source's program: one reading per line, every 20 ms.
 
     A line holds one number, or time (s) and one number; tabs, blanks, commas and semicolons separate.
-    The paper does not say what the numbers were, so `kind` does: `increments` (pulses since the last
+    The paper does not describe the numbers, so `kind` does: `increments` (pulses since the last
     reading), `counts` (pulses in all), `velocity` (rad/s, mean since the last reading), or `instantaneous velocity`
     (rad/s, at the reading).
 
@@ -316,11 +316,11 @@ def sliding_window(record: RampRecord) -> SlidingWindow:
 
 
 def break_away(record: RampRecord, model: RampModel) -> float:
-    """Return the time of break-away, s: the closed form of a release, fitted to the first readings of the motion.
+    """Return the time of break-away, s, from a fit of a release's closed form to the first readings of the motion.
 
     Args:
         record: the ramp.
-        model: with the identified friction and inertia; friction is taken to fall to f_c at once.
+        model: with the identified friction and inertia; the friction is assumed to fall to f_c at once.
     """
     time, angle, first = first_motion(record)
     latest = float(time[first])
@@ -380,7 +380,7 @@ def first_motion(record: RampRecord) -> tuple[Array, Array, int]:
         refuse("the shaft moves at the first reading; a ramp starts from rest")
     n = time.size // 5
     if torque is not None and record.measured_torque is not None and n > 0:
-        # A reading is taken just before the tick at which the command changes: it belongs to the one before.
+        # A reading is made just before the tick at which the command changes: it belongs to the previous one.
         command, measured = torque[:-1], record.measured_torque[1:]
         scale = float(np.sum(measured[n : 3 * n]) / np.sum(command[n : 3 * n]))
         shortfall = 1.0 - float(np.mean(measured[-n:]) / np.mean(command[-n:])) / scale

@@ -21,7 +21,7 @@ from friction_bench.experiment.four_way import (
     measured_velocity,
 )
 from friction_bench.experiment.identification import (
-    SAME_SLOPE,
+    SLOPE_TOLERANCE,
     SOURCE_STATES,
     IntervalEstimate,
     RampFriction,
@@ -45,7 +45,7 @@ STATIC = (
     "within one or two readings"
 )
 STIFFNESS_SHARE = 1e-4
-"""Presliding of the YAML's bristles, rad: a ramp test does not see it, so it is assumed."""
+"""Presliding of the YAML's bristles, rad: assumed, because a ramp test cannot determine it."""
 METHODS = {"source": "source, m b / a", "exact": "exact, by covariance", "repeated": "exact, by repeats"}
 _DASHES: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dashdot")
 _QUANTITIES = {"coulomb": "f_c, Nm", "viscous": "f_v, Nm s/rad"}
@@ -53,11 +53,11 @@ _TIME = "time since the torque's zero, s"
 
 
 def _velocity_plot(part: RampIdentification) -> Plot:
-    """Show the velocities of all repeats with what was fitted, one panel a slope (figures 4 to 6)."""
+    """Show the velocities of all repeats with the fitted ones, one panel for each slope (figures 4 to 6)."""
     panels: list[Panel] = []
     deviations: list[Mark] = []
     for j, slope in enumerate(slopes_of(part.ramps)):
-        ramps = [ramp for ramp in part.ramps if abs(ramp.slope - slope) <= SAME_SLOPE * slope]
+        ramps = [ramp for ramp in part.ramps if abs(ramp.slope - slope) <= SLOPE_TOLERANCE * slope]
         measured: list[Mark] = []
         fits: list[Mark] = []
         for k, ramp in enumerate(ramps):
@@ -113,7 +113,7 @@ def _hysteresis_plot(both: Measurement) -> Plot:
 
 
 def _sensor_plot(comparison: FourWay) -> Plot:
-    """Show the models under the source's own input: velocities, and what else the block diagram's sensor gives."""
+    """Show the models under the source's own input: velocities, and the other outputs of the block diagram's sensor."""
     sensor = comparison.as_source
     velocities = [
         Curve(sensor.time, velocity, name, COLOURS[k + 1], 1.4, _DASHES[k])
@@ -139,7 +139,7 @@ def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
 
 
 def _source_lines(found: SourceEvaluation) -> list[str]:
-    """Return the source's evaluation of these ramps beside the figures that it states."""
+    """Return the source's evaluation of these ramps with the figures that the source states."""
     title = "by the source's evaluation"
     lines = [f"{title:34}{'f_c, Nm':>10}{'s.d.':>9}{'f_v, Nm':>10}{'a, deg/s^2':>12}{'b, deg/s':>10}{'total, Nm':>11}"]
     for name, one in found.loads.items():
@@ -156,7 +156,7 @@ def _source_lines(found: SourceEvaluation) -> list[str]:
 def _add_both(
     found: Measurement, document: dict[str, Any], lines: list[str]
 ) -> tuple[list[tuple[str, str, list[IntervalEstimate]]], dict[str, list[str]]]:
-    """Add what both directions show to the document and to the lines for the terminal.
+    """Add the results of both directions to the document and to the lines for the terminal.
 
     Returns:
         Load with method, quantity with unit, and its estimates forward, backward and of the difference; by load and
@@ -189,8 +189,8 @@ def _add_both(
             f"to {way}: {mean[0]} s, at {mean[1]} Nm ({len(some)} reversals)"
             for (way, some), mean in zip(times.items(), swing.lags, strict=True)
         ]  # fmt: skip
-        said = f"{load}: lag time, from the torque's change of sign to the velocity's, "
-        lines += [said + text for text in lags[load]]
+        head = f"{load}: lag time, from the torque's change of sign to the velocity's, "
+        lines += [head + text for text in lags[load]]
     return rows, lags
 
 
@@ -286,15 +286,15 @@ def write_result(out: Path, found: Measurement, rig: Rig, origin: str) -> None:
 
 
 def write_friction(path: Path, sides: Sequence[RampTestResult], element: str, base: FrictionFile) -> None:
-    """Write friction parameters for rx90_sim; a viscous friction that is not physical is 0 there, and assumed.
+    """Write friction parameters for rx90_sim; a viscous friction that is not physical becomes 0, marked as assumed.
 
-    An element has one viscous friction: of two directions it is the mean.
+    An element has one viscous friction: the mean of both directions.
 
     Args:
         path: file to write.
         sides: the result of the measurement, of each direction where there are two.
-        element: name of the friction element that the measured joint stands for.
-        base: the friction file to put that element into.
+        element: name of the friction element of the measured joint.
+        base: the friction file that gets this element.
 
     Raises:
         ConfigError: if the Coulomb friction is not positive.

@@ -1,6 +1,6 @@
-"""A measurement on a rig: its folder, the rig's port, one motion after the other, and the readings.
+"""A measurement on a rig: its folder, the rig's port, one motion after another, and the readings.
 
-The readings stand in a bag whatever ends the measurement, and the rig is stopped whatever ends a motion.
+The readings are written to a bag however the measurement ends, and the rig is stopped however a motion ends.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError, FailureError, Rx90Error, write_error
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 
 EMULATED = "emulated"
 """As a port."""
@@ -37,7 +37,7 @@ REST_TICKS = 10
 """The shaft is at rest when it has not moved for so many ticks."""
 REST_TIMEOUT = 30.0
 LIMITS_SHARE = 0.9
-"""Of the rig's limits of travel and speed: there a motion is ended; the rest is for what the shaft does meanwhile."""
+"""Share of the rig's limits of travel and speed at which a motion is ended; the shaft needs the rest to stop."""
 SPEED_TICKS = 5
 """Ticks over which the speed is averaged for that."""
 
@@ -51,9 +51,11 @@ def check_options(options: argparse.Namespace) -> None:
         ConfigError: naming the option.
     """
     if options.port != EMULATED:
-        given = "seed" if options.seed is not None else "real-time" if options.real_time else ""
-        if given:
-            raise ConfigError(f"--{given} with --port {plain(options.port)}; accepted: with the emulated rig alone")
+        clock_option = "seed" if options.seed is not None else "real-time" if options.real_time else ""
+        if clock_option:
+            raise ConfigError(
+                f"--{clock_option} with --port {plain(options.port)}; accepted: with the emulated rig alone"
+            )
     elif options.baud is not None:
         raise ConfigError(f"--baud {options.baud} with the emulated rig; accepted: with --port of a serial line")
 
@@ -64,7 +66,7 @@ def origin_of(options: argparse.Namespace) -> str:
 
 
 def new_measurement(out: Path) -> None:
-    """Make the folder, and make sure that files can be written in it: a measurement must not be lost at its end."""
+    """Make the folder, and check that files can be written in it: a measurement must not be lost at its end."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=out):
@@ -97,14 +99,15 @@ class Session:
 
 @contextmanager
 def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, what: str) -> Iterator[Session]:
-    """Yield a session on a rig; at its end, however it comes, the readings stand as `bag` in the folder.
+    """Yield a session on a rig; at its end, for any reason, the readings are written as `bag` to the folder.
 
     Args:
         options: of the command.
-        rig: what to measure on.
-        out: the folder, which is made; it goes again if nothing was measured, so that the next try may take its name.
-        seconds: how long it is to take.
-        what: before the progress bar.
+        rig: the rig.
+        out: the folder, which is made; it is removed if nothing was measured, so that the next attempt may use its
+            name.
+        seconds: expected duration.
+        what: text before the progress bar.
 
     Raises:
         Rx90Error: for a folder that cannot be made, a rig that cannot be reached, a bag that cannot be written.
@@ -115,7 +118,7 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
     def ask(loaded: bool) -> None:
         """Let the person at the rig couple the joint or take it off; the rig is disarmed meanwhile."""
         if options.load != "both":
-            return  # it is as the option says, and nobody need be there
+            return  # the option states the load, and nobody need be there
         print(f"{'Couple' if loaded else 'Take off'} the revolute joint, then press Enter.", file=sys.stderr)
         try:
             input()
@@ -124,7 +127,7 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
         session.client.connect()
 
     couple: Callable[[bool], None] = ask
-    with ExitStack() as opened:
+    with ExitStack() as resources:
         try:
             if options.port != EMULATED:
                 port = SerialPort(options.port, options.baud or rig.baud)
@@ -133,12 +136,12 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
                 port, couple = VirtualPort(emulated), emulated.plant.load
                 if options.real_time:
                     pty_rig = PtyRig(emulated)
-                    opened.callback(pty_rig.close)
+                    resources.callback(pty_rig.close)
                     port, couple = SerialPort(pty_rig.path, rig.baud), pty_rig.load
         except Rx90Error:
             out.rmdir()
             raise
-        opened.callback(port.close)
+        resources.callback(port.close)
         session = Session(RigClient(port, rig), couple, None)
         try:
             with tqdm(total=round(seconds, 1), unit="s", desc=what, disable=None, bar_format=_BAR) as session.bar:
@@ -147,8 +150,8 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
                     session.client.clear()
                 yield session
         finally:
-            with interrupts_later():  # a second Ctrl-C does not cost the readings
-                opened.close()
+            with deferred_interrupts():  # a second Ctrl-C does not cost the readings
+                resources.close()
                 if session.samples:
                     write_joint_states(out / "bag", readings_series(session.samples, rig))
                 else:
@@ -171,7 +174,7 @@ def readings_series(samples: list[Sample], rig: Rig) -> list[JointSeries]:
 def sample_columns(samples: list[Sample]) -> tuple[Array, Array, Array, Array]:
     """Return ticks, counts, DAC and ADC codes of readings, each of shape (n,).
 
-    The ADC sees the size of the current; its sign is that of the code until the reading.
+    The ADC measures the size of the current; its sign is that of the code until the reading.
     """
     rows = [(s.tick, s.counts, s.report.dac, s.report.adc) for s in samples]
     ticks, counts, dac, adc = np.array(rows, dtype=np.float64).T
@@ -179,7 +182,7 @@ def sample_columns(samples: list[Sample]) -> tuple[Array, Array, Array, Array]:
 
 
 def refuse_fault(sample: Sample) -> None:
-    """Raise what a reading's fault bits say, if any.
+    """Raise RigFaultError if a reading has fault bits.
 
     Raises:
         RigFaultError: naming the faults.
@@ -190,7 +193,7 @@ def refuse_fault(sample: Sample) -> None:
 
 
 def wait_for_rest(client: RigClient) -> None:
-    """Wait until the shaft stands still, for a ramp starts from rest.
+    """Wait until the shaft is at rest, where a ramp must start.
 
     Raises:
         RigError: if it does not come to rest within REST_TIMEOUT seconds.
@@ -206,7 +209,7 @@ def wait_for_rest(client: RigClient) -> None:
 
 @contextmanager
 def armed(client: RigClient) -> Iterator[None]:
-    """Arm the rig, and stop it where the motion that follows raises anything, Ctrl-C above all.
+    """Arm the rig, and stop it if the motion that follows raises anything, Ctrl-C above all.
 
     Raises:
         RigError: refused, faulted, lost or reset.
@@ -217,7 +220,7 @@ def armed(client: RigClient) -> Iterator[None]:
         client.arm()
         yield
     except BaseException:  # never leave with the power stage on
-        with contextlib.suppress(RigError):  # a line that is gone carries no heartbeat either
+        with contextlib.suppress(RigError):  # a broken line carries no heartbeat either
             client.urgent_stop()
         client.known_stops = client.stops  # the motion's own: the next command is not overtaken by it
         raise

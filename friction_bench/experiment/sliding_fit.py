@@ -1,19 +1,19 @@
-"""Fit f_c, f_v and J to all ramps of one load at once, from where the shaft slides.
+"""Fit f_c, f_v and J to the sliding parts of all ramps of one load at once.
 
-The shaft obeys J w' = tau - f_v w - f_c - delta_s exp(-(w / w_s)^e), the last term being what is left of a Stribeck
-effect. Angle and velocity at the beginning of each window are free, so that neither the moment of break-away nor what
-presliding and the release of the stiction did before need a model, and the transient of the release, which dies away
+The shaft obeys J w' = tau - f_v w - f_c - delta_s exp(-(w / w_s)^e); the last term is the remainder of a Stribeck
+effect. Angle and velocity at the beginning of each window are free, so that neither the time of break-away nor
+presliding and the release of the stiction before it need a model, and the transient of the release, which decays
 with T = J / f_v, is part of the fit. With alpha = 1 / f_v, beta = f_c / f_v, kappa = delta_s / f_v and T as
 parameters the angle is linear in all but T, the Stribeck velocity w_s and the exponent e.
 
 Residuals are whitened by a Kalman filter (`whiten`); the intensity of the torque noise is estimated by restricted
-maximum likelihood. Ramps differ: the torque's scale and the friction are not quite the same in each, so alpha and beta
-of a ramp are those of all plus an error of its own, whose variances are estimated by restricted maximum likelihood, too
-(a linear mixed model). T is found by Gauss-Newton steps. What the Stribeck effect is, the data seldom tell: all of a
-grid of w_s and e, and no effect at all, are averaged by their marginal likelihoods (Bayesian model averaging), so that
-the intervals contain that ignorance. Around each point of the grid w_s and e are fitted, too, with a prior as wide as
-the grid's cell: readings that tell them more finely than the grid move them, and the marginal likelihoods are Laplace's
-approximation there.
+maximum likelihood. The torque's scale and the friction differ slightly from ramp to ramp, so alpha and beta of a ramp
+are the common values plus an error, whose variances are also estimated by restricted maximum likelihood (a linear mixed
+model). T is found by Gauss-Newton steps. The data seldom determine the Stribeck effect: the fits without an effect and
+with each w_s and e of a grid are averaged by their marginal likelihoods (Bayesian model averaging), so that the
+intervals contain this uncertainty. Around each point of the grid w_s and e are fitted, too, with a prior as wide as the
+grid's cell: readings that determine them more finely than the grid change them, and the marginal likelihoods are
+Laplace's approximation there.
 
 Units: w in rad/s at the motor; tau, f_c and delta_s in Nm, f_v in Nm s/rad, J in kg m²; hence alpha in rad/(s Nm),
 beta and kappa in rad/s, T in s.
@@ -44,8 +44,8 @@ over the grid is even within 2 %."""
 FARTHEST = 2.0
 """w_s and e are sought within so many distances of the grid's points."""
 HIGHEST_VELOCITY = 1.0 / 6.0
-"""The highest of them over the velocity at the ramps' end: a Stribeck effect that reached into the ramps' second half
-could not be told from less viscous friction."""
+"""The highest w_s over the velocity at the ramps' end: a Stribeck effect that reaches into the ramps' second half
+cannot be distinguished from less viscous friction."""
 RISE_PRIOR_SD = 0.5
 """Standard deviation of the prior of delta_s / f_c about zero."""
 FIRST_NOISE = 1e-2
@@ -55,15 +55,15 @@ NOISE_RANGE = range(-18, 10, 2)
 STEPS = 3
 """Gauss-Newton steps without a Stribeck effect; the second already changes less than the noise."""
 STRIBECK_STEPS = 16
-"""Most further steps for each assumption with a Stribeck effect; each finds what is left of it by the velocities of the
-one before, so that w_s and e swing in."""
+"""Largest number of further steps for each assumption with a Stribeck effect; each step computes the effect with the
+velocities of the step before, so that w_s and e converge."""
 SETTLED = 0.02
 """They end with the step that promises less than this in the logarithm of the likelihood."""
 NEAR = 0.1
-"""Where the last step still promises more than 1 and than this part of what is gained over no effect, there is no
-optimum to approximate, and no fit."""
+"""If the last step still predicts an increase of more than 1 and of more than this share of the gain over no effect,
+there is no optimum to approximate, and no fit."""
 HOPELESS = 20.0
-"""They also end where that of the marginal likelihood, with what the step promises, is so far below the best."""
+"""The steps also end if the marginal likelihood, with the predicted increase, is this far below the best one."""
 SHORTEST = 0.01
 """Least time constant T in ticks: the command's steps, whose sizes differ by a code, still show T far below a tick."""
 SPREADS = (1e-5, 0.3)
@@ -96,10 +96,10 @@ def respond(time: Array, final: Array, speed: float, T: float) -> tuple[Array, A
 def whiten(time: Array, columns: Array, T: float, q: float, r: float) -> tuple[Array, float]:
     """Return columns of angles so that their errors are independent and of variance 1, and the log determinant.
 
-    Errors of the angle are white with the variance r (quantisation), and what white torque noise makes of a shaft whose
-    angle and velocity at the first reading are known: an integrated Ornstein-Uhlenbeck process. The innovations of a
-    Kalman filter for these, divided by their standard deviations, are the columns times the inverse Cholesky factor of
-    the covariance.
+    Errors of the angle are white with the variance r (quantisation), plus the effect of white torque noise on a shaft
+    whose angle and velocity at the first reading are known: an integrated Ornstein-Uhlenbeck process. The innovations
+    of a Kalman filter for these, divided by their standard deviations, are the columns times the inverse Cholesky
+    factor of the covariance.
 
     Args:
         time: of the readings, s, shape (n,).
@@ -140,7 +140,7 @@ def whiten(time: Array, columns: Array, T: float, q: float, r: float) -> tuple[A
 def _derivatives(time: Array, angle: Array, torque: Array, shares: Array, shared: Array, start: Array) -> Array:
     """Return the angle's residual, and its derivatives to the shared parameters, initial angle and velocity, (9, n).
 
-    `shares` are what is left of a Stribeck effect and its derivatives to ln w_s and ln e, shape (3, n); `shared` are
+    `shares` are the remainder of a Stribeck effect and its derivatives to ln w_s and ln e, shape (3, n); `shared` are
     alpha, beta, T, kappa and the changes of ln w_s and ln e; `start` is the initial angle and velocity.
     """
     alpha, beta, T, kappa = shared[0], shared[1], shared[2], shared[3]
@@ -173,11 +173,11 @@ class Stribeck(NamedTuple):
     widths: tuple[float, float] = (0.0, 0.0)
 
     def shares(self, speed: Array, changes: Array) -> Array:
-        """Return what is left of the effect from each reading to the next, and its derivatives, shape (3, n).
+        """Return the remainder of the effect from each reading to the next, and its derivatives, shape (3, n).
 
         Args:
             speed: at the readings, rad/s, shape (n,).
-            changes: of ln w_s and ln e, by which the derivatives are.
+            changes: of ln w_s and ln e, the variables of the derivatives.
         """
         if not self.velocity:
             return np.zeros((3, speed.size))
@@ -188,17 +188,17 @@ class Stribeck(NamedTuple):
 
 @dataclass(frozen=True)
 class RampsFit:
-    """What all ramps of one load say.
+    """The joint fit of all ramps of one load.
 
     Attributes:
         values: f_c (Nm), f_v (Nm s/rad), J (kg m²), shape (3,).
-        covariance: theirs, shape (3, 3).
+        covariance: of the values, shape (3, 3).
         freedom: degrees of freedom of each variance, shape (3,): few where it comes from the ramps' differences.
         spread: standard deviations, relative, of the torque's scale and of f_c from ramp to ramp, shape (2,).
         stribeck: probability that there is a Stribeck effect.
         velocities: fitted velocity of each ramp at the readings of its window, rad/s.
-        point: alpha, beta, T of the likeliest assumption about the Stribeck effect.
-        grams: of each ramp (see `_reduced`) there, shape (K, 7, 7).
+        point: alpha, beta, T of the most likely assumption about the Stribeck effect.
+        grams: of each ramp (see `_reduced`) at this point, shape (K, 7, 7).
     """
 
     values: Array
@@ -237,10 +237,10 @@ def _to_friction(shared: Array) -> Array:
 
 @kernel
 def _reduced(time: Array, columns: Array, T: float, noise: float, variance: float) -> tuple[Array, Array, float]:
-    """Return what the rows of `_derivatives` of one ramp say about the shared parameters.
+    """Return the information of the rows of `_derivatives` of one ramp about the shared parameters.
 
-    That is the gram of the whitened shared rows without what the initial angle and velocity explain, shape (7, 7); that
-    angle and velocity for each of them, shape (2, 7); the logarithm of the determinants of the noise and of the
+    That is the gram of the whitened shared rows after projection on initial angle and velocity, shape (7, 7); the
+    coefficients of that projection, shape (2, 7); the logarithm of the determinants of the noise and of the
     information on the start.
     """
     white, determinant = whiten(time, columns, T, noise, variance)
@@ -329,7 +329,7 @@ class _Ramps:
         return point
 
     def with_effects(self, point: _Point, effects: Sequence[Stribeck], noise: float) -> list[_Point]:
-        """Return the fits with each effect, from a point nearby, that settle and are not hopeless beside the best."""
+        """Return the converged fits for each effect, from a nearby point, without those much less likely."""
         moving = [self.advance(replace(point, stribeck=effect), noise, [1, 2, 3, 4]) for effect in effects]
         settled = list[_Point]()
         for _ in range(STRIBECK_STEPS):
@@ -342,7 +342,7 @@ class _Ramps:
     def noise(self, point: _Point) -> float:
         """Return the intensity of the torque noise by restricted maximum likelihood, above any Stribeck effect.
 
-        Alpha and beta are each ramp's own here: what differs between ramps is no torque noise.
+        Each ramp has its own alpha and beta here, because differences between ramps are no torque noise.
         """
         T = float(point.shared[2])
         halves = []
@@ -364,8 +364,8 @@ class _Ramps:
     def between(self, point: _Point, noise: float) -> Array:
         """Return the variances of alpha and beta from run to run of one slope, by restricted maximum likelihood.
 
-        Each slope has an alpha and a beta of its own here, so that what the model lacks is no difference of repeats.
-        The variances are 0 where no slope was run twice.
+        Each slope has an alpha and a beta of its own here, so that model errors do not count as differences of repeats.
+        The variances are 0 if no slope was run twice.
         """
         if self.freedom == 0:
             return np.zeros(2)
@@ -396,7 +396,7 @@ class _Ramps:
         return [point.stribeck.shares(speeds, point.shared[4:]) for speeds in point.speeds]
 
     def parts(self, point: _Point, noise: float) -> list[tuple[Array, Array, float]]:
-        """Return what each ramp says about the shared parameters (see `_reduced`)."""
+        """Return the information of each ramp about the shared parameters (see `_reduced`)."""
         pairs = zip(self.windows, self._columns(point), strict=True)
         T = float(point.shared[2])
         return [_reduced(window.time, columns, T, noise, self.variance) for window, columns in pairs]
@@ -423,11 +423,11 @@ class _Ramps:
         shared[indices] += change
         shared[2] = np.clip(shared[2], max(T / 2, SHORTEST * self.tick), 2 * T)
         shared[4:] = np.clip(shared[4:], -FARTHEST * widths, FARTHEST * widths)
-        # What alpha and beta of each run differ by: the best linear prediction from what the change leaves.
-        left = grams[:, 1:3, 0] - grams[:, 1:3, used] @ change
+        # Differences of alpha and beta of each run: the best linear prediction from the residual after the change.
+        projected = grams[:, 1:3, 0] - grams[:, 1:3, used] @ change
         root = np.sqrt(self.spread)
         inner = np.eye(2) + root[:, None] * grams[:, 1:3, 1:3] * root
-        own = (root * np.linalg.solve(inner, (root * left)[:, :, None])[:, :, 0])[self.run]
+        own = (root * np.linalg.solve(inner, (root * projected)[:, :, None])[:, :, 0])[self.run]
         starts, speeds = np.empty_like(point.starts), []
         for k, (window, shares) in enumerate(zip(self.windows, self._shares(point), strict=True)):
             by_row = parts[k][1]
@@ -444,7 +444,7 @@ def _speed(window: SlidingWindow, ends: slice) -> float:
 
 
 def _loosened(grams: Array, spread: Array) -> tuple[Array, Array]:
-    """Return grams of runs whose alpha and beta have errors of their own, and the log determinants that these add.
+    """Return grams of runs whose alpha and beta have individual errors, and the log determinants of these errors.
 
     Args:
         grams: of each run (see `_reduced`), shape (R, 7, 7).
@@ -480,8 +480,8 @@ def fit_sliding(windows: Sequence[SlidingWindow], runs: Sequence[int] | None = N
 
     Args:
         windows: of ramps with at least two slopes, or with rising and with falling torque.
-        runs: number, from 0, of the run that each belongs to; None where each is one. What differs from run to run is
-            common to the windows of one: the torque's scale and the friction are drawn once for all of a swing.
+        runs: number, from 0, of the run of each window; None if each window is a run. Torque scale and friction differ
+            from run to run: they are drawn once for all windows of a swing.
     """
     ramps = _Ramps(windows, range(len(windows)) if runs is None else runs)
     point = ramps.start()

@@ -1,8 +1,8 @@
-"""Both directions of a bipolar rig: f_c and f_v of each, their difference, and what a torque through zero shows.
+"""Both directions of a bipolar rig: f_c and f_v of each, their difference, and the lag of a torque through zero.
 
-Ramps backward are evaluated as those forward, counted the other way. A swing is a torque that goes up and down between
-both ends without a pause: its sliding stretches give f_c, f_v and J of each direction once more, now with falling
-torque, too, so that one slope tells J; and where it passes zero, the lag time until the shaft moves the other way.
+Backward ramps are evaluated as forward ones, counted the other way. A swing is a torque that goes up and down between
+both ends without a pause: its sliding stretches give f_c, f_v and J of each direction once more, now also with falling
+torque, so that one slope determines J; and the zero crossings give the lag time until the shaft moves the other way.
 """
 
 from __future__ import annotations
@@ -49,10 +49,10 @@ class Half(NamedTuple):
         record: all of the swing; angle and torques are positive in this direction.
         backward: the direction.
         first: the first reading with this torque.
-        peak: that of the largest torque.
-        stopped: from which the shaft no longer slides the other way.
-        low: after which it slides this way; between them joints bend and spring back.
-        top: where it has turned farthest.
+        peak: the reading with the largest torque.
+        stopped: the reading from which the shaft no longer slides the other way.
+        low: the reading after which it slides this way; between the two, joints bend and spring back.
+        top: the reading with the largest angle.
     """
 
     record: RampRecord
@@ -78,13 +78,13 @@ class Reversal(NamedTuple):
 
 @dataclass(frozen=True)
 class SwingResult:
-    """What the swings under one load show; pairs are of WAYS.
+    """Results of the swings under one load; pairs are of WAYS.
 
     Attributes:
         friction: from the sliding stretches.
         difference: forward less backward, of f_c, Nm, and f_v, Nm s/rad.
         lags: mean lag time, s, and the torque then, Nm; None without a reversal to that direction.
-        reversals: each of them.
+        reversals: all reversals.
     """
 
     friction: tuple[RampFriction, RampFriction]
@@ -118,7 +118,7 @@ class Measurement:
 
     @property
     def unphysical(self) -> list[str]:
-        """Return what is no friction among the estimates: value, cause and remedy."""
+        """Return the invalid values among the estimates: value, cause and remedy."""
         return [text for side in self.sides for text in side.unphysical]
 
 
@@ -202,25 +202,25 @@ def _reversal(half: Half, friction: RampFriction) -> Reversal:
     time, coulomb = record.time - zero, friction.coulomb.value
     if half.peak - low < ONSET_TICKS:
         raise IdentificationError(f"{record.label}: the shaft does not slide after the torque's change of sign")
-    turned = float(time[low + 1])
-    middle = 0.5 * (float(time[half.stopped]) + turned)
+    reversal = float(time[low + 1])
+    middle = 0.5 * (float(time[half.stopped]) + reversal)
     if record.slope * middle > coulomb:
         return Reversal(half.backward, middle)
-    assert friction.inertia is not None  # swings tell it
+    assert friction.inertia is not None  # swings determine it
     model = RampModel(coulomb, friction.viscous.value, friction.inertia.value, record.slope)
     onset = slice(low - 1, low + ONSET_TICKS)
-    earliest = min(max(coulomb / record.slope, turned - EARLIER_TICKS * record.tick), turned - record.tick)
+    earliest = min(max(coulomb / record.slope, reversal - EARLIER_TICKS * record.tick), reversal - record.tick)
     lag = fit_break_away(
         time[onset],
         record.angle[onset] - record.angle[half.first],
-        (earliest, turned),
+        (earliest, reversal),
         lambda moment: replace(model, release=moment * record.slope - coulomb),
     )
     return Reversal(half.backward, lag)
 
 
 def _mean_lag(lags: Sequence[float], tick: float, slope: float, scale: float) -> tuple[IntervalEstimate, ...] | None:
-    """Return the mean lag, s, and the torque then, Nm, by their scatter and the torque's steps; None without lags."""
+    """Return the mean lag, s, and the torque then, Nm, from their scatter and the torque's steps; None without lags."""
     if not lags:
         return None
     scatter = float(np.std(lags, ddof=1)) / math.sqrt(len(lags)) if len(lags) > 1 else 0.0

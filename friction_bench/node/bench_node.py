@@ -36,7 +36,7 @@ _THREADS = 3
 
 
 def declare_bench_parameters(node: Node) -> tuple[Rig, str, int, int]:
-    """Declare the node's parameters; return the rig, what leads to it, the line's rate, and an emulated rig's seed.
+    """Declare the node's parameters; return the rig, its port or link, the line's rate, and an emulated rig's seed.
 
     Raises:
         ConfigError: naming parameter or file, key, value and accepted range.
@@ -106,7 +106,7 @@ class BenchNode:
         scale = self.rig.angle_step
         elapsed = sample.time - previous.time
         velocity = (sample.counts - previous.counts) * scale / elapsed if elapsed > 0.0 else 0.0
-        adc = -sample.report.adc if previous.report.dac < 0 else sample.report.adc  # of which the rig sees the size
+        adc = -sample.report.adc if previous.report.dac < 0 else sample.report.adc  # the rig measures its size
         state = JointState(
             name=[JOINT],
             position=[sample.counts * scale],
@@ -126,7 +126,7 @@ class BenchNode:
         try:
             future.result(_SERVICE_TIMEOUT)
         except TimeoutError:
-            future.cancel()  # what was answered with a failure must not be done later
+            future.cancel()  # a request that was answered with a failure must not be carried out later
             raise RigLostError(f"the rig did not answer in {_SERVICE_TIMEOUT:g} s") from None
 
     def _couple(self, loaded: bool) -> None:

@@ -1,6 +1,6 @@
-"""Friction before and around sliding, on the rig: loops, break-away, slow speeds, stick-slip, drift, and which law.
+"""Friction before and around sliding, on the rig: loops, break-away, slow speeds, stick-slip, drift; choice of a law.
 
-The constants stand here, where importing them costs nothing, so that `--help` need not wait.
+The constants are here because this module imports quickly, so that `--help` need not wait.
 """
 
 KINDS = ("loops", "sweep", "stick_slip", "drift")

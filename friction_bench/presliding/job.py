@@ -1,4 +1,4 @@
-"""The run of `friction_presliding`, apart from its options: they are checked first, as the import takes seconds."""
+"""The run of `friction_presliding` without its options: they are checked first, as the import takes seconds."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, IdentificationError, Rx90Error
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import resolve_config
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 
 SWEEP_SPEEDS = np.array([0.02, 0.035, 0.06, 0.1, 0.16, 0.24, 0.34, 0.45])
 """Of the sweep, in parts of the fastest that the rig allows."""
@@ -49,7 +49,7 @@ _STRIDES = 18
 _SLIDE_START = 0.5
 """Of the break-away torque: where slides begin."""
 _BANDWIDTH = 15.0
-"""Of the speed's loop, rad/s: well below what the delay of a tick and a half allows."""
+"""Bandwidth of the speed loop, rad/s: well below the limit set by the delay of a tick and a half."""
 _USUAL_INERTIA = 0.4
 """kg m^2; the loop bears half of it and twice as much."""
 
@@ -78,15 +78,15 @@ class Run(NamedTuple):
 
 @dataclass
 class Campaign:
-    """Experiments on a rig: which, and those that have been run with their readings, in order.
+    """Experiments on a rig: the planned ones, and those that have been run with their readings, in order.
 
     Attributes:
-        rig: on which they are run.
+        rig: the rig.
         kinds: in the order of KINDS; the ramps come before them.
-        blocks: of loops.
-        cycles: small ones, of the drift.
+        blocks: number of blocks of loops.
+        cycles: number of small cycles of the drift.
         origin: of the readings, in words.
-        done: what has been run, with its readings.
+        done: finished experiments with their readings.
         failures: in words.
     """
 
@@ -108,8 +108,8 @@ class Campaign:
         chosen = [(run, trace) for run, trace in self.done if run.kind == kind and run.backward is backward]
         return [(run, trace.mirrored) for run, trace in chosen] if backward else chosen
 
-    def left(self) -> float:
-        """Return how long what is not done yet may take, s, for a joint that breaks away at half of the torque."""
+    def remaining_time(self) -> float:
+        """Return the longest remaining time, s, for a joint that breaks away at half of the torque."""
         pulls = [
             self._pull_ticks(speed, stiffness) for speed in PULL_SPEEDS * self.fastest for stiffness in PULL_STIFFNESSES
         ]
@@ -174,13 +174,13 @@ class Campaign:
                 yield Run("loops", f"loops, block {block + 1}", motions.after_slide(start, self.slide, limit, codes))
         if "sweep" in self.kinds:
             speeds = SWEEP_SPEEDS * self.fastest
-            wanted = [float(speed) * rig.tick / rig.joint_step for speed in (*speeds, *speeds[::-1])]
+            counts_per_tick = [float(speed) * rig.tick / rig.joint_step for speed in (*speeds, *speeds[::-1])]
             gain = _USUAL_INERTIA * _BANDWIDTH / rig.joint_code / counts
             for backward in self.ways:
                 begin = int(_SLIDE_START * self.break_away_code(backward))
-                profile = motions.speeds(begin, wanted, SPEED_TICKS, gain, limit, rig.tick)
-                turned = motions.mirrored(profile) if backward else profile
-                yield Run("sweep", f"sweep{' backward' * backward}", turned, backward=backward)
+                profile = motions.speeds(begin, counts_per_tick, SPEED_TICKS, gain, limit, rig.tick)
+                mirrored = motions.mirrored(profile) if backward else profile
+                yield Run("sweep", f"sweep{' backward' * backward}", mirrored, backward=backward)
         if "stick_slip" in self.kinds:
             for stiffness in PULL_STIFFNESSES:
                 for speed in (PULL_SPEEDS * self.fastest).tolist():
@@ -203,7 +203,7 @@ class Campaign:
         return round(min(max(8.0, 3.0 / (stiffness * speed)), 40.0, travel / speed) / self.rig.tick)
 
     def evaluate(self, on_fit: Callable[[], object] = lambda: None) -> PreslidingResult:
-        """Evaluate all that has been run; what cannot be is named in the result's failures."""
+        """Evaluate all finished experiments; those that cannot be evaluated are named in the result's failures."""
         result = PreslidingResult(self.origin, self.rig, failures=list(self.failures))
 
         def attempt(part: Callable[..., _Part], *arguments: object) -> _Part | None:
@@ -242,10 +242,10 @@ def run(options: argparse.Namespace) -> int:
     """Run the experiments on a rig, evaluate them and write the report.
 
     Returns:
-        The exit code: 1 where no law of friction could be chosen though loops were run.
+        The exit code: 1 if no law of friction could be chosen though loops were run.
 
     Raises:
-        Rx90Error: for what is refused; what has been measured until then stands in the folder.
+        Rx90Error: for bad options or files; everything measured until then is in the folder.
     """
     rig = load_rig(resolve_config(options.rig))
     check_options(options)
@@ -263,31 +263,31 @@ def run(options: argparse.Namespace) -> int:
     campaign = Campaign(rig, kinds, *sizes, origin_of(options))
     out: Path = options.output
     try:
-        with measuring(options, rig, out, campaign.left(), "rig") as session:
+        with measuring(options, rig, out, campaign.remaining_time(), "rig") as session:
             session.couple(True)
             _run_all(session, campaign, out)
     except (KeyboardInterrupt, Rx90Error):
         if campaign.done:
             print("evaluating what has been measured; Ctrl-C leaves that out", file=sys.stderr)
-            with contextlib.suppress(Rx90Error):  # the first reason is the one to tell
+            with contextlib.suppress(Rx90Error):  # the first error is the one to report
                 _report(campaign, out)
         raise
     result = _report(campaign, out)
-    undecided = "loops" in kinds and (result.choice is None or len(result.choice.left) > 1)
+    undecided = "loops" in kinds and (result.choice is None or len(result.choice.remaining) > 1)
     return VERDICT_NO if undecided or result.failures else DONE
 
 
 def _run_all(session: Session, campaign: Campaign, out: Path) -> None:
-    """Run what is planned; a later experiment is planned by what earlier ones showed.
+    """Run the planned experiments; later ones are planned from the results of earlier ones.
 
-    The readings of each stand as a CSV file, however it ends. One that is cut short counts where it is a drift, whose
-    cycles so far are as good as those that are missing.
+    The readings of each are written as a CSV file, however it ends. Only a drift may be cut short: its completed cycles
+    are as good as those that are missing.
     """
     client, bar, done = session.client, session.bar, campaign.done
     assert client.hello is not None  # it has been greeted
     try:
         for what in campaign.runs(client.hello.torque_limit_code):
-            bar.total = round(bar.n + campaign.left(), 1)
+            bar.total = round(bar.n + campaign.remaining_time(), 1)
             bar.set_postfix_str(what.label, refresh=False)
             wait_for_rest(client)
             first = len(session.samples)
@@ -296,20 +296,20 @@ def _run_all(session: Session, campaign: Campaign, out: Path) -> None:
                 done.append((what, follow(client, what.profile, what.label, session.keep)))
             except (KeyboardInterrupt, Rx90Error):
                 if len(session.samples) - first > 1:
-                    with interrupts_later(), contextlib.suppress(Rx90Error):  # the first reason is the one to tell
+                    with deferred_interrupts(), contextlib.suppress(Rx90Error):  # the first error is the one to report
                         unfinished = Trace.of(f"{what.label}, unfinished", session.samples[first:], campaign.rig)
                         if what.kind == "drift":
                             done.append((what, unfinished))
                         unfinished.write(out / f"{file}_unfinished.csv")
                 raise
             done[-1][1].write(out / f"{file}.csv")
-    except IdentificationError as error:  # what was measured before stands, and is evaluated
+    except IdentificationError as error:  # earlier measurements are on disk, and are evaluated
         bar.write(f"{error}; no more experiments", sys.stderr)
         campaign.failures.append(str(error))
 
 
 def _report(campaign: Campaign, out: Path) -> PreslidingResult:
-    """Evaluate what was measured, print the results and write the report."""
+    """Evaluate the measurements, print the results and write the report."""
     fits = FITS if campaign.of("loops") and campaign.of("sweep") else 0
     with tqdm(total=fits, desc="laws", disable=None, leave=False) as bar:
         result = campaign.evaluate(bar.update)

@@ -1,15 +1,15 @@
-"""Five laws of friction that may explain loops, and which of them the readings ask for.
+"""Five laws of friction that may explain loops, and the choice among them by prediction.
 
-The motion is the input and the torque the prediction, as the laws themselves have it, so that no simulation runs away
-from a small error. Between two readings the velocity is taken as constant, and the bristles follow it by the steps of
-rx90_common/friction, which are exact for that. A law without bristles lets nothing move below the static
-torque: where a step of torque moves the joint by a count, it predicts the sliding torque.
+The motion is the input and the torque the prediction, as in the laws themselves, so that no simulation diverges because
+of a small error. Between two readings the velocity is assumed constant, and the bristles follow it by the steps of
+rx90_common/friction, which are exact for that. A law without bristles predicts no motion below the static
+torque: if a step of torque moves the joint by a count, it predicts the sliding torque.
 
-The choice is by cross-validation over whole blocks: each law is fitted to all blocks but some and predicts those.
+The choice is by cross-validation over whole blocks: each law is fitted to some of the blocks and predicts the others.
 Blocks begin with a slide, so that no reading shares noise or memory with one of another block. Squared errors of the
-blocks are compared in pairs: a law is refuted where another predicts better by more than chance gives (t-test over the
-blocks, one-sided, p < SIGNIFICANCE) and by more than MIN_EXCESS, be it in sliding, or, among the laws that sliding
-leaves, in loops. Of laws that contain a simpler one which is not refuted the simpler one is kept.
+blocks are compared in pairs: a law is refuted if another predicts significantly better (t-test over the
+blocks, one-sided, p < SIGNIFICANCE) and by more than MIN_EXCESS, either in sliding or, among the laws that sliding does
+not refute, in loops. If a law contains a simpler one that is not refuted, the simpler one is chosen.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.held_out import HeldOutErrors, leave_out
-from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_common.friction.parts.bristles import MAX_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_common.friction.tracing import prescribed_torque
 
 SIGNIFICANCE = 0.01
@@ -53,7 +53,7 @@ _SLIDING_BLOCKS = 10
 class LoopBlock:
     """One block of loops, beginning at rest without torque after a slide, so that nothing before it matters.
 
-    The joint swings to rest there, which leaves no bristle bent; blocks of Maxwell slip come near to that.
+    The joint swings to rest there, with undeflected bristles; blocks of Maxwell slip are then nearly undeflected.
 
     Attributes:
         angle: of the joint at each reading from the rest after the slide on, rad, without the encoder's flicker,
@@ -81,7 +81,7 @@ class LoopBlock:
 
 
 def settled(counts: Array) -> Array:
-    """Return counts without the flicker of one: the middle of what they leave open, moved as little as they ask."""
+    """Return counts without the flicker of one: the middle of the possible range, with the least motion."""
     middle = np.empty_like(counts)
     at = counts[0]
     for k, count in enumerate(counts):
@@ -92,14 +92,15 @@ def settled(counts: Array) -> Array:
 
 @dataclass(frozen=True)
 class FrictionLaw:
-    """A law with what it has free in presliding.
+    """A law with its free parameters in presliding.
 
     Attributes:
         name: of the law.
-        parameters: so many in all, with those of sliding.
-        stribeck: it has a static torque above the Coulomb one.
-        starts: what fits begin with: a factor of the stiffness that the loops show, and the other values, transformed.
-        bristles: made of the transformed values but the first, which is ln c0; None for a law without presliding.
+        parameters: their number, including those of sliding.
+        stribeck: the law has a static torque above the Coulomb one.
+        starts: initial values of fits: a factor of the stiffness that the loops show, and the other values,
+            transformed.
+        bristles: computed from the transformed values but the first, which is ln c0; None for a law without presliding.
     """
 
     name: str
@@ -175,7 +176,7 @@ ELASTO_PLASTIC = FrictionLaw(
     "elasto-plastic",
     6,
     starts=((1.0, -0.5), (1.0, 1.2)),
-    bristles=lambda values: ElastoPlastic(MOST_BREAK_AWAY / (1.0 + math.exp(-values[0]))),
+    bristles=lambda values: ElastoPlastic(MAX_BREAK_AWAY / (1.0 + math.exp(-values[0]))),
 )
 MAXWELL_SLIP = FrictionLaw(
     "Maxwell slip",
@@ -191,13 +192,13 @@ FITS = len(LAWS) * (FOLDS + 1)
 
 @dataclass(frozen=True, eq=False)
 class LawScore:
-    """How a law did.
+    """The prediction errors of a law.
 
     Attributes:
-        loops: mean squared errors of the blocks of loops that it had not seen, Nm^2, shape (blocks,).
+        loops: mean squared errors of the held-out blocks of loops, Nm^2, shape (blocks,).
         sliding: the same of stretches of sliding readings.
         values: of the law's free parameters from all blocks, transformed.
-        refuted: why it is, "" if it is not.
+        refuted: the reason, "" if it is not refuted.
     """
 
     law: FrictionLaw
@@ -219,16 +220,16 @@ class Choice:
     """
 
     scores: tuple[LawScore, ...]
-    left: tuple[FrictionLaw, ...]
+    remaining: tuple[FrictionLaw, ...]
     by_loops: tuple[FrictionLaw, ...]
     sliding: SlidingFriction
 
     @property
     def text(self) -> str:
         """Return the verdict in words."""
-        if len(self.left) > 1:
-            return f"cannot tell: {' or '.join(law.name for law in self.left)}"
-        return self.left[0].name + (", by its drift" if len(self.by_loops) > 1 else "")
+        if len(self.remaining) > 1:
+            return f"cannot tell: {' or '.join(law.name for law in self.remaining)}"
+        return self.remaining[0].name + (", by its drift" if len(self.by_loops) > 1 else "")
 
 
 def choose(
@@ -263,11 +264,11 @@ def choose(
     for simple in (COULOMB, STRIBECK):  # each contained in all that follow
         if simple in by_loops:
             by_loops = [simple]
-    left = by_loops
+    remaining = by_loops
     if drift is not None and drift.verdict is not DriftVerdict.UNKNOWN and by_loops[0].bristles is not None:
         drifts = drift.verdict is DriftVerdict.DRIFTS
-        left = [law for law in by_loops if (law is LUGRE) is drifts] or by_loops
-    return Choice(tuple(scores), tuple(left), tuple(by_loops), sliding[True])
+        remaining = [law for law in by_loops if (law is LUGRE) is drifts] or by_loops
+    return Choice(tuple(scores), tuple(remaining), tuple(by_loops), sliding[True])
 
 
 def _score(
@@ -307,10 +308,10 @@ def _sliding_errors(readings: SlidingReadings, stribeck: bool) -> Array:
 
 
 def with_refutations(scores: Sequence[LawScore]) -> list[LawScore]:
-    """Return the scores with what refutes them.
+    """Return the scores with the reasons for refutation.
 
-    In loops the laws that sliding leaves are compared. Where the encoder sees no presliding, loops are counts of creep:
-    whatever predicts least torque there is nearest, be its sliding ever so wrong.
+    In loops only the laws that sliding does not refute are compared. If the encoder cannot resolve presliding, loops
+    are counts of creep: the law that predicts the least torque there is nearest, however wrong it is in sliding.
     """
     laws = [score.law.name for score in scores]
     sliding = HeldOutErrors({score.law.name: score.sliding for score in scores}, floor=1e-12)

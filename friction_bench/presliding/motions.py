@@ -1,13 +1,13 @@
-"""How the rig is moved: profiles of torque, which the host follows tick by tick, and the readings that come of them.
+"""Motions of the rig: profiles of torque, which the host follows tick by tick, and the resulting readings.
 
-Codes are those of the DAC. On a unipolar rig torque goes one way only, from zero to the motor's limit: a motion is
-turned round by taking torque away, and it is the bent bristles that drive it back. So loops lie between zero and
-break-away, and no sliding joint is reversed. On a bipolar one codes below 0 are torque backward: loops go through zero,
-and what slides forward slides backward, too, by the same profiles counted the other way.
+Codes are those of the DAC. On a unipolar rig torque has one direction, from zero to the motor's limit: a motion is
+reversed by reducing the torque, and the deflected bristles drive it back. So loops lie between zero and
+break-away, and a sliding joint is never reversed. On a bipolar rig codes below 0 are torque backward: loops go through
+zero, and the joint slides in both directions, by the same profiles counted the other way.
 
-The host answers each report at once with the protocol's TORQUE command. A code that it sends reaches the DAC some 15 ms
-after the reading that it answers (the report's 9 ms on the line at 19200 baud, the command's 4 ms, the firmware's
-loop), so it holds from there on: a delay of less than a tick, and the next report says what is on the DAC.
+The host answers each report at once with the protocol's TORQUE command. A code reaches the DAC some 15 ms
+after the reading that it answers (9 ms for the report on the line at 19200 baud, 4 ms for the command, the firmware's
+loop): a delay of less than a tick, and the next report contains the code on the DAC.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ INTEGRAL_TIME = 0.25
 _REST_TICKS = 15
 """Ticks for which a joint that slid is left alone, without torque."""
 SLIDE = 8e-3
-"""How far the joint slides before an experiment, rad: beyond any presliding, so that it forgets what was before."""
+"""Sliding distance before an experiment, rad: beyond any presliding, so that it removes the memory of earlier
+motion."""
 _LEVELS = (
     (0.85, 0.25, 0.6, 0.25, 0.85, 0.0),
     (0.8, 0.1, 0.5, 0.3, 0.5, 0.1, 0.8, 0.0),
@@ -66,12 +67,12 @@ class Trace:
     """Readings of one experiment, joint side.
 
     Attributes:
-        label: names it in messages and plots.
+        label: name of the experiment in messages and plots.
         time: of each reading, s, from 0, shape (n,).
         counts: of the encoder, from 0, shape (n,).
         code: on the DAC at the reading, shape (n,).
-        angle_step: what a count stands for, rad.
-        torque_step: what a code stands for, Nm.
+        angle_step: angle of a count, rad.
+        torque_step: torque of a code, Nm.
         tick: period of the readings, s.
     """
 
@@ -128,10 +129,10 @@ def follow(
         with contextlib.suppress(StopIteration):  # the profile's end
             while not last_near_limits(client.rig, samples):
                 client.send_torque(code)
-                came: list[Sample] = []
-                while not came:
-                    came = client.pump()
-                for sample in came:
+                received: list[Sample] = []
+                while not received:
+                    received = client.pump()
+                for sample in received:
                     refuse_fault(sample)
                     if sample.report.result != CommandResult.OK:
                         raise RigRefusedError(f"TORQUE: {sample.report.result_text}")
@@ -145,7 +146,7 @@ def follow(
 
 
 def mirrored(profile: Profile) -> Profile:
-    """Follow a profile backward: it gives and sees everything counted the other way."""
+    """Follow a profile backward: its codes and counts change their signs."""
     code = next(profile)
     with contextlib.suppress(StopIteration):  # the profile's end
         while True:

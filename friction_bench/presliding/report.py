@@ -32,14 +32,15 @@ SCALE = "torques: common to all is a relative standard uncertainty of {:.2g} %, 
 
 @dataclass(eq=False)
 class PreslidingResult:
-    """The result of a campaign; parts are None or empty where they were not run, or carry nothing.
+    """The result of a campaign; parts are None or empty if they were not run, or have no result.
 
     Attributes:
         origin: of the readings, in words.
-        rig: on which they were taken.
+        rig: the rig.
         deflection: of the joint up to break-away, rad, on the slowest ramps; None if it does not break away.
-        break_away: the torque's rate, Nm/s, and the largest friction before sliding, Nm, of each ramp; backward apart.
-        failures: why a part that was run carries nothing, one line each.
+        break_away: the torque's rate, Nm/s, and the largest friction before sliding, Nm, of each ramp; backward ones
+            separately.
+        failures: the reason for each part that was run without a result, one line each.
     """
 
     origin: str
@@ -59,7 +60,7 @@ class PreslidingResult:
 
 
 def _loops_plot(result: PreslidingResult) -> Plot:
-    """Show the first blocks of loops, torque over angle, with what the laws with bristles predict from the angle."""
+    """Show the first blocks of loops, torque over angle, with the predictions of the laws with bristles."""
     panels = []
     for k, block in enumerate(result.blocks[:_MAX_LOOPS]):
         angle = 1e3 * (block.angle[block.readings] - block.angle[block.readings[0]])
@@ -75,7 +76,7 @@ def _loops_plot(result: PreslidingResult) -> Plot:
 
 
 def _pulls_plot(result: PreslidingResult) -> Plot:
-    """Show where the joint sticks and slips over speed and stiffness, and where linear stability says that it does."""
+    """Show stick-slip over speed and stiffness, and where linear stability predicts it."""
     marks: list[Mark] = []
     for slips, label, colour in ((True, "sticks and slips", COLOURS[1]), (False, "slides", COLOURS[0])):
         chosen = np.array([pull[:2] for pull in result.pulls if pull.sticks_and_slips is slips])
@@ -96,7 +97,7 @@ def _pulls_plot(result: PreslidingResult) -> Plot:
 
 
 def drift_plot(drift: DriftResult) -> Plot:
-    """Show where the joint stands after each small cycle, and where LuGre's law would have it."""
+    """Show the joint's position after each small cycle, and the position predicted by LuGre's law."""
     cycles = np.arange(drift.position.size, dtype=np.float64)
     marks: list[Mark] = []
     if drift.by_lugre is not None:
@@ -108,20 +109,20 @@ def drift_plot(drift: DriftResult) -> Plot:
 
 
 def _resolution(result: PreslidingResult) -> tuple[str, dict[str, float]]:
-    """Return what encoder and converter resolve of this joint's presliding, in words and as an entry."""
+    """Return the encoder's and converter's resolution of this joint's presliding, in words and as an entry."""
     count, code = result.rig.joint_step, result.rig.joint_code
     text = f"a count is {1e6 * count:.1f} urad and a code {1e3 * code:.1f} mNm at the joint"
     entry = {"count_rad": count, "code_nm": code}
     if result.deflection is None:
         return f"{text}; it has not broken away", entry
     entry["presliding_counts"] = counts = result.deflection / count
-    seen = "" if counts >= VISIBLE_COUNTS else ": too few to see loops"
-    bends = f"it bends by {1e6 * result.deflection:.0f} urad, {counts:.1f} counts, up to break-away{seen}"
+    note = "" if counts >= VISIBLE_COUNTS else ": too few to see loops"
+    bends = f"it bends by {1e6 * result.deflection:.0f} urad, {counts:.1f} counts, up to break-away{note}"
     return f"{text}; {bends}", entry
 
 
 def _drift_text(drift: DriftResult) -> str:
-    """Return the drift and what it says, in words."""
+    """Return the drift and the verdict, in words."""
     mean, least, largest = drift.drift
     law = "no swing is seen"
     if drift.by_lugre is not None:
@@ -197,9 +198,11 @@ def write_result(out: Path, result: PreslidingResult) -> None:
             lines.append(f"{score.law.name:22}{loops:16.1f}{sliding:18.1f}  {score.refuted or 'not refuted'}")
         lines.append(f"law of friction: {choice.text}")
         refuted = {score.law.name: score.refuted for score in choice.scores if score.refuted}
-        document["law"] = {"verdict": choice.text, "left": [law.name for law in choice.left], "refuted": refuted}
+        document["law"] = {"verdict": choice.text, "left": [law.name for law in choice.remaining], "refuted": refuted}
         fitted = {score.law.name: score.values[0] for score in choice.scores if score.law.bristles is not None}
-        stiffness = {law.name: float(f"{np.exp(fitted[law.name]):.4g}") for law in choice.left if law.name in fitted}
+        stiffness = {
+            law.name: float(f"{np.exp(fitted[law.name]):.4g}") for law in choice.remaining if law.name in fitted
+        }
         lines += [f"stiffness c0 of {name}: {value:g} Nm/rad" for name, value in stiffness.items()]
         document["law"]["c0_nm_per_rad"] = stiffness
     if result.pulls:

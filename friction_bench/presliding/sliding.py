@@ -1,16 +1,16 @@
 """The sliding joint: friction at changing speed, break-away against the torque's rate, stick-slip; and the drift.
 
-Elasto-plastic or LuGre: how far a joint drifts under ten thousand small cycles of torque below break-away tells.
-A LuGre joint under a torque that changes slowly between `low` and `high`, both below its static torque F_s, goes on in
-each cycle, for its bristles give way on the way up by more than on the way down. With a = high / F_s, b = low / F_s and
+Elasto-plastic or LuGre: the drift under ten thousand small cycles of torque below break-away decides.
+A LuGre joint under a torque that changes slowly between `low` and `high`, both below its static torque F_s, moves on in
+each cycle, because its bristles yield more on the way up than on the way down. With a = high / F_s, b = low / F_s and
 the deflection g = F_s / c0, dx = dz / (1 - z / g) up and dz / (1 + z / g) down give
 
     drift of a cycle   d = g ln((1 - b^2) / (1 - a^2))
     swing, downwards   s = g ln((1 + a) / (1 + b))
 
-so that d / s does not depend on the stiffness: what LuGre's law says is known from the break-away torque alone. An
+so that d / s does not depend on the stiffness: the prediction of LuGre's law needs only the break-away torque. An
 elasto-plastic joint is purely elastic up to its break-away deflection, and blocks of Maxwell slip close their loops:
-both have d = 0. The drift of many cycles adds up to counts where that of one, and the swing, are far below a count.
+both have d = 0. The drift of many cycles adds up to counts even if that of one, and the swing, are far below a count.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ DRIFT_BLOCKS = 20
 _STATIC_TORQUE_UNCERTAINTY = 0.25
 """Relative uncertainty of the break-away torque as a measure of LuGre's static torque."""
 _NO_DRIFT_SHARE = 0.2
-"""Of LuGre's drift: what is less is none."""
+"""Share of LuGre's drift below which there is no drift."""
 _MIN_SWING = 1.5
-"""Counts of a swing that is seen."""
+"""Least swing that can be measured, counts."""
 
 
 class SlidingReadings(NamedTuple):
@@ -115,7 +115,7 @@ class SlidingFriction:
 
     @property
     def turning_speed(self) -> float | None:
-        """Return the speed, rad/s, at which steady friction has its minimum; None where it rises from rest."""
+        """Return the speed, rad/s, at which steady friction has its minimum; None if it rises from rest."""
         fall = (self.tau_s - self.tau_c) / self.omega_s
         return float(self.omega_s * np.log(fall / self.c2)) if 0.0 < self.c2 < fall else None
 
@@ -143,7 +143,7 @@ def fit_sliding_friction(readings: SlidingReadings, stribeck: bool = True) -> Sl
 
 
 def _fit_at(readings: SlidingReadings, omega_s: float | None) -> SlidingFriction:
-    """Fit with a given Stribeck speed, rad/s, without the effect if it is None: what is left is linear."""
+    """Fit with a given Stribeck speed, rad/s, without the effect if it is None: the other parameters are linear."""
     columns = [np.ones_like(readings.speed), readings.speed, readings.acceleration]
     if omega_s is not None:
         columns.append(np.exp(-readings.speed / omega_s))
@@ -162,9 +162,10 @@ def _fit_at(readings: SlidingReadings, omega_s: float | None) -> SlidingFriction
 def break_away_torque(rate: float, ramp: Trace, inertia: float) -> tuple[float, float]:
     """Return the torque's rate at the joint, Nm/s, and the largest friction before it slides, Nm, of a ramp.
 
-    Friction is the motor's torque less what accelerates the joint, so that inertia does not pass for friction; what is
-    left of a rate's influence is the law's. LuGre's break-away torque falls with the rate (Canudas de Wit and others
-    1995): the joint is fast before its bristles are bent. Damping of the bristles, c1 rate / c0, raises it.
+    Friction is the motor's torque less that of the joint's acceleration, so that inertia is not taken for friction; the
+    remaining influence of the rate belongs to the law. LuGre's break-away torque falls with the rate (Canudas de Wit
+    and others 1995): the joint is fast before its bristles are deflected. Damping of the bristles, c1 rate / c0, raises
+    it.
 
     Args:
         rate: of the ramp, codes a tick.
@@ -191,10 +192,10 @@ def by_rate(torques: Sequence[tuple[float, float]]) -> list[tuple[float, float, 
 
 
 def break_away_code(ramp: Trace, slid: float) -> float:
-    """Return the code on the DAC when the joint has moved by half of what counts as a slide.
+    """Return the code on the DAC when the joint has moved by half of the distance that counts as a slide.
 
     Raises:
-        IdentificationError: if it did not move as far.
+        IdentificationError: if it did not move that far.
     """
     if ramp.counts.max() < slid:
         highest = f"{ramp.torque_step * ramp.code.max():.3g} Nm"
@@ -220,15 +221,16 @@ def evaluate_pull(trace: Trace, speed: float, stiffness: float) -> Pull:
 
 
 def sampled_growth(element: FrictionElement, inertia: float, speed: float, stiffness: float, tick: float) -> float:
-    """Return by what small deviations of a LuGre joint from steady sliding grow in a tick; below 1 they die out.
+    """Return the factor by which small deviations of a LuGre joint from steady sliding grow in a tick; stable below 1.
 
     The joint is pulled by a spring whose other end moves at a steady speed. With the bristles' rate r = v / g,
     s = v g' / g, the slope F' = dF / dv of steady friction and an ideal spring, deviations obey
 
         J x''' + (J r + c2 + c1 s) x'' + (r F' + K) x' + K r x = 0,
 
-    so that (Routh) where F' < 0 sliding takes a spring stiffer than -r F' (J r + C) / C, C = c2 + c1 s > 0, to be
-    stable; no spring is stiff enough where C <= 0. The host's spring is sampled and late, which takes damping away.
+    so that (Routh) where F' < 0 sliding is stable only with a spring stiffer than -r F' (J r + C) / C, C = c2 + c1 s >
+    0;
+    no spring is stiff enough where C <= 0. The host's spring is sampled and delayed, which reduces the damping.
 
     Args:
         element: LuGre's, alpha 1.
@@ -271,24 +273,24 @@ def least_steady_speed(
 
 
 class DriftVerdict(str, Enum):
-    """What the drift says."""
+    """Verdict on the drift."""
 
     DRIFTS = "LuGre"
-    STAYS = "no drift: elasto-plastic or Maxwell slip, not LuGre"
+    NO_DRIFT = "no drift: elasto-plastic or Maxwell slip, not LuGre"
     UNKNOWN = "cannot tell"
 
 
 @dataclass(frozen=True, eq=False)
 class DriftResult:
-    """What the cycles showed, in counts.
+    """The results of the cycles, in counts.
 
     Attributes:
         position: at the end of each cycle, counts, shape (n,).
         swing: of a cycle, counts.
         drift: of a cycle, counts, and the bounds of its 99 % interval.
-        expected: drift over swing by LuGre's law, least and largest by the uncertainty of the break-away torque.
+        expected: drift over swing by LuGre's law, lower and upper bound from the uncertainty of the break-away torque.
         low, high: turning points over the break-away torque.
-        verdict, reason: what follows, and why.
+        verdict, reason: the conclusion, and its reason.
     """
 
     position: Array
@@ -302,7 +304,7 @@ class DriftResult:
 
     @property
     def by_lugre(self) -> tuple[float, float] | None:
-        """Return the drift of a cycle by LuGre's law, counts, least and largest; None where no swing is seen."""
+        """Return the drift of a cycle by LuGre's law, counts, lower and upper bound; None if no swing is measured."""
         return (self.expected[0] * self.swing, self.expected[1] * self.swing) if self.swing > 0.0 else None
 
 
@@ -313,7 +315,10 @@ def _verdict(swing: float, least: float, largest: float, lowest: float, highest:
     mean is right; one that stays may be off by a count.
     """
     if largest < _NO_DRIFT_SHARE * lowest * (swing - 1.0) and swing >= _MIN_SWING:
-        return DriftVerdict.STAYS, f"the drift is less than {100 * _NO_DRIFT_SHARE:g} % of what LuGre's law would give"
+        return (
+            DriftVerdict.NO_DRIFT,
+            f"the drift is less than {100 * _NO_DRIFT_SHARE:g} % of what LuGre's law would give",
+        )
     if least > 0.0 and swing > 0.0 and 0.5 * lowest < least / swing and largest / swing < 2.0 * highest:
         return DriftVerdict.DRIFTS, "the joint drifts as LuGre's law says"
     if swing < _MIN_SWING and least <= 0.0:
@@ -338,7 +343,7 @@ def lugre_ratio(low: float, high: float) -> float:
 
 
 def evaluate_drift(trace: Trace, low: int, high: int, break_away: float) -> DriftResult:
-    """Tell from the readings of the cycles whether the joint drifts as LuGre's law says.
+    """Determine from the readings of the cycles whether the joint drifts as LuGre's law predicts.
 
     Args:
         trace: the whole experiment.

@@ -1,1 +1,1 @@
-"""The rig as a program sees it: its file, its client, and the emulated one that runs the firmware's core."""
+"""The rig's software: its file, its client, and the emulated rig that runs the firmware's core."""

@@ -1,4 +1,4 @@
-"""The host's side of the protocol: frames on a port, a greeting, commands until they are answered, readings."""
+"""The host's side of the protocol: frames on a port, the greeting, commands with repetition, readings."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from friction_bench.rig.rig_file import CODES, Rig
 HEARTBEAT = 0.02
 """Time between heartbeats, s; the firmware's watchdog trips after 120 ms."""
 SILENCE = 0.5
-"""A rig that reports nothing for so long, s, is lost."""
+"""Time without a report after which a rig counts as lost, s."""
 _LONGEST_LISTENING = 2 * HEARTBEAT
 """The most that counts as listening between two reads, s: a program that was suspended did not listen."""
 STOP_SEQUENCES = range(240, 256)
@@ -52,10 +52,10 @@ class Port(Protocol):
         """Return the port's time, s, monotonic."""
 
     def write(self, data: bytes, *, first: bool = False) -> None:
-        """Send bytes; `first`: in place of what has not left yet, which may be thrown away in mid-frame."""
+        """Send bytes; `first`: replaces bytes that have not been sent yet, which may be discarded in mid-frame."""
 
     def read(self, timeout: float) -> bytes:
-        """Return what has come; wait up to `timeout` seconds for the first byte."""
+        """Return the received bytes; wait up to `timeout` seconds for the first one."""
 
     def close(self) -> None:
         """Give the port back."""
@@ -80,13 +80,13 @@ class Sample:
 
 
 class RigClient:
-    """Commands one rig, which stays alive only while somebody calls `pump`.
+    """Commands one rig, which stays armed only while `pump` is called.
 
     Only `urgent_stop` may be called by other threads than the one that owns the client.
 
     Args:
-        port: what carries the bytes.
-        rig: what is expected at its other end.
+        port: carries the bytes.
+        rig: the expected rig.
 
     Attributes:
         hello: the firmware's greeting, None before `connect`.
@@ -94,8 +94,8 @@ class RigClient:
         beating: heartbeats are sent; without them an armed rig switches itself off.
         lost_reports: ticks without a reading so far.
         stops: urgent stops so far.
-        known_stops: how many of them the owner knew of when it gave the command under way.
-        stopping: an urgent stop has been sent and not been answered; it is repeated in place of heartbeats.
+        known_stops: number of them that the owner knew when it sent the current command.
+        stopping: an urgent stop has been sent and not yet answered; it is repeated in place of heartbeats.
     """
 
     def __init__(self, port: Port, rig: Rig) -> None:
@@ -111,7 +111,7 @@ class RigClient:
         self._sequence = 0
         self._sent_at = -1.0
         self._read_at = port.now()
-        self._listened = self._heard_at = 0.0  # time spent listening, s: what timeouts of the rig's answers count
+        self._listened = self._last_report_at = 0.0  # time spent listening, s, the clock of the answers' timeouts
 
     @property
     def bad_frames(self) -> int:
@@ -163,7 +163,7 @@ class RigClient:
         self._write_stop()
 
     def _write_stop(self) -> None:
-        # A delimiter first: what stands before it on the line may have lost its own. Twice: one may be hit.
+        # A delimiter first: the frame before it on the line may have lost its own. Twice: one may be hit.
         self.port.write(b"\0" + 2 * encode(Frame(Command.STOP, self._stop_sequence, b"")), first=True)
         self._sent_at = self.port.now()
 
@@ -177,8 +177,8 @@ class RigClient:
         before, self._read_at = self._read_at, self.port.now()
         self._listened += min(self._read_at - before, _LONGEST_LISTENING)
         if frames:
-            self._heard_at = self._listened
-        elif self._listened - self._heard_at > SILENCE:
+            self._last_report_at = self._listened
+        elif self._listened - self._last_report_at > SILENCE:
             raise RigLostError(f"the rig has not reported for {SILENCE} s")
         return frames
 
@@ -198,7 +198,7 @@ class RigClient:
             if self.port.now() >= greet_at:
                 self._send(Command.HELLO, PROTOCOL_VERSION)
                 greet_at = self.port.now() + HELLO_PERIOD
-            self._heard_at = self._listened
+            self._last_report_at = self._listened
             for frame in self._frames():
                 hello = parse_hello(frame)
                 if hello is not None and frame.sequence == self._sequence:
@@ -243,11 +243,11 @@ class RigClient:
         return self.last
 
     def request(self, command: Command, *values: int) -> list[Sample]:
-        """Send a command until a report answers it; return the readings that came meanwhile.
+        """Send a command until a report answers it; return the readings received meanwhile.
 
         Args:
-            command: what to do.
-            values: of its payload, as `payload_of` has them.
+            command: the command.
+            values: of its payload, as for `payload_of`.
 
         Raises:
             RigRefusedError: with the firmware's reason.
@@ -263,9 +263,9 @@ class RigClient:
             if self.port.now() >= retry_at or self.stops != self.known_stops:
                 self._send_unless_stopped(message, command)
                 retry_at = self.port.now() + RETRY_PERIOD
-            came = self._samples()
-            samples += came  # all of them: what came behind the answer would count as lost
-            answer = next((s.report for s in came if s.report.ack_sequence == sequence), None)
+            received = self._samples()
+            samples += received  # all of them: those after the answer would count as lost
+            answer = next((s.report for s in received if s.report.ack_sequence == sequence), None)
             if answer is not None:
                 if answer.result != CommandResult.OK:
                     raise RigRefusedError(f"{command.name}: {answer.result_text}")
@@ -285,7 +285,7 @@ class RigClient:
         """Start the firmware's ramp of `slope` Nm/s up to `end_torque` Nm on an armed rig.
 
         On a bipolar rig the end may be backward, below 0, and the ramp may turn there, without a pause, and go on to
-        the opposite end, up to MOST_TURNS times.
+        the opposite end, up to MAX_TURNS times.
 
         Returns:
             The readings up to the ramp's first report.

@@ -100,7 +100,7 @@ class NativeBoard:
         self._core.native_power_up(ctypes.c_uint32(self._baud), ctypes.c_uint8(cause))
 
     def write(self, data: bytes) -> None:
-        """Put bytes on the line to the board; what exceeds its 4 KiB buffer is lost, as on a real line."""
+        """Put bytes on the line to the board; bytes beyond its 4 KiB buffer are lost, as on a real line."""
         self._core.native_write(data, ctypes.c_uint32(len(data)))
 
     def read(self) -> bytes:
@@ -114,7 +114,7 @@ class NativeBoard:
 
     @property
     def dac(self) -> int:
-        """Return the code on the DAC, below 0 where the direction line says backward."""
+        """Return the code on the DAC, below 0 if the direction line is backward."""
         return -int(self._core.native_dac()) if self._core.native_reversed() else int(self._core.native_dac())
 
     @property
@@ -123,7 +123,7 @@ class NativeBoard:
         return bool(self._core.native_stage())
 
     def switched_on(self) -> bool:
-        """Return whether the power stage came on since this was last asked."""
+        """Return whether the power stage was switched on since the last call."""
         return bool(self._core.native_switched())
 
 
@@ -195,8 +195,8 @@ class VirtualPort:
 class PtyRig:
     """Runs an emulated rig on a thread until `close`.
 
-    Time that the computer does not give this program is lost to the rig too: it never runs faster than real
-    time to catch up, because its host, starved as well, would seem silent to it.
+    Time that the computer does not give to this program is lost to the rig, too: it never runs faster than real
+    time to catch up, because to its host, which was starved as well, it would seem silent.
 
     Args:
         emulated: the rig.
@@ -247,7 +247,7 @@ class PtyRig:
                     self._exchange(slices * SLICE)
 
     def _exchange(self, seconds: float) -> None:
-        """Let time pass, between what has come on the line and what leaves on it."""
+        """Advance time, between reading the line and writing to it."""
         with contextlib.suppress(OSError):
             self.emulated.board.write(os.read(self._master, 4096))
         self.emulated.advance(seconds)
@@ -257,8 +257,8 @@ class PtyRig:
     def close(self) -> None:
         """End the rig: for its opener, this is an unplugged cable."""
         self._stop.set()
-        self._thread.join()  # as late as it may be: it must not write to what has got the descriptor's number since
-        # The link first: the name that it points to may soon be another program's pseudo-terminal.
+        self._thread.join()  # however late: it must not write to another file that got the descriptor's number since
+        # The link first: its target may soon be another program's pseudo-terminal.
         if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.path:
             self._link.unlink(missing_ok=True)  # unless another rig has taken the name over
         for descriptor in (self._slave, self._master):

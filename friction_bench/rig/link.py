@@ -31,7 +31,7 @@ class RigLink:
 
     Args:
         open_port: opens the port; called again after a loss.
-        rig: what is expected at its end.
+        rig: the expected rig.
         on_sample: called with each reading, on the link's thread.
         on_trouble: called with one line for each trouble, on the link's thread.
         on_good: called with one line when the rig answers (again) and the line is good.
@@ -55,7 +55,7 @@ class RigLink:
         self._reported: set[str] = set()
         self._troubled_at = 0.0
         self._last_fault = Fault.NONE
-        self._greeting = ""  # what `on_good` gets once the line is good
+        self._greeting = ""  # argument of `on_good` once the line is good
         self._jobs: queue.Queue[tuple[Callable[[RigClient], None], Future[None], int]] = queue.Queue()
         self._jobs_lock = threading.Lock()  # a job is queued for a connection that there is
         self._closed = threading.Event()
@@ -156,7 +156,7 @@ class RigLink:
             port.close()
 
     def _refuse_jobs(self, reason: str) -> None:
-        """Refuse what waits, with the lock held; nothing is added until a client has been greeted."""
+        """Refuse the waiting requests, with the lock held; none is added before a client has been greeted."""
         while not self._jobs.empty():
             _, future, _ = self._jobs.get_nowait()
             if future.set_running_or_notify_cancel():

@@ -1,4 +1,4 @@
-"""The rig's protocol (docs/reference/rig_protocol.md): frames on the line, what they mean, and what can go wrong.
+"""The rig's protocol (docs/reference/rig_protocol.md): frames on the line, their meanings, and errors.
 
 A frame on the line is COBS(type, sequence, payload, CRC-16/CCITT-FALSE), closed by 0x00.
 """
@@ -14,7 +14,7 @@ from rx90_common.base.errors import REFUSED, FailureError
 
 PROTOCOL_VERSION = 2
 MAX_DECODED = 32
-"""Longest frame before COBS, in bytes; what is longer is noise."""
+"""Longest frame before COBS, in bytes; a longer one is noise."""
 
 _HELLO = struct.Struct("<BBBHHHHBBBB")
 _BIPOLAR, _COUNTS_DOWN, _PULSED, _COARSE = (1 << bit for bit in range(4))
@@ -22,11 +22,11 @@ _REPORT = struct.Struct("<HHBBBBBBBB")
 
 
 class RigError(FailureError):
-    """The rig or the line to it does not do what it should; the text is one line meant for the user."""
+    """The rig or the line to it fails; the text is one line meant for the user."""
 
 
 class RigLostError(RigError):
-    """The line is gone: unplugged, held by another program, or silent."""
+    """The line is broken: unplugged, in use by another program, or silent."""
 
 
 class RigResetError(RigError):
@@ -42,7 +42,7 @@ class RigFaultError(RigError):
 
 
 class RigInputError(RigError):
-    """A setting or a file asks for what this rig cannot do."""
+    """A setting or a file requires something that this rig cannot do."""
 
     exit_code = REFUSED
 
@@ -127,14 +127,14 @@ class Command(IntEnum):
 _PAYLOADS = {Command.HELLO: "<B", Command.TORQUE: "<BB", Command.RAMP: "<HBB", Command.LIMITS: "<HH"}
 BACKWARD = 0x80
 """In the last byte of a bipolar rig's RAMP: its first end is backward; the other bits are the number of its turns."""
-MOST_TURNS = BACKWARD - 1
+MAX_TURNS = BACKWARD - 1
 
 
 def payload_of(command: Command, *values: int) -> bytes:
     """Return a command's payload.
 
     Args:
-        command: what the host sends.
+        command: the command.
         values: HELLO: protocol version. TORQUE: DAC code; on a bipolar rig also 1 for backward, else 0. RAMP: slope in
             1/256 DAC code per tick, and the code at which it ends; on a bipolar rig also BACKWARD or 0, plus how often
             it turns to the opposite end. LIMITS: travel in units of 256 counts, speed in counts per tick.
@@ -219,7 +219,7 @@ PROCESSORS = ("native", "mcs51", "avr")
 
 
 class HelloReply(NamedTuple):
-    """What the firmware was built for.
+    """The configuration that the firmware was built with.
 
     Attributes:
         tick_us: period of the reports, µs.
@@ -227,8 +227,8 @@ class HelloReply(NamedTuple):
         adc_full_scale: motor torque at ADC code 255, Nm.
         torque_limit_code: the highest DAC code the firmware accepts.
         watchdog_ticks: ticks of silence after which the stage goes off.
-        built: what else it was built with, as bits.
-        hold_ticks: for which it holds the end torque of a ramp.
+        built: further options of the build, as bits.
+        hold_ticks: time for which it holds the end torque of a ramp.
     """
 
     version: int
@@ -255,7 +255,7 @@ class HelloReply(NamedTuple):
 
     @property
     def pulsed(self) -> bool:
-        """Return whether the stage goes off for a moment in each tick of a ramp."""
+        """Return whether the stage switches off for a moment in each tick of a ramp."""
         return bool(self.built & _PULSED)
 
     @property
@@ -286,7 +286,7 @@ class Report(NamedTuple):
 
     @property
     def result_text(self) -> str:
-        """Return what became of the last command, in words."""
+        """Return the result of the last command, in words."""
         known = self.result in CommandResult.__members__.values()
         return CommandResult(self.result).text if known else f"unknown result {self.result}"  # type: ignore[call-arg]
 
@@ -297,7 +297,7 @@ def parse_hello(frame: Frame) -> HelloReply | None:
         return None
     if frame.payload[0] == PROTOCOL_VERSION and len(frame.payload) != _HELLO.size:
         return None
-    # Of another version the first byte alone is known: enough to say which one it is.
+    # Of another version only the first byte is known, which is the version.
     hello = HelloReply(*_HELLO.unpack(frame.payload[: _HELLO.size].ljust(_HELLO.size, b"\0")))
     unit = 1e-4 if hello.built & _COARSE else 1e-5
     return hello._replace(dac_full_scale=hello.dac_full_scale * unit, adc_full_scale=hello.adc_full_scale * unit)

@@ -4,7 +4,7 @@ One degree of freedom, described on the motor's side (angle theta, speed w):
     J w' = tau_motor - (f_v w + f_c sgn w) - tau_joint(w / n) / (n eta),
     J = J_rotor + (J_load + J_joint) / (n^2 eta),
 with gear ratio n and efficiency eta, the motor driving the load. The joint is there only when loaded; one with LuGre's
-law moves by the arm's own steps of rx90_common/friction, with whatever parts its element has.
+law moves by the arm's own steps of rx90_common/friction, with all parts of its element.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Shaft(NamedTuple):
 
 
 def shaft_of(rig: Rig, loaded: bool) -> Shaft:
-    """Return what turns at the motor of an emulated rig, without the friction of a LuGre joint.
+    """Return the inertia and friction at the motor of an emulated rig, without the friction of a LuGre joint.
 
     Raises:
         RigInputError: if the rig file describes no plant.
@@ -72,7 +72,7 @@ def turn(angle: float, speed: float, torque: float, shaft: Shaft, dt: float) -> 
 
     Returns angle and speed. A body that comes to rest stays there unless the torque exceeds f_c of its direction.
     """
-    left = dt
+    remaining = dt
     for _ in range(2):  # at most one reversal: torque is constant
         sign = 1.0 if speed > 0.0 or (speed == 0.0 and torque > 0.0) else -1.0
         coulomb, viscous = shaft.coulomb, shaft.viscous
@@ -82,19 +82,19 @@ def turn(angle: float, speed: float, torque: float, shaft: Shaft, dt: float) -> 
             return angle, 0.0
         final = (torque - sign * coulomb) / viscous
         tau = shaft.inertia / viscous
-        run = left
+        run = remaining
         stops = speed * final < 0.0
         if stops:
             rest = tau * math.log((final - speed) / final)
-            stops = rest < left
-            run = min(rest, left)
+            stops = rest < remaining
+            run = min(rest, remaining)
         decay = math.exp(-run / tau)
         angle += final * run + (speed - final) * tau * (1.0 - decay)
         speed = final + (speed - final) * decay
         if not stops:
             return angle, speed
         speed = 0.0
-        left -= run
+        remaining -= run
     return angle, speed
 
 
@@ -123,7 +123,7 @@ def joint_record(element: FrictionElement, gear_ratio: float, period: float, see
 
 @kernel
 def start(joint: RigJoint) -> None:
-    """Begin anew: nothing is transmitted, no bristle is bent."""
+    """Begin anew: no transmitted torque, no deflection."""
     state = joint.state[0]
     state.transmitted[0] = 0.0
     reset_parts(joint.parts[0], state, load(state.transmitted, 1), 1)
@@ -143,7 +143,7 @@ def turn_with_joint(
     Args:
         motion: angle and speed of the motor, rad and rad/s, deflection of the bristles, rad.
         torque: of the motor, Nm.
-        shaft: what turns at the motor.
+        shaft: inertia and friction at the motor.
         gear: its ratio and efficiency, and the inertia behind it, kg m², whose torque is the load that the joint
             transmits.
         joint: advanced in place.
@@ -155,8 +155,8 @@ def turn_with_joint(
     still = 0.0 * load(state.transmitted, 1)
     for _ in range(BRISTLE_STEPS):
         of_joint = still + angle / ratio, still + speed / ratio
-        bent, friction = parts_step(element, parts, state, still + z, of_joint[0], of_joint[1], step, 1)
-        z, before = lane(bent, 0), speed
+        deflections, friction = parts_step(element, parts, state, still + z, of_joint[0], of_joint[1], step, 1)
+        z, before = lane(deflections, 0), speed
         angle, speed = turn(angle, speed, torque - lane(friction, 0) / (ratio * efficiency), shaft, step)
         state.transmitted[0] = load_inertia * (speed - before) / (ratio * step)
         advance_load(parts.load, state, load(state.transmitted, 1), step, 1)
@@ -202,7 +202,7 @@ class RigPlant:
             start(self._joint)
 
     def new_ramp(self) -> None:
-        """Draw what differs from ramp to ramp: the torque's scale, and the joint's Coulomb friction."""
+        """Draw the differences from ramp to ramp: the torque's scale, and the joint's Coulomb friction."""
         p = self.parameters
         if p.ramp_error:
             self._ramp_gain = 1.0 + p.ramp_error * next(self._noise)
@@ -233,7 +233,7 @@ class RigPlant:
     def advance(self, command: float, dt: float) -> int:
         """Hold the commanded torque, Nm, for `dt` seconds; return the encoder counts in that time.
 
-        They are negative where the motor turned back, if the encoder tells the direction.
+        They are negative if the motor turned back, and the encoder measures the direction.
         """
         self.torque = self.motor_torque(command, dt)
         shaft = self._shafts[self.loaded]
@@ -249,5 +249,5 @@ class RigPlant:
         return edges if self.rig.counts_down else abs(edges)
 
     def current_reading(self) -> float:
-        """Return what the current sense amplifier shows, as motor torque, Nm: its size, whatever the direction."""
+        """Return the output of the current sense amplifier, as motor torque, Nm: its size, whatever the direction."""
         return max(0.0, abs(self.torque) + self.parameters.adc_noise * next(self._noise))

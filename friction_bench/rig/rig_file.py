@@ -73,7 +73,7 @@ _JOINT_FRICTION = Variants(
 
 @dataclass(frozen=True)
 class PlantParameters(Declared):
-    """What the emulated rig is made of; motor side, SI, unless a declaration says load side."""
+    """The parameters of the emulated rig; motor side, SI, unless a declaration says load side."""
 
     about: ClassVar[str] = "The plant of an emulated rig; a rig without it cannot be emulated."
     blocks: ClassVar[Mapping[str, str]] = {
@@ -249,12 +249,12 @@ class Rig(Declared):
 
     @property
     def angle_step(self) -> float:
-        """Return what one count stands for at the motor, rad."""
+        """Return the motor angle of one count, rad."""
         return math.tau / self.counts_per_revolution
 
     @property
     def joint_step(self) -> float:
-        """Return what one count stands for at the joint, rad."""
+        """Return the joint angle of one count, rad."""
         return math.tau / self.counts_per_revolution / self.gear_ratio
 
     @property
@@ -279,7 +279,7 @@ class Rig(Declared):
 
     @property
     def joint_code(self) -> float:
-        """Return what one DAC code stands for at the joint, Nm."""
+        """Return the joint torque of one DAC code, Nm."""
         return self.torque(1) * self.joint_scale
 
     def torque(self, dac_code: Value) -> Value:
@@ -287,7 +287,7 @@ class Rig(Declared):
         return dac_code * self.dac_full_scale / CODES
 
     def measured_torque(self, adc_code: Value) -> Value:
-        """Return the torque, Nm, that an ADC code or an array of them stands for."""
+        """Return the torque, Nm, for an ADC code or an array of them."""
         return adc_code * self.adc_full_scale / CODES
 
     def end_code(self, torque: float) -> int:
@@ -327,7 +327,7 @@ class Rig(Declared):
             for name in ("stage", "counts_per_revolution", "counts_down", "tick_us", "dac_full_scale", "adc_full_scale")
         }
         pairs["ramps.hold, in ticks,"] = self.hold_ticks, hello.hold_ticks
-        if self.plant is not None:  # of a rig that cannot be emulated the file does not say it
+        if self.plant is not None:  # the file of a rig that cannot be emulated does not contain it
             pairs["emulation.amplifier.off_time > 0"] = self.plant.off_time > 0.0, hello.pulsed
         for name, pair in pairs.items():
             expected, firmware = (round(one, 5) if isinstance(one, float) else one for one in pair)

@@ -18,7 +18,7 @@ from friction_bench.rig.messages import RigInputError, RigLostError
 
 _READ_SLICE = 0.01
 WRITE_TIMEOUT = 0.02
-"""Longest time for which a write may hold its caller, s. The system's buffer holds two seconds' worth of bytes: a
+"""Longest duration of a write, s. The system's buffer holds two seconds' worth of bytes: a
 line without room for a heartbeat in it is dead, and the stop must not wait behind it."""
 _FAILURES = (serial.SerialException, OSError, termios.error, ValueError)
 
@@ -64,10 +64,10 @@ class SerialPort:
     def write(self, data: bytes, *, first: bool = False) -> None:
         """Send bytes, or give up after WRITE_TIMEOUT.
 
-        `first` throws away what is still waiting in this computer, perhaps in mid-frame.
+        `first` discards the bytes that still wait in this computer, perhaps in mid-frame.
 
-        pyserial's own `write` calls a write that has succeeded lost if the computer stood still meanwhile for longer
-        than its timeout; it serves here where there is no file descriptor.
+        pyserial's own `write` reports a successful write as lost if the computer stood still meanwhile for longer
+        than its timeout; it is used here only without a file descriptor.
 
         Raises:
             RigLostError: if the line accepts nothing for WRITE_TIMEOUT.
@@ -90,10 +90,10 @@ class SerialPort:
                     raise serial.SerialTimeoutException("the line accepts no bytes")
 
     def read(self, timeout: float) -> bytes:
-        """Return what has come; wait up to `timeout` seconds, in slices of 10 ms, for the first byte.
+        """Return the received bytes; wait up to `timeout` seconds, in slices of 10 ms, for the first one.
 
         Raises:
-            RigLostError: if the line is gone.
+            RigLostError: if the line is broken.
         """
         end = self.now() + timeout
         with self._lost_while("reading", TypeError):  # TypeError: closed by another thread meanwhile

@@ -94,9 +94,9 @@ class MessageBatch:
 
 
 def series_encoder(series: JointSeries) -> tuple[Int64Array, Callable[[Int64Array], MessageBatch]]:
-    """Return the stamp of each message of a series, ns, int64 (n,), and what gives the messages of some rows.
+    """Return the stamps of a series' messages, ns, int64 (n,), and a function that returns the messages of some rows.
 
-    That raises ExchangeError if a name or a stamp cannot stand in a message.
+    The function raises ExchangeError for a name or a stamp that a message cannot contain.
     """
     if series.temperature is None:
         codec = JointStateCodec(series.names)
@@ -122,7 +122,7 @@ def series_encoder(series: JointSeries) -> tuple[Int64Array, Callable[[Int64Arra
 
 
 def temperature_cdr(stamp_ns: int, name: str, temperature: float) -> bytes:
-    """Return a sensor_msgs/Temperature as CDR, little endian, with variance 0, which stands for an exact value.
+    """Return a sensor_msgs/Temperature as CDR, little endian, with variance 0, which means an exact value.
 
     Args:
         stamp_ns: 0 up to 2^31 seconds.
@@ -130,7 +130,7 @@ def temperature_cdr(stamp_ns: int, name: str, temperature: float) -> bytes:
         temperature: degrees Celsius.
 
     Raises:
-        ExchangeError: if the name or the stamp cannot stand in a message.
+        ExchangeError: for a name or a stamp that a message cannot contain.
     """
     if not 0 <= stamp_ns < _END_NS:
         raise ExchangeError(f"stamp is {stamp_ns} ns; accepted: 0 to {_END_NS - 1}")

@@ -54,7 +54,7 @@ class Side:
 
 @dataclass(frozen=True)
 class ValueDifference:
-    """How one field of one joint differs over the pairs of messages.
+    """The differences of one field of one joint over the pairs of messages.
 
     Attributes:
         joint: joint name.
@@ -63,9 +63,9 @@ class ValueDifference:
         maximum: largest absolute difference of finite values.
         at_ns: stamp of that difference; None when it is 0.
         rms: root mean square of the differences of finite values.
-        tolerance: the largest difference accepted; 0 asks for equal bits.
+        tolerance: the largest difference accepted; 0 requires equal bits.
         beyond: number of pairs beyond the tolerance, also those that `not_finite` counts.
-        not_finite: number of pairs of which only one is NaN, or which are infinite and unequal; without a tolerance
+        not_finite: number of pairs with only one NaN, or with unequal infinities; without a tolerance
             also those of two NaN with other bits.
     """
 
@@ -89,8 +89,8 @@ class TopicComparison:
         joints: the joints that both bags have, in the order of the first.
         pairs: number of messages compared.
         range_ns: first and last stamp of the common range.
-        a: what only the first bag has.
-        b: what only the second bag has.
+        a: messages and joints of the first bag only.
+        b: those of the second bag only.
         values: the differences by field and joint.
         reasons: why the topic differs or cannot be compared, values aside.
         verdict: on this topic.
@@ -116,8 +116,8 @@ class BagComparison:
         path_b: the second one.
         topics: the comparison of each topic.
         skipped: names of the topics that are no JointState or Temperature.
-        notes: what was read otherwise than a bag says.
-        shift_ns: what the stamps of the second one were moved by.
+        notes: remarks for the user about the reading of the bags.
+        shift_ns: offset added to the stamps of the second one.
     """
 
     path_a: Path
@@ -135,15 +135,15 @@ class BagComparison:
 
 @dataclass(frozen=True)
 class Scope:
-    """What is compared.
+    """The scope of a comparison.
 
     Attributes:
         topics: only these; by default all JointState and Temperature topics, each of which must then be in both bags.
-        fields: which of position, velocity, effort, temperature.
+        fields: some of position, velocity, effort, temperature.
         start_ns: messages before this stamp are left out.
         end_ns: messages after this stamp are left out.
-        common_range: stamps outside the common range make no difference.
-        align: what the stamps of the second bag are moved by before they are compared: ns, or START, so that both
+        common_range: stamps outside the common range are ignored.
+        align: offset added to the stamps of the second bag before the comparison: ns, or START, so that both
             bags begin at the same time, or TRAJECTORY, so that their last trajectories do.
     """
 
@@ -184,11 +184,11 @@ def compare_bags(
     Args:
         path_a: a bag.
         path_b: the other one.
-        tolerances: what values may differ by; by default nothing, not by a single bit.
-        scope: what is compared; by default everything.
+        tolerances: accepted differences of values; by default none, not even of a single bit.
+        scope: of the comparison; by default everything.
 
     Raises:
-        BagError: if a bag cannot be read, or there is nothing to compare, or a tolerance fits nothing.
+        BagError: if a bag cannot be read, nothing can be compared, or a tolerance matches no value.
     """
     tolerances, scope = tolerances or Tolerances(), scope or Scope()
     check_type(tolerances=(tolerances, Tolerances), scope=(scope, Scope))
@@ -221,8 +221,8 @@ def compare_bags(
         raise BagError(f"neither {neither} has a JointState or Temperature message in the time window")
     if set(scope.fields) < set(SERIES_FIELDS) and not any(r.values or r.verdict is not Verdict.SAME for r in results):
         # Bags would be the same by stamps alone.
-        held = listed(dict.fromkeys(field for one in series for field in one.fields)) or "none"
-        raise BagError(f"fields {', '.join(scope.fields)}: no message has any of them; accepted: some of {held}")
+        recorded = listed(dict.fromkeys(field for one in series for field in one.fields)) or "none"
+        raise BagError(f"fields {', '.join(scope.fields)}: no message has any of them; accepted: some of {recorded}")
     skipped = tuple(sorted({topic.name for topic in every if not topic.holds_series}))
     notes = tuple(f"{plain(bag.path)}: {note}" for bag in bags for note in bag.notes)
     return BagComparison(bag_a.path, bag_b.path, tuple(results), skipped, notes, shift)
@@ -232,21 +232,26 @@ def _compare_topic(
     topic: str, found: tuple[list[JointSeries] | None, ...], tolerances: Tolerances, scope: Scope
 ) -> list[TopicComparison]:
     """Compare each set of joints of a topic; `found` is that of each bag, None where the bag lacks the topic."""
-    left, right = ([one for series in some or [] if len((one := scope.cut(series)).stamp_ns)] for some in found)
-    if not left and not right:
+    unpaired_a, unpaired_b = (
+        [one for series in some or [] if len((one := scope.cut(series)).stamp_ns)] for some in found
+    )
+    if not unpaired_a and not unpaired_b:
         return [] if scope.topics is None else [_incomparable(topic, "no message of it is in either bag")]
-    if not left or not right:
-        lacking, some = _BAGS[bool(left)], found[bool(left)]
+    if not unpaired_a or not unpaired_b:
+        lacking, some = _BAGS[bool(unpaired_a)], found[bool(unpaired_a)]
         what = "the topic is not" if some is None else "no message of it is"
         return [_incomparable(topic, f"{what} in the {lacking} bag{' within the time window' * bool(some)}")]
     pairs: list[tuple[JointSeries | None, JointSeries | None]] = []
-    for a in [*left]:  # with the same set of joints
-        same = [b for b in right if set(b.names) == set(a.names)]
+    for a in [*unpaired_a]:  # with the same set of joints
+        same = [b for b in unpaired_b if set(b.names) == set(a.names)]
         if same:
             pairs.append((a, same[0]))
-            left, right = ([s for s in some if s not in pairs[-1]] for some in (left, right))
+            unpaired_a, unpaired_b = ([s for s in some if s not in pairs[-1]] for some in (unpaired_a, unpaired_b))
     results = []
-    for first, second in [*pairs, *zip_longest(left, right)]:  # what is left on both sides is paired in its order
+    for first, second in [
+        *pairs,
+        *zip_longest(unpaired_a, unpaired_b),
+    ]:  # the remaining ones of both sides are paired in their order
         only = first or second
         if first is not None and second is not None:
             results.append(compare_series(first, second, tolerances, scope))
@@ -373,12 +378,12 @@ def _keys(series: JointSeries) -> tuple[NDArray[np.intp], NDArray[np.void]]:
     stamp = series.stamp_ns[rows]
     keys, keep = np.zeros(len(rows), dtype=_KEY), np.ones(len(rows), dtype=np.bool_)
     keys["stamp"] = stamp
-    seen: dict[bytes, int] = {}
+    occurrences: dict[bytes, int] = {}
     again = np.append(False, stamp[1:] == stamp[:-1])
     for i in np.flatnonzero(again | np.append(again[1:], False)).tolist():  # all those that share a stamp
         content = b"".join(values[rows[i]].tobytes() for values in series.fields.values())
         if not again[i]:
-            seen = {}
-        keep[i] = content not in seen
-        keys["occurrence"][i] = seen.setdefault(content, len(seen))
+            occurrences = {}
+        keep[i] = content not in occurrences
+        keys["occurrence"][i] = occurrences.setdefault(content, len(occurrences))
     return rows[keep], keys[keep]

@@ -33,10 +33,10 @@ class _Layout(NamedTuple):
 
 
 class _MessagePattern:
-    """Where the numbers stand in the messages that look like a given one.
+    """Return the places of the numbers in messages of the same layout as a given one.
 
-    The codec is asked where: two encodings that differ in every byte of every number show their places. All
-    other bytes (names, counts, frame_id, also what lies in the padding) must equal the given message's.
+    The codec determines them: two encodings that differ in every byte of every number show their places. All
+    other bytes (names, counts, frame_id, also the padding) must equal the given message's.
     """
 
     def __init__(self, sample: bytes, layout: _Layout, frame_id: str) -> None:
@@ -70,10 +70,10 @@ class SeriesBuilder:
 
     Args:
         topic: absolute topic name, for messages.
-        deserialize: the general path, by rosbags; gives an object with the message's fields.
+        deserialize: the general path, by rosbags; returns an object with the message's fields.
         cdr: whether the messages are CDR, so that the fast path may be tried.
         effort_unit: as in JointSeries.
-        fields: which arrays are kept, where the messages carry them.
+        fields: arrays to keep, if the messages contain them.
     """
 
     def __init__(
@@ -92,8 +92,8 @@ class SeriesBuilder:
         """Add the next message.
 
         Args:
-            message: as the bag holds it.
-            stamp_ns: time to take for its stamp; None in all messages for those in their headers.
+            message: as in the bag.
+            stamp_ns: time to use as its stamp; None in all messages for the stamps of their headers.
 
         Raises:
             BagError: if a message is no JointState with names and arrays of equal length or none.
@@ -142,20 +142,22 @@ class SeriesBuilder:
         start, self._decoded = self._decoded, self._decoded + len(messages)
         lengths = np.array([len(message) for message in messages])
         for length in np.unique(lengths):
-            left = np.flatnonzero(lengths == length)
-            block = np.frombuffer(b"".join([messages[i] for i in left]), dtype=np.uint8).reshape(len(left), -1)
+            remaining = np.flatnonzero(lengths == length)
+            block = np.frombuffer(b"".join([messages[i] for i in remaining]), dtype=np.uint8).reshape(
+                len(remaining), -1
+            )
             tried = 0
-            while len(left):
+            while len(remaining):
                 if tried == len(self._patterns):  # a new one may be learnt of this message
-                    self._decode_one(messages[left[0]], left[:1] + start)
-                    left, block = left[1:], block[1:]
+                    self._decode_one(messages[remaining[0]], remaining[:1] + start)
+                    remaining, block = remaining[1:], block[1:]
                     continue
                 pattern = self._patterns[tried]
                 tried += 1
                 if pattern.length == length and (fits := pattern.matches(block)).any():
                     fitting = block[fits]
-                    self._keep(pattern.layout, left[fits] + start, cdr_stamps_ns(fitting), pattern.values(fitting))
-                    left, block = left[~fits], block[~fits]
+                    self._keep(pattern.layout, remaining[fits] + start, cdr_stamps_ns(fitting), pattern.values(fitting))
+                    remaining, block = remaining[~fits], block[~fits]
 
     def _keep(self, layout: _Layout, place: NDArray[np.intp], stamps: Int64Array, values: Array) -> None:
         kept = [k for k, field in enumerate(layout.fields) if field in self._fields]
@@ -192,12 +194,12 @@ class SeriesBuilder:
 class TemperatureBuilder:
     """Collects the messages of one Temperature topic; its series has a row for each moment, a column for each name.
 
-    A message holds one temperature, of the joint or winding that its frame_id names. What has no message in a row is
-    NaN there, and a NaN becomes no message. The variance of a message is not kept.
+    A message contains one temperature, of the joint or winding that its frame_id names. A name without a message in a
+    row is NaN there, and a NaN is not written as a message. The variance of a message is dropped.
 
     Args:
         topic: absolute topic name.
-        deserialize: by rosbags; gives an object with the message's fields.
+        deserialize: by rosbags; returns an object with the message's fields.
     """
 
     def __init__(self, topic: str, deserialize: Deserialize) -> None:
@@ -211,8 +213,8 @@ class TemperatureBuilder:
         """Add the next message.
 
         Args:
-            message: as the bag holds it.
-            stamp_ns: time to take for the stamp of a row that it begins; None for that in its header.
+            message: as in the bag.
+            stamp_ns: time to use as the stamp of a row that it begins; None for that in its header.
 
         Raises:
             BagError: if it is no Temperature.

@@ -26,7 +26,7 @@ from rx90_common.base.rates import NANOSECONDS
 
 _TIME, _STAMP = "time [s]", "stamp [ns]"
 _ROWS_AT_ONCE = 8192  # of a CSV file
-_OTHERS = (".mat", ".xls", ".xlsx", ".txt", ".tsv", ".json", ".gz", ".zip", ".h5", ".feather")  # no folder's name
+_UNSUPPORTED = (".mat", ".xls", ".xlsx", ".txt", ".tsv", ".json", ".gz", ".zip", ".h5", ".feather")  # no folder's name
 _ONE_TOPIC = (".csv", ".parquet")
 _LONGEST_NAME = 63  # of a variable in MATLAB
 
@@ -53,19 +53,19 @@ def export_bag(
 
     Args:
         path: a bag.
-        output: file, whose suffix says the format, or a folder, which gets a file for each topic; new.
-        topics: topic names; by default all that hold messages.
+        output: file, whose suffix is the format, or a folder, which gets a file for each topic; new.
+        topics: topic names; by default all topics with messages.
         kind: suffix of the files in a folder.
-        progress: called with the numbers of messages that are read or written, and of both.
+        progress: called with the number of messages read and written so far, and the total.
 
     Raises:
-        BagError: if the bag cannot be read, has no such topic, or a topic that no table can hold.
+        BagError: if the bag cannot be read, has no such topic, or a topic that no table can contain.
         BagWriteError: if the disk is full.
     """
     single = output.suffix.lower() in FORMATS
     if single:
         kind = output.suffix.lower()
-    elif output.suffix.lower() in _OTHERS:
+    elif output.suffix.lower() in _UNSUPPORTED:
         raise BagError(f"{plain(output)}: the suffix says the format; accepted: {listed(FORMATS)}, or none")
     with BagReader(path) as bag:
         chosen = bag.series_topics(topics)
@@ -103,9 +103,9 @@ def _columns(series: JointSeries) -> list[tuple[str, str, str]]:
 
 
 def _write_csv(path: Path, tables: Sequence[JointSeries], written: Callable[[int], None]) -> None:
-    """Write times in s with nine decimals, which are exact, and numbers with all digits that keep them.
+    """Write times in s with nine decimals, which are exact, and numbers with all digits needed to restore them.
 
-    Beside it goes a mapping file, by which `rx90_bag import` makes the bag again.
+    A mapping file is written beside it, with which `rx90_bag import` makes the bag again.
     """
     (series,) = tables
     path.with_suffix(".yaml").write_text(exported_mapping(series), encoding="utf-8")
@@ -148,9 +148,9 @@ def _write_npz(path: Path, tables: Sequence[JointSeries], written: Callable[[int
     """Write arrays named by topic, quantity and unit, (n,) or (n, joints), and the names of the joints."""
     arrays: dict[str, NDArray[Any]] = {}
     for series in tables:
-        held: dict[str, NDArray[Any]] = {_STAMP: series.stamp_ns, _TIME: series.time}
-        held |= {series.quantities[field]: values for field, values in series.fields.items()}
-        for quantity, values in (held | {"names": np.array(series.names)}).items():
+        quantities: dict[str, NDArray[Any]] = {_STAMP: series.stamp_ns, _TIME: series.time}
+        quantities |= {series.quantities[field]: values for field, values in series.fields.items()}
+        for quantity, values in (quantities | {"names": np.array(series.names)}).items():
             # Letters, digits and _ alone, such as joint_states_velocity_rad_s.
             words = f"{series.topic.removeprefix('/')} {quantity}".replace("^", "")
             name = re.sub(r"[^A-Za-z0-9]+", "_", words).strip("_")

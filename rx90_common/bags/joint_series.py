@@ -26,15 +26,15 @@ class JointSeries:
         topic: absolute topic name.
         names: k joint names.
         stamp_ns: header.stamp in ns, int64 of shape (n,).
-        position: rad, float64 of shape (n, k); None when the messages carry none.
+        position: rad, float64 of shape (n, k); None if the messages contain none.
         velocity: rad/s, as position.
         effort: Nm, or `effort_unit`; as position.
         temperature: degrees Celsius, as position, in a series of Temperature messages, which has no other array: NaN
-            where a name has no message of that stamp.
-        effort_unit: of effort where it is not what the topic's name says, such as A.
+            if a name has no message of that stamp.
+        effort_unit: of effort if it differs from the usual unit of the topic's name, such as A.
 
     Raises:
-        BagError: if names repeat, an array has another shape or type, or temperatures stand beside other arrays.
+        BagError: if names repeat, an array has another shape or type, or there are temperatures and other arrays.
     """
 
     topic: str
@@ -72,12 +72,12 @@ class JointSeries:
 
     @property
     def messages(self) -> int:
-        """Return how many messages it stands for: one for each row, or for each temperature that is there."""
+        """Return the number of messages: one for each row, or for each temperature that is not NaN."""
         return len(self.stamp_ns) if self.temperature is None else int((~np.isnan(self.temperature)).sum())
 
     @property
     def quantities(self) -> dict[str, str]:
-        """Return what each field holds, with its unit, such as `position [rad]`; for friction_states other names."""
+        """Return each field's quantity and unit, such as `position [rad]`; friction_states have other names."""
         names = {field: name for field, (name, _) in quantities(self.topic).items()}
         names["effort"] = "effort" if self.effort_unit else names["effort"]
         return {field: f"{name} [{self.units[field]}]" for field, name in names.items()}

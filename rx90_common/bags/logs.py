@@ -1,7 +1,7 @@
-"""Read logs in columns, CSV, Parquet and NPZ, with a signal map that says what the columns are; make bags of them.
+"""Read logs in columns, CSV, Parquet and NPZ, with a signal map that describes the columns; make bags of them.
 
-Of text, encoding, header, delimiter and decimal sign are found out where they are not given. Its lines are looked at
-one by one, for comments and torn rows; times stay text until they are whole nanoseconds. In memory are 8 bytes for each
+For text files encoding, header, delimiter and decimal sign are detected unless they are given. Lines are checked
+one by one, for comments and torn rows; times stay text until they are whole nanoseconds. Memory: 8 bytes for each
 number, and as many again for the series.
 """
 
@@ -41,7 +41,7 @@ from rx90_common.base.rates import NANOSECONDS
 
 _BLOCK: Final = 8192  # rows that are read, or encoded, at once
 _LAST_NS: Final = 2**31 * NANOSECONDS  # stamps of ROS end there
-_LARGEST: Final = 1e9  # rad, rad/s, Nm or A: no joint goes there, and a damaged number may
+_LARGEST: Final = 1e9  # rad, rad/s, Nm or A: beyond any joint, while a damaged number may be as large
 _MOST: Final = np.finfo(np.float64).max
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 _LONGEST = 1 << 20  # characters of a line; a file that is no text may have no end of line at all
@@ -103,12 +103,12 @@ def read_logs(
 
     Args:
         paths: of the logs.
-        mapping: what their columns hold; by default as the file beside the first one says.
-        more: called now and then with how many bytes were read since the call before.
-        skip_corrupt: whether rows that are damaged are left out; otherwise they are refused.
+        mapping: of their columns; by default the file beside the first log.
+        more: called now and then with the number of bytes read since the last call.
+        skip_corrupt: whether damaged rows are skipped; otherwise they are refused.
 
     Raises:
-        BagError: if a log cannot be read, does not fit its mapping or holds damaged rows.
+        BagError: if a log cannot be read, does not fit its mapping or contains damaged rows.
     """
     mapping = mapping_of(paths[0], mapping)
     if len(paths) != mapping.files:
@@ -197,7 +197,7 @@ class _Source(NamedTuple):
 
 
 class _Log(NamedTuple):
-    """What a mapping takes from one log: lines and stamps of rows, numbers by column, and what is wrong with rows."""
+    """The data of a mapping from one log: lines and stamps of rows, numbers by column, and faults of rows."""
 
     dialect: str
     lines: Int64Array
@@ -222,7 +222,7 @@ def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int]
         values = {place: _numbers(columns[place], source.decimal) for place in parts}
         for column, factor in factors:
             scaled, texts = values[used[column]] * factor, columns[used[column]]
-            # A NaN is neither; of an exact log what stands for it, or for an infinity, is a number.
+            # A NaN is neither; in an exact log the text for it, or for an infinity, is a number.
             for row in np.flatnonzero(~(np.abs(scaled) <= (_MOST if mapping.exact else _LARGEST))).tolist():
                 if not mapping.exact or str(texts[row]).strip("' ").lower().lstrip("+-") not in _NOT_FINITE:
                     faults.setdefault(first + row, f"column {plain(column)} is {_cell(texts[row])}")
@@ -243,9 +243,9 @@ def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int]
 
 
 def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tuple[int | None, dict[Column, int]]:
-    """Return where the times and the columns that a mapping takes from a log stand.
+    """Return the places of the times and of the mapped columns of a log.
 
-    Refuses a column that would stand for two joints, or for the times and a joint, and in an exact log a header whose
+    Refuses a column that is mapped to two joints, or to the times and a joint, and in an exact log a header whose
     units, as in `joint_1 velocity [deg/s]`, are not those of the mapping.
     """
 
@@ -275,16 +275,16 @@ def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tu
         compare_unit(time, SECONDS, next(name for name, size in SECONDS.items() if size == mapping.seconds))
     for topic, mapped in mapping.topics.items():
         for name, one in mapped.fields.items():
-            seen = {time}
+            used_places = {time}
             for column in one.columns if one.file == number else ():
                 place = used[column] = place_of(column)
-                if place in seen:
+                if place in used_places:
                     others = "the times" if place == time else "another joint"
                     raise BagError(
                         f"{plain(path)}: column {plain(column)} in {plain(topic)}.{name} is that of {others}; "
                         "accepted: a column of its own for each"
                     )
-                seen.add(place)
+                used_places.add(place)
                 compare_unit(place, UNITS[name], one.unit)
     return time, used
 
@@ -363,9 +363,10 @@ def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], None]) -> 
 
 
 def _rows_of(path: Path, more: Callable[[int], None], comments: list[str] | None) -> Iterator[tuple[int, str]]:
-    """Yield lines with their numbers, from 1 on; without blank ones and comments, of which the first go into the list.
+    """Yield lines with their numbers, from 1 on; without blank ones and comments, the first of which go into the list.
 
-    What is no text in a damaged log makes a corrupt row, not an unreadable file. Without a list all lines are rows.
+    Bytes of a damaged log that are no text make a corrupt row, not an unreadable file. Without a list all lines are
+    rows.
     """
     try:
         with path.open("rb") as raw:
@@ -424,14 +425,14 @@ def _number(text: str, decimal: str) -> float:
 
 
 def _with_point(text: str, decimal: str) -> str:
-    """Return the text of a number with a decimal point; nothing for what Python alone would take for a number."""
+    """Return the text of a number with a decimal point; nothing for text that only Python accepts as a number."""
     if "_" in text or (decimal == "," and "." in text):
         return ""
     return text.strip().replace(",", ".") if decimal == "," else text.strip()
 
 
 def _stamps_ns(column: Any, decimal: str, unit_ns: int) -> Int64Array:
-    """Return times in ns, exactly where they are texts or whole numbers; -1 for what no stamp can be."""
+    """Return times in ns, exactly if they are texts or whole numbers; -1 for times that are no valid stamps."""
     if not isinstance(column, np.ndarray):
         stamps = []
         for text in column:
@@ -468,17 +469,17 @@ def _dialect(lines: Sequence[str], mapping: LogMapping) -> tuple[str, str]:
 
 
 class TableFile(StorageFile):
-    """A log in columns as a storage file of a bag, so that whoever reads bags reads CSV, Parquet and NPZ as they are.
+    """A log in columns as a storage file of a bag, so that CSV, Parquet and NPZ can be read like bags.
 
     Args:
         path: of the log.
-        mapping: what its columns hold; by default as the file beside it says.
+        mapping: of its columns; by default the file beside the log.
 
     Attributes:
-        effort_units: of topics whose efforts are not in the unit that their names say.
+        effort_units: of topics whose efforts are not in the usual unit of their names.
 
     Raises:
-        BagError: if it cannot be read, does not fit its mapping or holds damaged rows.
+        BagError: if it cannot be read, does not fit its mapping or contains damaged rows.
         ConfigError: if its mapping is not acceptable.
     """
 
@@ -502,7 +503,7 @@ class TableFile(StorageFile):
 
 
 def exported_logs(folder: Path) -> list[tuple[list[Path], LogMapping]]:
-    """Return the CSV files of a folder with the mapping files of the same names beside them, as an export writes them.
+    """Return the CSV files of a folder with the mapping files of the same names, as an export writes them.
 
     Raises:
         BagError: if there is none, or one without a mapping.
@@ -528,17 +529,17 @@ def import_logs(
     storage: str = "mcap",
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[ReadLog]:
-    """Write a bag with the joint states and temperatures that logs in columns hold.
+    """Write a bag with the joint states and temperatures of logs in columns.
 
     Args:
-        logs: files with what their columns hold; of several files of one mapping the rows belong together, one by one.
+        logs: files with their mappings; the rows of several files of one mapping belong together, one by one.
         bag: folder to make; must not exist.
-        skip_corrupt: whether rows that are damaged are left out; otherwise they are refused.
+        skip_corrupt: whether damaged rows are skipped; otherwise they are refused.
         storage: "mcap" or "sqlite3".
-        progress: called with the numbers of bytes that are read and that there are.
+        progress: called with the number of bytes read so far, and the total.
 
     Raises:
-        BagError: if a log cannot be read, does not fit its mapping or holds damaged rows, or a topic comes twice.
+        BagError: if a log cannot be read, does not fit its mapping or contains damaged rows, or a topic occurs twice.
         BagWriteError: if the bag cannot be written.
     """
     total = sum(path.stat().st_size for paths, _ in logs for path in paths if path.is_file())

@@ -1,4 +1,4 @@
-"""The signal map: what a log holds, whose joints or motors it is, and in which units; for tables and bags alike.
+"""The signal map: quantities, joints or motors, and units of a log's columns; for tables and bags alike.
 
 ```yaml
 time: {column: 1, unit: s}           # or, without a column of times, rate: 5000 (Hz)
@@ -10,14 +10,14 @@ gear: [100, 80]                      # of motors: as --gear, --coupling, --torqu
 torque_constant: [0.1, 0.08]
 ```
 
-What a bag holds needs no columns: `topic`, `names` and the keys of motors and joints. A table may hold several topics,
+A bag needs no columns: `topic`, `names` and the keys of motors and joints. A table may contain several topics,
 as `topics: {NAME: {names: ..., position: ...}}`; without a name it is `joint_states`.
 
-Columns are numbers from 1 on, or names in the log's header. Of several logs that were written together row by row,
-`file: 2` takes columns from the second. `exact: true`, as `rx90_bag export` writes it, takes numbers and times as they
-stand. Position, velocity and effort may each be left out;
+Columns are numbers from 1 on, or names in the log's header. If several logs were written together row by row,
+`file: 2` selects columns of the second. `exact: true`, as `rx90_bag export` writes it, keeps numbers and times
+unchanged. Position, velocity and effort may each be left out;
 a topic of temperatures has `temperature: {columns: [8, 9], unit: °C}` alone. `delimiter`, `decimal` and
-`header` (lines of it) are found out, and may be given.
+`header` (its number of lines) are detected, and may be given.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ TABLES: Final = (".csv", ".tsv", ".txt", ".dat", *ARRAYS)
 """Suffixes of logs in columns."""
 UNNAMED: Final = "joint_states"
 """Topic of a table whose map names none."""
-_MOST_FILES = 100
-_MOST_COLUMNS = 100_000
+_MAX_FILES = 100
+_MAX_COLUMNS = 100_000
 _NAMES = (
     r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*\Z",
     "topics as ROS names them, of letters, digits, _ and /, no part of which begins with a digit",
@@ -71,10 +71,10 @@ _NOT_0 = Number("", nonzero=True).rules()
 _COLUMN = Other(
     "Number of a column, from 1 on, or its name in the header.",
     accepted="the number of a column, from 1 on, or its name in the header",
-    good=lambda v: isinstance(v, str) or (type(v) is int and 1 <= v <= _MOST_COLUMNS),
-    fragment={"anyOf": [{"type": "integer", "minimum": 1, "maximum": _MOST_COLUMNS}, {"type": "string"}]},
+    good=lambda v: isinstance(v, str) or (type(v) is int and 1 <= v <= _MAX_COLUMNS),
+    fragment={"anyOf": [{"type": "integer", "minimum": 1, "maximum": _MAX_COLUMNS}, {"type": "string"}]},
 )
-_FILE = Integer("Number of the log, from 1 on, where several belong together.", low=1, high=_MOST_FILES, default=1)
+_FILE = Integer("Number of the log, from 1 on, where several belong together.", low=1, high=_MAX_FILES, default=1)
 
 
 def _for_each(about: str) -> Other:
@@ -151,7 +151,7 @@ MAPPING = Group(
 )  # fmt: skip
 """What a signal map holds."""
 MESSAGE_KEYS: Final = ("topic", "names", "gear", "coupling", "torque_constant", "zero", "record_time")
-"""Of these, those that say what messages hold; they are options of commands, too."""
+"""Those of them that describe messages; they are options of commands, too."""
 
 
 @dataclass(frozen=True)
@@ -214,26 +214,26 @@ class TopicMapping:
         return cls(names, fields)
 
     def effort_unit(self, topic: str) -> str:
-        """Return the unit of the efforts in the bag where it is not the one that the topic's name says."""
+        """Return the unit of the efforts in the bag if it is not the usual one of the topic's name."""
         unit = self.fields["effort"].unit.removeprefix("m") if "effort" in self.fields else ""
         return "" if unit == quantities(topic)["effort"][1] else unit
 
 
 @dataclass(frozen=True)
 class LogMapping:
-    """What the columns of a log hold.
+    """The description of a log's columns.
 
     Attributes:
         file: of the mapping.
         topics: by name.
         time: file and column of the times; None with a rate.
-        seconds: what a unit of time is, s.
-        rate: rows per second where no column holds the times, Hz.
-        delimiter: between columns, as in DELIMITERS; None to find it out.
-        decimal: "." or ","; None to find it out.
-        header: how many lines of header there are; None to find it out.
-        exact: whether every number, also NaN and an infinity, and times in any order are taken as they stand.
-        messages: values of those of MESSAGE_KEYS that it has.
+        seconds: length of a unit of time, s.
+        rate: rows per second if there is no column of times, Hz.
+        delimiter: between columns, as in DELIMITERS; None to detect it.
+        decimal: "." or ","; None to detect it.
+        header: number of header lines; None to detect it.
+        exact: whether all numbers, also NaN and infinities, and times in any order are kept unchanged.
+        messages: values of its MESSAGE_KEYS.
     """
 
     file: Path
@@ -289,7 +289,7 @@ class LogMapping:
             )
         if (mapping.delimiter, mapping.decimal) == (",", ","):
             raise ConfigError(
-                f"{root.where('decimal')} is ',', and so is delimiter: a field could not be told from a decimal; "
+                f"{root.where('decimal')} is ',', and so is delimiter: they could not be distinguished; "
                 "accepted: two different ones"
             )
         return mapping
@@ -301,19 +301,19 @@ def is_table(path: Path) -> bool:
 
 
 def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
-    """Return what the columns of a log hold: as given, or by the file beside it that is named as the log, with .yaml.
+    """Return the mapping of a log: the given one, or the file beside the log with the same name and the suffix .yaml.
 
     Raises:
         BagError: if there is none, or it names no columns.
         ConfigError: if the file is not acceptable.
     """
-    beside = path.with_suffix(".yaml")
-    if mapping is None and not beside.is_file():
+    default_file = path.with_suffix(".yaml")
+    if mapping is None and not default_file.is_file():
         raise BagError(
-            f"{plain(path)}: no {plain(beside.name)} beside it, which says what its columns hold; accepted: that file, "
-            "or --signals FILE"
+            f"{plain(path)}: no {plain(default_file.name)} beside it, which says what its columns hold; accepted: "
+            "that file, or --signals FILE"
         )
-    found = LogMapping.load(beside) if mapping is None else mapping
+    found = LogMapping.load(default_file) if mapping is None else mapping
     if not found.topics:
         raise BagError(f"{plain(found.file)}: names no columns of {plain(path)}; accepted: such as position")
     return found

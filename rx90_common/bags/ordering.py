@@ -1,8 +1,9 @@
-"""Give recorded messages their log time and their order, both of simulated time alone.
+"""Determine log time and order of recorded messages from simulated time alone.
 
-In which order messages of different topics arrive depends on the load of the machine. They are held back for a moment
-and sorted by their stamps, so that equal runs make equal bags. The moment is one of simulated time, by which topics run
-apart, and one of the wall clock, in which the middleware sends again what was lost: a run may be faster than real time.
+The order in which messages of different topics arrive depends on the load of the machine. They are held for a moment
+and sorted by their stamps, so that equal runs make equal bags. The moment is one of simulated time, by which topics
+run apart, and one of the wall clock, in which the middleware sends again what was lost: a run may be faster than real
+time.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import ENCAPSULATION, cdr_stamp_ns
 
-_HOLD_NS = 500_000_000  # of simulated time; far above what topics run apart
+_HOLD_NS = 500_000_000  # of simulated time; far above the differences between topics
 _SENT_AGAIN_NS = 1_000_000_000  # of the wall clock; a lost message keeps its topic waiting for some heartbeats
 _MAX_UNDATED_BYTES = 16 << 20
 OTHER_CLOCK_NS: Final = 86_400 * NANOSECONDS
-"""A stamp this far from the newest one is not of the same clock: wall-clock time beside simulated time, for example."""
+"""A stamp this far from the newest one belongs to another clock: wall-clock time among simulated times, for example."""
 _COUNT = slice(ENCAPSULATION, ENCAPSULATION + 4)  # where a list has its length
 
 
@@ -40,7 +41,7 @@ class TimeSource(Enum):
 
 
 class Dated(NamedTuple):
-    """n messages: log times, ns, int64 (n,), indices of their topics, int64 (n,), and what was received."""
+    """n messages: log times, ns, int64 (n,), indices of their topics, int64 (n,), and the received bytes."""
 
     log_ns: Int64Array
     topic: Int64Array
@@ -50,7 +51,7 @@ class Dated(NamedTuple):
 class Arrived(NamedTuple):
     """n messages of the topic with this index, in the order of arrival.
 
-    `source` says where their log time comes from; `received_ns` are the wall clock's times of reception, int64 (n,).
+    `source` is the source of their log time; `received_ns` are the wall clock's times of reception, int64 (n,).
     """
 
     topic: int
@@ -60,18 +61,18 @@ class Arrived(NamedTuple):
 
 
 class LogOrder:
-    """Dates messages and releases them in the order of log time, then of their topics, then of arrival.
+    """Assigns log times to messages and releases them in the order of log time, then of their topics, then of arrival.
 
-    All log times are of one clock: that of the first topic that gives the time. Messages with stamps of another clock
-    are dated by their reception, as messages without a stamp are. Those that come before the first one that gives the
-    time get that one's. Where no topic gives the time, it is the clock of the first stamp, or the wall clock's time of
+    All log times are of one clock: that of the first topic that defines the time. Messages with stamps of another clock
+    get their time of reception, as messages without a stamp do. Messages before the first one that defines the
+    time get that one's. If no topic defines the time, it is the clock of the first stamp, or the wall clock's time of
     reception.
 
-    Log time never goes back, or a reader, which sorts by it, would mix two runs: where stamps go back, after a reset of
-    the simulation, log time goes on from where it was, and is ahead of them from then on.
+    Log time never goes back, because a reader, which sorts by it, would mix two runs: if stamps go back, after a reset
+    of the simulation, log time continues from its last value, and is ahead of them from then on.
 
     Attributes:
-        set_backs: for each time that the stamps went back, the newest one before and the first one after, ns.
+        set_backs: for each time that the stamps went back, the last one before and the first one after, ns.
         held_bytes: bytes of the messages that are held.
         other_clock: number of messages of each topic whose stamps are of another clock.
     """
@@ -96,7 +97,7 @@ class LogOrder:
 
     @property
     def newest_ns(self) -> int | None:
-        """Return the newest stamp seen, None before the first."""
+        """Return the newest stamp so far, None before the first."""
         return None if self._newest is None else self._newest - self._offsets[-1]
 
     def expect_no_clock(self) -> None:
@@ -121,7 +122,7 @@ class LogOrder:
                 self._progress.popleft()
 
     def release(self) -> Dated | None:
-        """Return what is old enough that nothing older can be expected, if there is any."""
+        """Return the messages that are old enough that no older ones are expected."""
         if self._newest is None:
             return self.release_all() if self._by_reception else None
         if self._newest < self._next_release:
@@ -138,7 +139,7 @@ class LogOrder:
         return self._cut(None)
 
     def _cut(self, last: int | None) -> Dated | None:
-        """Return what is dated up to `last`, in order, and hold the rest."""
+        """Return the messages with log times up to `last`, in order, and hold the others."""
         if not self._held:
             return None
         log_ns, topic, messages = zip(*self._held, strict=True)
@@ -146,7 +147,7 @@ class LogOrder:
         order = np.lexsort((held.topic, held.log_ns))  # stable: the rest is in order of arrival
         end = len(order) if last is None else int(np.searchsorted(held.log_ns[order], last, side="right"))
         released, rest = order[:end], order[end:]
-        # A copy, or what is released stays in memory with the rest.
+        # A copy, because otherwise the released messages would stay in memory with the rest.
         kept = Dated(held.log_ns[rest], held.topic[rest], MessageBatch.of([*held.messages.take(rest)]))
         self._held = [kept] if len(rest) else []
         self.held_bytes = kept.messages.total
@@ -185,7 +186,7 @@ class LogOrder:
         return True
 
     def _date_others(self) -> None:
-        """Date what is undated: by its stamps, where they are of the clock of this log, else by its reception."""
+        """Assign log times: from the stamps, if they are of the clock of this log, else from the reception."""
         undated, self._undated = self._undated, []
         for each in undated:
             stamps = _stamps_ns(each.messages, each.source)

@@ -1,4 +1,4 @@
-"""Plots of bags, one for each topic: its fields against time; of two bags both, and their difference."""
+"""Plots of bags, one for each topic: its fields against time; for two bags both, and their difference."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class TopicPlot:
 
     Attributes:
         topic: its name.
-        plot: what is drawn.
+        plot: the plot.
         messages: of each bag.
-        differences: of two bags: quantity, joint, largest difference, its time in s, RMS, and how many messages have
-            stamps in common.
-        robots: of two bags of different robots the names of these; then no difference is drawn.
+        differences: between two bags: quantity, joint, largest difference, its time in s, RMS, and the number of
+            messages with common stamps.
+        robots: the names of two different robots, if the bags have them; then no difference is drawn.
     """
 
     topic: str
@@ -72,12 +72,12 @@ def plot_bags(
         joints: names; by default all.
         align: moves the stamps of the second bag, as in `compare_bags`.
         most: topics by default.
-        progress: called with how much of the bags is read, and of how much; no unit.
-        mapping: what the columns of tables hold; by default as the files beside them say.
+        progress: called with the part of the bags read so far, and the total; no unit.
+        mapping: of the columns of tables; by default the files beside them.
 
     Raises:
-        BagError: if a bag cannot be read; if a topic or joint is not there, with what is; or if two have no stamp in
-            common.
+        BagError: if a bag cannot be read; if a topic or joint is missing, with the existing ones; or if two bags have
+            no common stamp.
     """
     there = []
     for path in paths:
@@ -96,8 +96,10 @@ def plot_bags(
     if len(bags) > 1:
         bags[1] = bags[1].moved(time_shift(align, *bags))
     if topics is None and joints is not None:  # of the usual topics those that have these joints
-        held = {name: [[set(joints) <= set(one.names) for one in bag.series[name]] for bag in bags] for name in names}
-        names = [name for name in names if all(map(any, held[name]))] or names[:1]
+        recorded = {
+            name: [[set(joints) <= set(one.names) for one in bag.series[name]] for bag in bags] for name in names
+        }
+        names = [name for name in names if all(map(any, recorded[name]))] or names[:1]
     chosen = [[bag.one(name, joints, "say which with --joint") for bag in bags] for name in names]
     robots = tuple(name for name in map(robot_of, paths) if name is not None) if len(bags) > 1 else ()
     robots = robots if len(set(robots)) > 1 else ()
@@ -105,7 +107,7 @@ def plot_bags(
 
 
 def write_plots(paths: Sequence[Path], plots: Sequence[TopicPlot], output: Path) -> str:
-    """Write the plots of bags to a page or picture, as its suffix says; return what is to be said of different robots.
+    """Write the plots of bags to a page or picture, by its suffix; return the remark on different robots.
 
     Raises:
         Rx90Error: if it cannot be written.
@@ -113,22 +115,22 @@ def write_plots(paths: Sequence[Path], plots: Sequence[TopicPlot], output: Path)
     names = _names(paths)
     robots = next((one.robots for one in plots if one.robots), ())
     each = " and ".join(f"{plain(name)} of {plain(robot)}" for name, robot in zip(names, robots, strict=False))
-    said = f"two robots, {each}: drawn over each other, without a difference" if robots else ""
+    note = f"two robots, {each}: drawn over each other, without a difference" if robots else ""
     if is_page(output):
-        page = render_page("rx90_common.bags", "bag.html.j2", names=names, paths=paths, plots=plots, robots=said)
+        page = render_page("rx90_common.bags", "bag.html.j2", names=names, paths=paths, plots=plots, robots=note)
         write_text(output, page)
     else:  # all topics below each other
-        title = said or f"{' against '.join(reversed(names))}: {listed(one.topic for one in plots)}"
+        title = note or f"{' against '.join(reversed(names))}: {listed(one.topic for one in plots)}"
         panels = [panel for one in plots for panel in one.plot.panels]
         write_picture(Plot(panels, height=_HEIGHT, share_x=True), output, title)
-    return said
+    return note
 
 
 def is_page(path: Path) -> bool:
-    """Return whether a file is to be a page, and not a picture.
+    """Return whether a file is a page, and not a picture, by its suffix.
 
     Raises:
-        BagError: if its name says neither.
+        BagError: for another suffix.
     """
     kinds = (".html", *PICTURES)
     if path.suffix.lower() not in kinds:
@@ -137,7 +139,7 @@ def is_page(path: Path) -> bool:
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """Return what bags are called: their names, or where these are equal their paths."""
+    """Return names for bags: their file names, or if these are equal their paths."""
     names = [path.resolve().name for path in paths]
     return names if len(set(names)) == len(names) else [str(path) for path in paths]
 

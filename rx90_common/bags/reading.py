@@ -48,22 +48,22 @@ def silent(_done: int, _total: int) -> None:
 class BagReader:
     """A bag that is open for reading: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a log in columns.
 
-    Use it as a context manager. Each storage file is held against its own index, counts and checksums, and all of them
-    against metadata.yaml where there is one; a folder without is read as its files are. What it says of quality of
-    service is not looked at, nor are the definitions of types that come with a bag.
+    Use it as a context manager. Each storage file is checked against its own index, counts and checksums, and all of
+    them against metadata.yaml if there is one; a folder without is read file by file. Quality of service
+    and the definitions of types in a bag are ignored.
 
     Args:
         path: the folder or file.
-        mapping: what the columns of a log hold, where that is not in the file beside it.
+        mapping: of the columns of a log, if it is not in the file beside it.
 
     Attributes:
         path: as given.
         files: the storage files.
-        notes: lines for the user about what was read otherwise than the bag says.
-        effort_units: of topics whose efforts are not in the unit that their names say, by its metadata.
+        notes: remarks for the user about the reading of the bag.
+        effort_units: of topics whose efforts are not in the usual unit of their names, by its metadata.
 
     Raises:
-        BagError: if the bag is missing, foreign, damaged, or its metadata disagree with what it holds.
+        BagError: if the bag is missing, foreign, damaged, or its metadata contradict its content.
     """
 
     def __init__(self, path: Path | str, mapping: LogMapping | None = None) -> None:
@@ -91,13 +91,15 @@ class BagReader:
                 with self._damage(file):
                     self._storages.append(open_storage(file, stack))
             if counts is not None:
-                held: Counter[tuple[str, str]] = Counter()
+                counted_messages: Counter[tuple[str, str]] = Counter()
                 for topic in self.topics:
-                    held[topic.name, topic.msgtype] += topic.count
-                for key in sorted(key for key in counts.keys() | held.keys() if counts[key] != held[key]):
+                    counted_messages[topic.name, topic.msgtype] += topic.count
+                for key in sorted(
+                    key for key in counts.keys() | counted_messages.keys() if counts[key] != counted_messages[key]
+                ):
                     topic_, msgtype = map(plain, key)
                     raise self._disagreement(
-                        f"{counts[key]} messages of {topic_} ({msgtype}), the storage holds {held[key]}"
+                        f"{counts[key]} messages of {topic_} ({msgtype}), the storage holds {counted_messages[key]}"
                     )
             self._stack = stack.pop_all()
         return self
@@ -113,12 +115,12 @@ class BagReader:
 
     @property
     def compression(self) -> str:
-        """Return what is compressed in it, such as `zstd chunks`; known when it has been read."""
+        """Return the kind of its compression, such as `zstd chunks`; known once it has been read."""
         return ", ".join(sorted({storage.compression for storage in self._storages} - {""}))
 
     @property
     def topics(self) -> list[BagTopic]:
-        """Return the bag's topics by name; one that holds two types or two encodings stands twice."""
+        """Return the bag's topics by name; one with two types or two encodings occurs twice."""
         counts: Counter[tuple[str, str, str]] = Counter()
         for topic in (topic for storage in self._storages for topic in storage.topics.values()):
             counts[topic.identity] += topic.count
@@ -150,7 +152,7 @@ class BagReader:
             raise BagError(f"{plain(self.path)}: damaged: {what}") from error
 
     def series_builder(self, topic: BagTopic, fields: Sequence[str] = FIELDS) -> SeriesBuilder | TemperatureBuilder:
-        """Return what makes series of the messages of a topic that holds them, of joint states with these fields."""
+        """Return the collector of series for the messages of a topic, for joint states with these fields."""
         deserialize = partial(self.deserialize, topic)
         if topic.is_joint_state:
             unit = self.effort_units.get(topic.name, "")
@@ -254,7 +256,7 @@ class BagReader:
 
     @contextmanager
     def _damage(self, file: Path) -> Iterator[None]:
-        """Put bag and file before what is said of a storage file."""
+        """Prefix messages about a storage file with bag and file."""
         try:
             yield
         except DamagedError as error:
@@ -267,14 +269,14 @@ class BagReader:
 
 @dataclass(frozen=True, eq=False)
 class JointBag:
-    """What was read of a bag.
+    """The content of a bag.
 
     Attributes:
         path: of the bag.
-        topics: all topics that it holds.
-        series: by absolute topic name one for each set of joints that the topic carries, in the order of their first
-            messages; none of a topic without messages.
-        notes: lines for the user about what was read otherwise than the bag says.
+        topics: all topics of the bag.
+        series: by absolute topic name, one for each set of joints in the topic, in the order of their first
+            messages; none for a topic without messages.
+        notes: remarks for the user about the reading of the bag.
     """
 
     path: Path
@@ -379,13 +381,13 @@ def read_joint_states(
     Args:
         path: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a CSV, Parquet or NPZ table.
         topic: topic name; the leading slash may be left out.
-        names: joints wanted, in the order wanted; by default all, as the first message has them.
-        record_time: take the times at which messages were recorded for their stamps.
-        mapping: what the columns of a table hold; by default as the file beside it says.
+        names: requested joints, in this order; by default all, as in the first message.
+        record_time: use the times at which messages were recorded as their stamps.
+        mapping: of the columns of a table; by default the file beside it.
 
     Raises:
         BagError: if the bag cannot be read, has no such JointState topic, no messages in it, or no such
-            joint; or if the topic carries several sets of joints and `names` does not pick from one of them.
+            joint; or if the topic contains several sets of joints and `names` does not select from one of them.
     """
     bag = read_joint_bag(path, [topic], mapping=mapping, record_time=record_time, all_there=True)
     return bag.one(absolute(topic), names)

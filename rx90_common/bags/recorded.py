@@ -1,4 +1,4 @@
-"""What a bag says beside its series: robot, parameters, trajectories; and by what two bags are laid over each other."""
+"""Further content of a bag: robot, parameters, trajectories; and the alignment of two bags."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from rx90_common.bags.mapping import is_table
 from rx90_common.bags.reading import BagReader
-from rx90_common.bags.topics import JOINT_TRAJECTORY, POINT_FIELDS, STRING, tells_changes
+from rx90_common.bags.topics import JOINT_TRAJECTORY, POINT_FIELDS, STRING, reports_changes
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.stamps import message_time_ns
@@ -75,13 +75,13 @@ class ParameterChange:
 
 
 def changes_of(event: Any) -> list[ParameterChange]:
-    """Return what a rcl_interfaces/ParameterEvent tells."""
+    """Return the changes in a rcl_interfaces/ParameterEvent."""
     stamp = message_time_ns(event.stamp)
     return [ParameterChange(event.node, each.name, _value(each.value), stamp) for each in event.changed_parameters]
 
 
 def read_changes(path: Path | str) -> list[ParameterChange]:
-    """Return the changes that a bag tells, in the order of its messages.
+    """Return the changes of parameters in a bag, in the order of its messages.
 
     Raises:
         BagError: if the bag cannot be read.
@@ -90,7 +90,7 @@ def read_changes(path: Path | str) -> list[ParameterChange]:
 
 
 def read_values(path: Path | str) -> dict[str, Any]:
-    """Return the values that a bag tells of parameters as its nodes began, by their names: numbers, lists of these, ...
+    """Return the parameters in a bag at the start of its nodes, by their names: numbers, lists of these, ...
 
     Raises:
         BagError: if the bag cannot be read.
@@ -100,21 +100,21 @@ def read_values(path: Path | str) -> dict[str, Any]:
 
 def _events(path: Path | str) -> list[Any]:
     with BagReader(path) as bag:
-        topics = [topic for topic in bag.topics if tells_changes(topic.name, topic.msgtype)]
+        topics = [topic for topic in bag.topics if reports_changes(topic.name, topic.msgtype)]
         return [bag.deserialize(topic, data) for topic, _, data in bag.messages(topics)] if topics else []
 
 
 def _value(value: Any) -> str:
-    """Return what a rcl_interfaces/ParameterValue holds as JSON, null for nothing."""
-    held = getattr(value, f"{_VALUES[value.type]}_value") if 0 < value.type < len(_VALUES) else None
-    return json.dumps(held.tolist() if isinstance(held, np.ndarray) else held)
+    """Return the value of a rcl_interfaces/ParameterValue as JSON, null for nothing."""
+    field_value = getattr(value, f"{_VALUES[value.type]}_value") if 0 < value.type < len(_VALUES) else None
+    return json.dumps(field_value.tolist() if isinstance(field_value, np.ndarray) else field_value)
 
 
 class TrajectoryCount:
-    """Holds the trajectories that controllers accepted against those that came on their topics.
+    """Compares the trajectories that controllers accepted with those that arrived on their topics.
 
-    Who sends one trajectory and ends may never have learned of a recorder that listens as well; the controller has got
-    it, keeps it for all who listen, and is asked here.
+    A sender of one trajectory may end before it has discovered the recorder; the controller has received
+    the trajectory, publishes it latched, and its copy is used here.
     """
 
     def __init__(self) -> None:
@@ -193,7 +193,7 @@ class Begins(Protocol):
 
 
 def time_shift(align: int | str, first: Begins, second: Begins) -> int:
-    """Return what to add to the stamps of the second of two bags, ns; `align` as in `Scope`.
+    """Return the offset to add to the stamps of the second of two bags, ns; `align` as in `Scope`.
 
     Raises:
         BagError: if a bag has no trajectory, for TRAJECTORY, or no message, for START.

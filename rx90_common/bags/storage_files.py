@@ -1,6 +1,6 @@
 """Storage files of bags: mcap, sqlite3 and ROS 1; one that contradicts itself is refused.
 
-A loop over messages in Python takes some 3 us for each of them, so that compiled code finds those of a chunk of mcap.
+A loop over messages in Python takes some 3 us for each, so compiled code finds those in a chunk of mcap.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ ACCEPTED: Final = (
 )
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"  # with which no CDR message begins
-_MAX_MESSAGE_BYTES = 256 << 20  # of a compressed message; nothing beside it says how long it is
+_MAX_MESSAGE_BYTES = 256 << 20  # of a compressed message, whose length is not stored elsewhere
 _COPY_BYTES = 1 << 20
 _RECORD = struct.Struct("<BQ")  # op code and length
 _RECORD_HEAD: Final = 9
@@ -59,14 +59,14 @@ _CHECKS = (
     "OR typeof(data) != 'blob' OR topic_id NOT IN (SELECT id FROM topics)",
     "SELECT count(*), min(id), max(id) FROM messages",
 )
-"""What is asked of a database before its messages are read."""
+"""Query of a database before its messages are read."""
 
 LoggedMessage: TypeAlias = tuple[int, int, bytes]
 """Key of the topic, log time in ns, message."""
 
 
 class DamagedError(Exception):
-    """A storage file contradicts itself; the text says where, for the reader of the bag to put the file before it."""
+    """A storage file contradicts itself; the text names the place, and the reader of the bag prefixes the file."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class BagTopic:
 
     @property
     def identity(self) -> tuple[str, str, str]:
-        """Return what the same topic has in common in all files of a bag."""
+        """Return the properties that a topic must have in all files of a bag."""
         return self.name, self.msgtype, self.encoding
 
     @property
@@ -111,7 +111,7 @@ class BagTopic:
 
 
 class StorageFile:
-    """A storage file that is open, or what is read like one; `topics` are by what it knows them by."""
+    """An open storage file, or an object that is read like one; the keys of `topics` are its own identifiers."""
 
     kind: str
     compression = ""
@@ -160,10 +160,10 @@ def _decompressed(content: bytes) -> bytes:
 
 
 def open_storage(path: Path, stack: ExitStack) -> StorageFile:
-    """Open a storage file by what it begins with; one that is compressed is decompressed to a temporary file first.
+    """Open a storage file of the kind that its first bytes show; a compressed one is decompressed to a temporary file.
 
     Args:
-        path: of the file, whatever it is called.
+        path: of the file, with any name.
         stack: closes it.
 
     Raises:
@@ -229,16 +229,16 @@ class _McapFile(StorageFile):
                     pending += self._read_chunk(wanted[k], keys)
             pending.sort(key=itemgetter(1))
             end = len(pending)
-            if k + 1 < len(wanted):  # what is earlier than all that follows
+            if k + 1 < len(wanted):  # the messages earlier than all later ones
                 end = bisect_left(pending, wanted[k + 1].message_start_time, key=itemgetter(1))
             yield from pending[:end]
             pending = pending[end:]
 
     def _cut_off(self) -> BagError:
-        """Return what is said of a file that does not end as one, with what of it is whole."""
+        """Return the error text for a file without its proper end, with the number of complete messages."""
         rows = _records(self._data, len(MCAP_MAGIC), len(self._data), whole=False)
         index = rows[rows[:, 0] == Opcode.MESSAGE_INDEX]
-        chunks = rows[(rows[:, 0] == Opcode.CHUNK) & (rows[:, 3] < index[-1:, 3].sum())]  # of which it is whole
+        chunks = rows[(rows[:, 0] == Opcode.CHUNK) & (rows[:, 3] < index[-1:, 3].sum())]  # complete ones
         if not len(chunks):
             return BagError("is cut off before its first whole chunk: nothing can be recovered")
         count = int(((index[:, 4] - index[:, 3]) // _ENTRY_BYTES).sum())
@@ -277,7 +277,7 @@ class _McapFile(StorageFile):
         return summary
 
     def _topics(self, summary: Summary) -> dict[int, BagTopic]:
-        """Return the topics that a summary lists, with as many messages as it says; without it, as there are."""
+        """Return the topics in a summary, with its numbers of messages; without a summary, counted ones."""
         statistics = summary.statistics
         counts: dict[int, int] = Counter(self._outside[:, 1].tolist())
         if statistics is not None and summary.channels:
@@ -305,7 +305,7 @@ class _McapFile(StorageFile):
         return topics
 
     def _content(self, chunk: ChunkIndex) -> bytes:
-        """Return what a chunk holds, held against its checksum; no more is decompressed than its head says."""
+        """Return the content of a chunk, checked against its checksum; no more is decompressed than its head states."""
         size, end = chunk.uncompressed_size, chunk.chunk_start_offset + chunk.chunk_length
         crc = _CHUNK.unpack_from(self._data, chunk.chunk_start_offset + _RECORD_HEAD)[3]
         data = self._data[end - chunk.compressed_size : end].tobytes()
@@ -323,7 +323,7 @@ class _McapFile(StorageFile):
         return data
 
     def _read_chunk(self, chunk: ChunkIndex, keys: Collection[int]) -> list[LoggedMessage]:
-        """Return messages of a chunk, all of which are held against its head and the indexes behind it."""
+        """Return messages of a chunk, all of which are checked against its head and the indexes after it."""
         content, where = self._content(chunk), f"the chunk at byte {chunk.chunk_start_offset}"
         rows = _records(content)
         rows = rows[rows[:, 0] == Opcode.MESSAGE]
@@ -379,7 +379,7 @@ def _records(content: bytes | memoryview, first: int = 0, last: int | None = Non
     """Return op code, channel, log time, begin and end of the content of each mcap record, (n, 5); 0 for other records.
 
     Raises:
-        DamagedError: if these do not fill the bytes, of which they must be the whole.
+        DamagedError: if these do not fill the bytes exactly.
     """
     part = np.frombuffer(content, np.uint8)[first:last]
     rows = np.empty((_find_records(part.ctypes.data, len(part), part.ctypes.data, 0), 5), dtype=np.int64)
@@ -410,7 +410,7 @@ class _WholeStream(ReadDataStream):
 
 
 def _note(summary: Summary, code: int, content: bytes) -> None:
-    """Note in a summary what a record says of a schema, a channel, a chunk, or of all messages."""
+    """Note in a summary the record of a schema, a channel, a chunk, or of all messages."""
     stream = _WholeStream(BytesIO(content))
     if code == Opcode.SCHEMA:
         schema = Schema.read(stream)
@@ -425,7 +425,7 @@ def _note(summary: Summary, code: int, content: bytes) -> None:
 
 
 class _SqliteFile(StorageFile):
-    """A database of rosbag2; a journal beside it is not looked at, and that of something else is refused."""
+    """A database of rosbag2; a journal beside it is ignored, and a database of another kind is refused."""
 
     kind = "db3"
 

@@ -1,4 +1,4 @@
-"""What a bag holds, topic by topic, and where messages are missing."""
+"""The content of a bag, topic by topic, with gaps in it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rosbags.interfaces import Nodetype
 from rx90_common.bags.ordering import OTHER_CLOCK_NS
 from rx90_common.bags.reading import BagReader, BagTopic
 from rx90_common.bags.recorded import ParameterChange, TrajectoryCount, changes_of
-from rx90_common.bags.topics import JOINT_TRAJECTORY, tells_changes
+from rx90_common.bags.topics import JOINT_TRAJECTORY, reports_changes
 from rx90_common.bags.writing import typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
@@ -26,14 +26,14 @@ _ENOUGH_FOR_GAPS = 3
 
 @dataclass(frozen=True)
 class TopicSummary:
-    """What a bag holds of a topic.
+    """The content of a topic of a bag.
 
     Attributes:
         topic: topic name.
         msgtype: message type.
         encoding: of its messages: cdr, or ros1, or another one.
         count: number of messages.
-        time: "stamp" when the following count header.stamp, "log" when they count log time.
+        time: "stamp" if the following attributes use header.stamp, "log" if they use log time.
         first_ns: earliest time, None without messages.
         last_ns: latest time.
         rate: messages per second between the two, None below two different times.
@@ -42,7 +42,7 @@ class TopicSummary:
         longest_gap_at_ns: time of the message before it.
         backward: messages with an earlier time than the one before.
         repeated: messages with the same time as the one before.
-        effort_unit: of a topic whose efforts are not in the unit that its name says.
+        effort_unit: of a topic whose efforts are not in the usual unit of its name.
         other_clock: messages whose stamps are of another clock than the log times.
     """
 
@@ -65,16 +65,16 @@ class TopicSummary:
 
 @dataclass(frozen=True)
 class BagSummary:
-    """What a bag holds.
+    """The content of a bag.
 
     Attributes:
         path: of the bag.
         storage: the kind of its files: mcap, db3 or bag.
-        compression: what is compressed in it: `zstd files`, `zstd messages`, `zstd chunks`, `lz4 chunks`; or nothing.
+        compression: its kind: `zstd files`, `zstd messages`, `zstd chunks`, `lz4 chunks`; or nothing.
         size: of its files in bytes.
         topics: by name.
         changes: of parameters, in the order of the messages.
-        notes: what was read otherwise than the bag says.
+        notes: remarks for the user about the reading of the bag.
     """
 
     path: Path
@@ -116,7 +116,7 @@ def summarise(path: Path | str) -> BagSummary:
                 other_clock[topic] += 1
             if topic.msgtype == JOINT_TRAJECTORY and topic.encoding == "cdr":
                 trajectories.add(topic.name, bag.deserialize(topic, data))
-            if tells_changes(topic.name, topic.msgtype):
+            if reports_changes(topic.name, topic.msgtype):
                 changes += changes_of(bag.deserialize(topic, data))
         files = [bag.path] if bag.path.is_file() else [file for file in bag.path.iterdir() if file.is_file()]
         size = sum(file.stat().st_size for file in files)

@@ -142,7 +142,7 @@ def _seconds(time_ns: int | None) -> str:
 
 
 def _table(headings: Sequence[str], rows: Sequence[Sequence[str]], indent: int = 0) -> str:
-    """Return headings and rows in columns as wide as their widest cell; figures stand to the right."""
+    """Return headings and rows in columns as wide as their widest cell; numbers are right-aligned."""
     columns = []
     for heading, *cells in zip(headings, *rows, strict=True):
         width = max(map(len, (heading, *cells)))

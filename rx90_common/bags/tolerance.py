@@ -1,4 +1,4 @@
-"""How far values may differ: per field, per topic, per joint; by default not by a single bit."""
+"""Tolerances of values: per field, per topic, per joint; by default not a single bit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The names, types and units of what a bag of the suite holds."""
+"""The names, types and units of the topics in a bag of the suite."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SERIES_FIELDS: Final = (*FIELDS, "temperature")
 POINT_FIELDS: Final = ("positions", "velocities", "accelerations", "effort")
 """The arrays of a JointTrajectoryPoint, in the order of the message."""
 EFFORT_UNIT: Final = "rx90_emulator effort unit of "
-"""Begins the key in rosbag2's custom_data that says in which unit the efforts of a topic are."""
+"""Prefix of the key in rosbag2's custom_data that states the unit of a topic's efforts."""
 USUAL_UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm", "temperature": "°C"}
 
 SUITE_TOPICS: Final = (
@@ -62,16 +62,16 @@ _QUANTITIES: Final = {
     COMMANDED_CURRENT: {"effort": ("current", "A")},
     MOTOR_CURRENT: {"effort": ("current", "A")},
 }
-"""What the fields of a topic's messages hold where it is not what they are called."""
+"""The quantities in the fields of a topic's messages if they differ from the fields' names."""
 
 
-def tells_changes(topic: str, msgtype: str) -> bool:
+def reports_changes(topic: str, msgtype: str) -> bool:
     """Return whether a topic's messages are changes of parameters, stamped with simulated time."""
     return msgtype == PARAMETER_EVENT and topic.rpartition("/")[2] == PARAMETERS
 
 
 def quantities(topic: str) -> dict[str, tuple[str, str]]:
-    """Return what each field of a topic's messages holds, and its unit, where a bag does not say otherwise."""
+    """Return the quantity of each field of a topic's messages, and its unit, unless a bag states others."""
     own = _QUANTITIES.get(topic.rpartition("/")[2], {})
     return {field: own.get(field, (field, USUAL_UNITS[field])) for field in SERIES_FIELDS}
 

@@ -1,7 +1,7 @@
 """Write bags, from the recorder's raw messages or from arrays; needs no ROS.
 
-rosbags' writers make the files; messages are handed to them in batches, which gives the same files, byte for byte, with
-checksums besides, in a fraction of the time.
+rosbags' writers make the files; messages are given to them in batches, which gives the same files, byte for byte, and
+additional checksums, in a fraction of the time.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.kernels.compiled import c_function
-from rx90_common.process.files import hidden_beside
+from rx90_common.process.files import hidden_folder
 
 STORAGES: Final = ("mcap", "sqlite3")
 
-_CHECKPOINT_NS = NANOSECONDS  # of log time; what a killed recorder may lose
+_CHECKPOINT_NS = NANOSECONDS  # of log time; the most that a killed recorder may lose
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _BYTES_PER_SPACE_CHECK = 4 << 20
 _MESSAGES_AT_ONCE = 10_000  # in memory while arrays are written
@@ -54,7 +54,7 @@ _CHUNK_BYTES: Final = 1 << 20  # a chunk that is larger is closed, as rosbags do
 _RECORD_HEAD: Final = 9  # op code and length
 _MESSAGE_HEAD: Final = 22  # channel, sequence number, log time, time of publication
 _FOOTER_BYTES, _MAGIC_BYTES = 20, 8  # at the end of a file; a checksum of 4 bytes ends the footer
-_NONE_YET = 2**63 - 1  # what rosbags has for the start of an empty chunk
+_NONE_YET = 2**63 - 1  # rosbags' value for the start of an empty chunk
 
 
 @c_function(types.int64(*[types.voidptr] * 5, types.int64, types.voidptr))
@@ -115,7 +115,7 @@ class _McapBatches(McapWriter):
             begin = end
 
     def checkpoint(self) -> None:
-        """Hand what is pending to the system."""
+        """Write pending data to the file."""
         if self._index:
             self.close_chunk()
         self.bio.flush()
@@ -137,7 +137,7 @@ class _McapBatches(McapWriter):
         summary.write(times + struct.pack("<QQI", start, end - start, len(places)) + places)
         summary.write(struct.pack("<Q", self.bio.tell() - end) + name + struct.pack("<QQ", len(records), len(content)))
         self.chunks.append(summary)
-        # Last: what cannot be written stays pending.
+        # Last: data that cannot be written stay pending.
         self.chunk = PendingChunk(_NONE_YET, 0, BytesIO(), chunk.msgs)
         self._index = {}
 
@@ -167,7 +167,7 @@ class _SqliteBatches(Sqlite3Writer):
         self.cursor.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES(?, ?, ?)", rows)
 
     def checkpoint(self) -> None:
-        """Hand what is pending to the system."""
+        """Write pending data to the file."""
         self.conn.commit()
 
 
@@ -182,7 +182,7 @@ def typestore() -> Typestore:
 
 
 def offered_qos(*, reliable: bool = True, transient_local: bool = False) -> Qos:
-    """Return a publisher's quality of service as a recorder sees it: its depth is not announced."""
+    """Return a publisher's quality of service as a recorder receives it: its depth is not announced."""
     return Qos(
         history=QosHistory.UNKNOWN,
         depth=0,
@@ -205,7 +205,7 @@ class BagWriter:
     Args:
         path: folder to make; must not exist.
         storage: "mcap" or "sqlite3".
-        named: of a bag that gets its name when it is whole, that name; what of it was written does not stay.
+        named: final name of a bag that is renamed when it is complete; an incomplete one is removed.
 
     Raises:
         BagError: if the folder exists, its name is too long or its place does not take one.
@@ -226,7 +226,7 @@ class BagWriter:
             )
         self._unchecked_bytes = 0
         self._checkpoint_ns = 0
-        self._opened = self._closed = self._begun = False
+        self._opened = self._closed = self._has_messages = False
         self._above = [folder for folder in self.path.parents if not folder.exists()]  # made with it
         with self._failures():
             self._writer = _BatchWriter(
@@ -244,7 +244,7 @@ class BagWriter:
         else:
             with suppress(BagError):  # the first error is the one to report
                 self.close()
-            if not self._begun:
+            if not self._has_messages:
                 shutil.rmtree(self.path, ignore_errors=True)
                 with suppress(OSError):
                     for folder in self._above:
@@ -290,7 +290,7 @@ class BagWriter:
         """
         begin, writer = 0, self._writer
         storage: Any = writer.storage
-        self._begun = self._begun or len(messages) > 0
+        self._has_messages = self._has_messages or len(messages) > 0
         while begin < len(messages):
             # Up to where the disk is to be looked at, or a checkpoint to be made.
             full = np.cumsum(messages.size[begin:]) + self._unchecked_bytes > _BYTES_PER_SPACE_CHECK
@@ -323,7 +323,7 @@ class BagWriter:
         """Write index and metadata. A second call does nothing.
 
         Raises:
-            BagWriteError: if that fails; what was written stays.
+            BagWriteError: if that fails; data written before stay.
         """
         if self._closed:
             return
@@ -380,7 +380,7 @@ def string_message(topic: str, text: str) -> RawMessage:
 
 
 def parameters_message(topic: str, node: str, values: Mapping[str, int]) -> RawMessage:
-    """Return the latched rcl_interfaces/ParameterEvent in which a node tells whole numbers as its run begins."""
+    """Return the latched rcl_interfaces/ParameterEvent of a node with whole numbers at the start of its run."""
     types = typestore().types
     empty: dict[str, Any] = {f"{kind}_array_value": np.zeros(0, dtype) for kind, dtype in _VALUE_ARRAYS.items()}
     new = []
@@ -409,18 +409,18 @@ def trajectory_message(topic: str, start_ns: int, content: dict[str, Any]) -> Ra
 
 @contextmanager
 def named_at_the_end(path: Path) -> Iterator[Path]:
-    """Yield a new folder in which to make a file or folder of this name, and what goes beside it; then these get there.
+    """Yield a new folder for a file or folder of this name and its companions; then these are moved to their places.
 
     Raises:
         BagError: if something has that name, or its place does not take it.
         BagWriteError: if the disk is full.
     """
-    made = [folder for folder in path.parents if not folder.exists()]
+    missing_folders = [folder for folder in path.parents if not folder.exists()]
     try:
         if os.path.lexists(path):
             raise FileExistsError
         path.parent.mkdir(parents=True, exist_ok=True)
-        with hidden_beside(path) as folder:
+        with hidden_folder(path) as folder:
             yield folder
             for one in folder.iterdir():
                 target = path.parent / one.name
@@ -439,8 +439,8 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
         kind = BagWriteError if error.errno in DISK_ERRORS else BagError
         raise kind(f"{plain(path)}: cannot be written ({error.strerror})") from error
     finally:
-        with suppress(OSError):  # those that hold what was made
-            for folder in made:
+        with suppress(OSError):  # the folders of the new file
+            for folder in missing_folders:
                 folder.rmdir()
 
 
@@ -453,22 +453,22 @@ def write_joint_states(
 ) -> None:
     """Write a bag as if nodes had published these series and the recorder had recorded them.
 
-    It is written beside its place and gets its name at the end: whoever is interrupted or killed, and a full disk,
-    leave no part of a bag under that name.
+    It is written beside its place and renamed at the end: an interrupt, a kill or a full disk
+    leaves no part of a bag under that name.
 
-    The messages stand in the order of log time, which is their stamp; at equal times in the order of
+    The messages are in the order of log time, which is their stamp; at equal times in the order of
     `series`, then of `messages`.
 
     Args:
         path: folder to make; must not exist.
         series: one per topic.
         storage: "mcap" or "sqlite3".
-        messages: what else belongs into the bag.
+        messages: further messages of the bag.
 
     Raises:
         BagError: if the bag cannot be made, or two series share a topic.
-        BagWriteError: if it cannot be written on.
-        ExchangeError: if a joint name or a stamp cannot stand in a message.
+        BagWriteError: if it cannot be written.
+        ExchangeError: for a joint name or a stamp that a message cannot contain.
     """
     path, topics = Path(path), [absolute(one.topic) for one in series]
     if len(set(topics)) != len(topics):

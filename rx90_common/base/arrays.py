@@ -1,4 +1,4 @@
-"""Short names for types of arrays, whose shapes docstrings say, and the extremes of groups of their rows."""
+"""Short names for types of arrays, whose shapes docstrings state, and the extremes of groups of their rows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Record = NDArray[Any]
 
 
 def array_digest(*arrays: NDArray[Any] | None) -> str:
-    """Return what tells arrays from others, 32 characters; None and an empty array differ, 0 and -0 do not."""
+    """Return a digest of arrays, 32 characters; None and an empty array differ, 0 and -0 do not."""
     digest = hashlib.sha256()
     for array in arrays:
         digest.update(b"none" if array is None else repr(array.shape).encode() + (array + 0).tobytes())

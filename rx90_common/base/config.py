@@ -15,8 +15,8 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.section import Section
 
-_MOST_BYTES = 16 << 20
-_MOST_VALUES = 400_000  # as often as aliases repeat them: 12,000 points of a trajectory. 40,000 are read in a second
+_MAX_BYTES = 16 << 20
+_MAX_VALUES = 400_000  # as often as aliases repeat them: 12,000 points of a trajectory. 40,000 are read in a second
 _DEEPEST = 64
 _LONGEST_INTEGER = 400  # characters; the largest finite number has 309 digits
 _IN_FILE = re.compile(r',? in "<file>", ')
@@ -26,10 +26,10 @@ _SCHEMA_LINE = "# yaml-language-server: $schema="
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads YAML 1.2 (core schema) with names as keys, and refuses a key written twice: one value would be lost.
+    """Reads YAML 1.2 (core schema) with names as keys, and refuses repeated keys, because one value would be lost.
 
     YAML 1.1, which PyYAML follows, reads 1e5 as a text, 1:30 as 90, 010 as 8, yes as true and 2001-01-01 as a date.
-    Depth and number of values are limited, because a few lines of aliases can stand for more than a memory holds.
+    Depth and number of values are limited, because a few lines of aliases can expand to more than the memory.
     """
 
     def __init__(self, stream: StringIO) -> None:
@@ -53,8 +53,8 @@ class _Loader(yaml.SafeLoader):
             self._values[node] = 1 + sum(self._values[child] for child in _children(node))
         elif node not in self._values:
             raise _Fault(None, None, f"{quoted(event.anchor)} stands for something that contains it", event.start_mark)
-        if self._values[node] > _MOST_VALUES:
-            raise _Fault(None, None, f"more than {_MOST_VALUES:,} values", event.start_mark)
+        if self._values[node] > _MAX_VALUES:
+            raise _Fault(None, None, f"more than {_MAX_VALUES:,} values", event.start_mark)
         return node  # type: ignore[no-any-return]
 
 
@@ -65,7 +65,7 @@ def _children(node: yaml.Node) -> list[yaml.Node]:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes what YAML 1.1 and YAML 1.2 read alike: a text that either takes for something else is quoted."""
+    """Writes YAML that 1.1 and 1.2 read alike: a text that either reads as another type is quoted."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002 - the interface of SafeDumper
         return True
@@ -83,7 +83,7 @@ _CORE_SCHEMA = (
 )
 _Fault: Any = yaml.constructor.ConstructorError
 _Loader.yaml_implicit_resolvers = {}
-# The tags of the core schema alone. None is for all others, and refuses them.
+# The tags of the core schema alone. None is for all others, which are refused.
 _Loader.yaml_constructors = {
     tag: constructor
     for tag, constructor in yaml.SafeLoader.yaml_constructors.items()
@@ -136,9 +136,9 @@ def load_yaml(
 
     Args:
         path: of the file.
-        accepted: what it should hold, for messages.
+        accepted: expected content, for messages.
         first: whether to read the first of several documents; otherwise there must be one.
-        faults: of the section.
+        faults: collects refusals, see `Section`.
 
     Raises:
         ConfigError: if the file is missing, unreadable, too large, not YAML or not a mapping.
@@ -151,13 +151,13 @@ def load_yaml(
         reason = plain(_IN_FILE.sub(", ", " ".join(str(error).split())), _LONGEST_REASON)
         raise ConfigError(f"{plain(path)}: not valid YAML ({reason})") from error
     if not isinstance(data, dict):
-        held = "nothing" if data is None else "a list" if isinstance(data, list) else "a single value"
-        raise ConfigError(f"{plain(path)}: holds {held}; accepted: {accepted}")
+        content = "nothing" if data is None else "a list" if isinstance(data, list) else "a single value"
+        raise ConfigError(f"{plain(path)}: holds {content}; accepted: {accepted}")
     return Section(data, path, faults=faults)
 
 
 def yaml_value(text: str) -> Any:
-    """Return what a text means as YAML, as a value in a file would.
+    """Return the value of a text in YAML, as in a file.
 
     Raises:
         ConfigError: if it is not YAML.
@@ -169,7 +169,7 @@ def yaml_value(text: str) -> Any:
 
 
 def yaml_lines(path: Path) -> dict[str, int]:
-    """Return the lines, from 1 on, on which the keys and items of a YAML file stand, by path such as `a.b[2].c`.
+    """Return the line numbers, from 1 on, of the keys and items of a YAML file, by path such as `a.b[2].c`.
 
     Raises:
         ConfigError: as `load_yaml`.
@@ -196,16 +196,16 @@ def _note_lines(node: yaml.Node, path: str, lines: dict[str, int]) -> None:
 def _read(path: Path) -> str:
     try:
         with path.open("rb") as stream:
-            content = stream.read(_MOST_BYTES + 1)
-        if len(content) > _MOST_BYTES:
-            raise ConfigError(f"{plain(path)}: larger than {_MOST_BYTES >> 20} MiB; accepted: up to that")
+            content = stream.read(_MAX_BYTES + 1)
+        if len(content) > _MAX_BYTES:
+            raise ConfigError(f"{plain(path)}: larger than {_MAX_BYTES >> 20} MiB; accepted: up to that")
         text = content.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{plain(path)}: cannot be read ({getattr(error, 'strerror', error)})") from error
     separators = text.count(",") + text.count("\n")
-    if separators > _MOST_VALUES:  # before it is parsed, which would take a minute
+    if separators > _MAX_VALUES:  # before it is parsed, which would take a minute
         what = f"has {separators:,} commas and line ends"
-        raise ConfigError(f"{plain(path)}: {what}; accepted: up to {_MOST_VALUES:,}, and as many values")
+        raise ConfigError(f"{plain(path)}: {what}; accepted: up to {_MAX_VALUES:,}, and as many values")
     return text
 
 
@@ -237,9 +237,9 @@ def check_numbers(content: object, most: float = math.inf, where: str = "") -> N
 
 
 def yaml_text(content: Mapping[str, Any]) -> str:
-    """Return plain data as YAML; `load_yaml` and readers of YAML 1.1 give it back to the same bits.
+    """Return plain data as YAML; `load_yaml` and readers of YAML 1.1 return the same bits.
 
-    Lists and mappings without others inside stand on one line each.
+    Lists and mappings without others inside are written on one line each.
 
     Raises:
         ConfigError: for a NaN or an infinity.

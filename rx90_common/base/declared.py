@@ -1,4 +1,4 @@
-"""Parameters declared once, as fields of a dataclass: file, schema, checks, units and paths come from there.
+"""Parameters declared once, as fields of a dataclass: file keys, schema, checks, units and paths follow from that.
 
     @dataclass(frozen=True)
     class Encoder(Declared):
@@ -7,10 +7,10 @@
         counts: Annotated[float, Integer("Counts per revolution.", low=16, high=2**30), "encoder.counts_per_revolution"]
         bandwidth: Annotated[float, Number("Bandwidth of the observer.", "Hz", low=0.0, above=True)] = 100.0
 
-An entry says what a value may be, and a second one what it may be in Python, where that is more than in a file, which
-is searched for slips of the unit. The text behind them is the key in a file where that is not the field's own name,
-with the blocks that it stands in. The field's default is the file's, too, unless the entry has one of its own or
-REQUIRED stands behind it: then the default means that the whole block is left out.
+An entry describes the accepted values in a file, and a second one those in Python, if more are accepted there; a file
+is also checked for wrong units. The text after them is the key in a file if it is not the field's own name,
+with the blocks that contain it. The field's default is the file's, too, unless the entry has one of its own or
+is followed by REQUIRED: then the default means that the whole block is left out.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ _Self = TypeVar("_Self", bound="Declared")
 
 @dataclass(frozen=True)
 class Declaration:
-    """What one field declares.
+    """The declaration of one field.
 
     Attributes:
         name: of the field.
-        keys: under which a file has it, from the outermost block on.
-        entry: what a file may hold there; None where the field has a type that declares its own.
-        in_python: what the field may hold.
+        keys: its keys in a file, from the outermost block on.
+        entry: accepted values in a file; None if the field has a type that declares its own.
+        in_python: accepted values in Python.
         kind: the field's type.
         field: of the dataclass.
     """
@@ -76,15 +76,15 @@ _ARRAY = np.ndarray
 
 @dataclass(frozen=True)
 class Declared:
-    """A dataclass whose fields declare what they hold.
+    """A dataclass whose fields declare their accepted values.
 
     Attributes:
-        name: what stands before the names of fields in messages.
-        about: of the group in a file, in words.
-        blocks: the groups that keys with dots stand in, by name, in words.
+        name: prefix of the names of fields in messages.
+        about: description of the group in a file.
+        blocks: the groups of keys with dots, by name, with their descriptions.
 
     Raises:
-        ConfigError: for a value that its entry does not accept, naming owner, field, value and what is accepted.
+        ConfigError: for a value that its entry does not accept, naming owner, field, value and the accepted values.
     """
 
     name: ClassVar[str] = ""
@@ -105,9 +105,9 @@ class Declared:
                 object.__setattr__(self, one.name, checked)
 
     def fitted(self: _Self, joints: int, first: str) -> _Self:
-        """Return the same with a value for each of so many joints in every array that is to have one.
+        """Return a copy in which every array by joint has a value for each of so many joints.
 
-        A single value stands for all of them, as defaults do; `first` is the array that says how many there are.
+        A single value applies to all of them, as defaults do; `first` is the array that determines the number.
 
         Raises:
             ConfigError: for another number of values.
@@ -128,16 +128,16 @@ class Declared:
 
     @classmethod
     def group(cls, default: Any = REQUIRED) -> Group:
-        """Return what a file may hold: a group of entries, in the order of the fields."""
+        """Return the group of entries of a file, in the order of the fields."""
         return Group(cls.about, keys=_keys(cls), default=default)
 
     @classmethod
     def of_file(cls: type[_Self], content: Mapping[str, Any] | None, **fields: Any) -> _Self:
-        """Return what `group()` has read from a file; all defaults for a block that is left out.
+        """Return an instance for the values that `group()` has read from a file; all defaults for a missing block.
 
         Args:
             content: by the file's keys.
-            fields: that the file does not give, by their names.
+            fields: additional fields, by their names.
 
         Raises:
             ConfigError: as the class itself.
@@ -154,7 +154,7 @@ _known: dict[type[Any], dict[str, Declaration]] = {}
 
 
 def declarations(owner: type[Any]) -> dict[str, Declaration]:
-    """Return what the fields of a dataclass declare, by their names; those that declare nothing are not there."""
+    """Return the declarations of a dataclass' fields, by their names; fields without one are left out."""
     if owner not in _known:
         _known[owner] = _declared_by(owner)
     return _known[owner]
@@ -164,23 +164,28 @@ def _declared_by(owner: type[Any]) -> dict[str, Declaration]:
     hints, found = get_type_hints(owner, include_extras=True), {}
     for own_field in fields(owner):
         hint = hints[own_field.name]
-        kind, *said = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        kind, *annotations = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         kind = get_origin(kind) or kind
-        entries = [each for each in said if isinstance(each, Entry)]
+        entries = [each for each in annotations if isinstance(each, Entry)]
         entry, in_python = (entries[0], entries[-1]) if entries else (None, None)
         own = isinstance(kind, type) and issubclass(kind, Declared)
         if entry is None and not own:
             continue
-        keys = tuple(next((each for each in said if isinstance(each, str)), own_field.name).split("."))
+        keys = tuple(next((each for each in annotations if isinstance(each, str)), own_field.name).split("."))
         one = Declaration(own_field.name, keys, entry, in_python, kind, own_field)
-        if entry is not None and entry.default is REQUIRED and REQUIRED not in said and one.default is not MISSING:
+        if (
+            entry is not None
+            and entry.default is REQUIRED
+            and REQUIRED not in annotations
+            and one.default is not MISSING
+        ):
             one = replace(one, entry=replace(entry, default=_as_read(one.default)))
         found[own_field.name] = one
     return found
 
 
 def _keys(owner: type[Declared]) -> dict[str, Entry]:
-    """Return the entries of a file's keys, with the blocks that they stand in."""
+    """Return the entries of a file's keys, with the blocks that contain them."""
     keys: dict[str, Any] = {}
     for one in declarations(owner).values():
         *blocks, last = one.keys
@@ -189,7 +194,7 @@ def _keys(owner: type[Declared]) -> dict[str, Entry]:
             for block in blocks:
                 inner = inner.setdefault(block, {})
             inner[last] = one.entry
-        elif last in owner.blocks:  # its keys stand among others of the block
+        elif last in owner.blocks:  # its keys are among others of the block
             keys.setdefault(last, {}).update(_keys(one.kind))
         else:
             keys[last] = one.kind.group(LEFT_OUT if one.default is not MISSING else REQUIRED)
@@ -199,7 +204,7 @@ def _keys(owner: type[Declared]) -> dict[str, Entry]:
 
 
 def _values(owner: type[Declared], content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of what `group()` has read."""
+    """Return the fields for the values that `group()` has read."""
     values: dict[str, Any] = {}
     for one in declarations(owner).values():
         *blocks, last = one.keys
@@ -218,13 +223,13 @@ def option(default: Any, description: str, low: float | None = None, high: float
     """Return a field of a dataclass that is a parameter of a node, for `rx90_common.exchange.parameters`.
 
     Args:
-        default: its value where none is given.
-        description: what it means, with its unit.
-        low: the least that is accepted.
-        high: the most.
+        default: its value if none is given.
+        description: its meaning, with its unit.
+        low: the least accepted value.
+        high: the largest one.
     """
-    said = {"default": default, "description": description, "low": low, "high": high}
-    return field(default_factory=lambda: copy(default), metadata=said)
+    metadata = {"default": default, "description": description, "low": low, "high": high}
+    return field(default_factory=lambda: copy(default), metadata=metadata)
 
 
 def in_file(value: Any) -> Any:
@@ -239,7 +244,7 @@ def _as_read(default: Any) -> Any:
 
 
 def _same(value: Any, default: Any) -> bool:
-    """Return whether a value is the default, which needs no check: it may stand for what is left out."""
+    """Return whether a value is the default, which needs no check: it may mean a missing entry."""
     if default is MISSING:
         return False
     if isinstance(default, np.ndarray):

@@ -1,7 +1,7 @@
-"""What files may hold, as tables: readers check with them, and the JSON schemas for editors are written from them.
+"""Accepted contents of files, as tables: readers check with them, and the JSON schemas for editors come from them.
 
 A file is a `Group` (base/groups.py) of keys, each with its `Entry`; its `read` returns plain data, or refuses by file,
-key, value and what is accepted. Rules that tie several values together are left to the readers.
+key, value and accepted values. Rules that involve several values are left to the readers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ JsonSchema: TypeAlias = dict[str, Any]
 REQUIRED: Final = object()
 """Default of a key that may not be left out."""
 LEFT_OUT: Final = object()
-"""Default of a key that may be left out, and then is not in what `read` returns."""
+"""Default of a key that may be left out, and then is missing in the result of `read`."""
 
 
 class NotAccepted(Exception):  # noqa: N818 - caught by whoever knows the value's place
@@ -33,12 +33,12 @@ class NotAccepted(Exception):  # noqa: N818 - caught by whoever knows the value'
 
 @dataclass(frozen=True)
 class Entry:
-    """What may stand under a key.
+    """The accepted values of a key.
 
     Attributes:
-        about: what it means, in words.
-        unit: its unit; empty where it has none.
-        default: its value where it is left out, LEFT_OUT or REQUIRED.
+        about: its meaning, in words.
+        unit: its unit; empty without one.
+        default: its value if it is left out, LEFT_OUT or REQUIRED.
     """
 
     about: str
@@ -47,14 +47,14 @@ class Entry:
     default: Any = REQUIRED
 
     def acceptance(self) -> str:
-        """Return in words what is accepted."""
+        """Return the accepted values in words."""
         raise NotImplementedError
 
     def check(self, value: Any) -> Any:
         """Return a value as readers get it.
 
         Raises:
-            NotAccepted: for one that may not stand here.
+            NotAccepted: for a value that is not accepted.
         """
         raise NotImplementedError
 
@@ -62,7 +62,7 @@ class Entry:
         """Return the value under `key`, checked.
 
         Raises:
-            ConfigError: naming file, key, value and what is accepted.
+            ConfigError: naming file, key, value and the accepted values.
         """
         value = section.get(key, self.acceptance())
         try:
@@ -75,11 +75,11 @@ class Entry:
         raise NotAccepted(value, self.acceptance())
 
     def rules(self) -> JsonSchema:
-        """Return what a value must keep, as a JSON schema."""
+        """Return the constraints of a value as a JSON schema."""
         raise NotImplementedError
 
     def schema(self) -> JsonSchema:
-        """Return the JSON schema of a value, with what an editor shows."""
+        """Return the JSON schema of a value, with the texts that an editor shows."""
         described: JsonSchema = {"description": f"{self.about}{f' [{self.unit}]' * bool(self.unit)}"}
         known = self.default not in (REQUIRED, LEFT_OUT, math.inf)
         return described | self.rules() | ({"default": self.default} if known else {})
@@ -98,7 +98,7 @@ class Number(Entry):
 
     @property
     def _each(self) -> str:
-        """Return what stands before the range in words."""
+        """Return the words before the range."""
         return ""
 
     def acceptance(self) -> str:
@@ -124,7 +124,7 @@ class Number(Entry):
         return number
 
     def rules(self) -> JsonSchema:
-        """Return the range; what is not finite is beyond the largest number, where that is refused."""
+        """Return the range; infinite values are beyond the largest number, where that is refused."""
         largest = sys.float_info.max
         least = {} if self.above else {"minimum": max(self.low, -largest)}
         least |= {"exclusiveMinimum": self.low} if self.above else {}
@@ -133,7 +133,7 @@ class Number(Entry):
         return {"type": "number", **least, **most, **other}
 
 
-MOST_JOINTS: Final = 7
+MAX_JOINTS: Final = 7
 """Joints that an arm may have."""
 
 
@@ -142,15 +142,15 @@ PER_JOINT: Final = 0
 
 
 def _count_text(count: int) -> str:
-    return f"1 to {MOST_JOINTS}" if count == PER_JOINT else f"{count}"
+    return f"1 to {MAX_JOINTS}" if count == PER_JOINT else f"{count}"
 
 
 def _fits(count: int, value: Sequence[Any]) -> bool:
-    return 1 <= len(value) <= MOST_JOINTS if count == PER_JOINT else len(value) == count
+    return 1 <= len(value) <= MAX_JOINTS if count == PER_JOINT else len(value) == count
 
 
 def _count_rules(count: int) -> JsonSchema:
-    least, most = (1, MOST_JOINTS) if count == PER_JOINT else (count, count)
+    least, most = (1, MAX_JOINTS) if count == PER_JOINT else (count, count)
     return {"minItems": least, "maxItems": most}
 
 
@@ -283,7 +283,7 @@ class Texts(Entry):
     once: bool = False
 
     def acceptance(self) -> str:
-        """Return what the items are."""
+        """Return the description of the items."""
         return "a list of texts"
 
     def check(self, value: Any) -> tuple[str, ...]:
@@ -295,7 +295,7 @@ class Texts(Entry):
         return tuple(value)
 
     def rules(self) -> JsonSchema:
-        """Return what the items are."""
+        """Return the description of the items."""
         once = {"minItems": 1, "uniqueItems": True} if self.once else {}
         return {"type": "array", "items": {"type": "string"}, **once}
 
@@ -305,7 +305,7 @@ class Other(Entry):
     """A value with a test of its own.
 
     Attributes:
-        accepted: what is, in words.
+        accepted: the accepted values, in words.
         good: the test.
         fragment: the same as a JSON schema.
     """
@@ -332,7 +332,7 @@ class Other(Entry):
 
 @dataclass(frozen=True)
 class ListOf(Entry):
-    """A list, of `least` items or more, that all have one entry; `accepted` says so in words."""
+    """A list of at least `least` items that all have one entry; `accepted` describes it in words."""
 
     _: KW_ONLY
     item: Entry

@@ -1,4 +1,4 @@
-"""The errors a user can meet, and the exit codes of the commands; each text is one line with the offending value."""
+"""The errors for users, and the exit codes of the commands; each text is one line with the offending value."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from rx90_common.base.quoting import one_line, plain
 
 DONE = 0
 VERDICT_NO = 1
-"""Done, and the verdict is no: differs, not confirmed, lost messages."""
+"""Completed with a negative verdict: differs, not confirmed, lost messages."""
 REFUSED = 2
 """Wrong usage or bad input; nothing was written."""
 FAILED = 3
-"""Could not be carried out: nodes gone, disk full."""
+"""Could not be carried out: nodes ended, disk full."""
 INTERRUPTED = 130
 DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
@@ -37,7 +37,7 @@ class Rx90Error(Exception):
 
 
 class FailureError(Rx90Error):
-    """What was asked for is acceptable and could not be carried out."""
+    """The request is acceptable and could not be carried out."""
 
     exit_code = FAILED
 
@@ -72,7 +72,7 @@ class TrajectoryError(Rx90Error):
 
 
 class LineError(Rx90Error):
-    """A Cartesian line cannot be travelled; the text says where on the line."""
+    """A Cartesian line cannot be travelled; the text names the place on the line."""
 
 
 class ExchangeError(FailureError):
@@ -84,7 +84,7 @@ class MessageError(ExchangeError):
 
 
 class ProcessError(FailureError):
-    """A child process ended early or did not say what was expected."""
+    """A child process ended early or did not print the expected text."""
 
 
 class OutputError(FailureError):
@@ -97,20 +97,20 @@ def write_error(path: object, error: OSError, accepted: str = "") -> Rx90Error:
     Args:
         path: the file.
         error: of the system.
-        accepted: what would be, if that can be said.
+        accepted: an acceptable place, if there is one to name.
     """
     kind = OutputError if error.errno in DISK_ERRORS else ConfigError
     return kind(f"{plain(path)}: cannot be written ({error.strerror}){'; accepted: ' * bool(accepted)}{accepted}")
 
 
 def check_place(path: Path) -> None:
-    """Refuse a file or folder whose place does not take one, before the work is done whose result it is to hold.
+    """Refuse a file or folder that cannot be created, before the work whose result it is to contain.
 
-    It is tried, not asked: permissions say nothing of read-only, full and virtual file systems, nor anything to root.
-    Devices and pipes take what is written into them.
+    The file is created as a test: permissions do not reveal read-only, full and virtual file systems, nor limit root.
+    Devices and pipes accept data.
 
     Raises:
-        Rx90Error: as `write_error` says.
+        Rx90Error: as from `write_error`.
     """
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
@@ -155,7 +155,7 @@ class BagError(Rx90Error):
 
 
 class BagWriteError(FailureError, BagError):
-    """A bag that was begun cannot be written on; what was written stays."""
+    """A bag cannot be written any further; data written before stay."""
 
 
 class IdentificationError(Rx90Error):

@@ -1,4 +1,4 @@
-"""Mappings of files as tables of entries: known keys, names of one's own, and keys that follow from another one."""
+"""Mappings of files as tables of entries: known keys, free names, and keys that depend on another one."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ class Group(Entry):
 
     Attributes:
         keys: the entries of their values.
-        one_of: keys of which there must be one and no other.
-        one_of_with: keys with which alone one of these is needed; without them none may be there.
-        some_of: keys of which there must be one at least.
-        needed_by: key that must be there where another one is, by that other one.
+        one_of: keys of which exactly one is required.
+        one_of_with: keys that require one of these; without them none is permitted.
+        some_of: keys of which at least one is required.
+        needed_by: key that is required if another one is there, by that other one.
         known: whether other keys are refused.
-        accepted: what is, in words.
+        accepted: the accepted content, in words.
     """
 
     _: KW_ONLY
@@ -55,8 +55,8 @@ class Group(Entry):
         """Return the values by their keys; keys with a default are always there.
 
         Raises:
-            ConfigError: naming file, key, value and what is accepted; of a section that gathers faults, after all were
-                looked at.
+            ConfigError: naming file, key, value and the accepted values; if a section collects faults, after all were
+                checked.
         """
         found: dict[str, Any] = {}
         section.attempt(self._check_keys, section)
@@ -79,16 +79,16 @@ class Group(Entry):
             there = [key for key in self.one_of if key in section]
             if len(there) != 1:
                 first, *others = self.one_of
-                told = "both are there" if len(self.one_of) == 2 else f"{len(there)} of them are there"
-                told = told if there else "none is there"
-                section.fault(first, f" and {', '.join(others)}: {told}; accepted: one of them")
+                found_keys = "both are there" if len(self.one_of) == 2 else f"{len(there)} of them are there"
+                found_keys = found_keys if there else "none is there"
+                section.fault(first, f" and {', '.join(others)}: {found_keys}; accepted: one of them")
             if self.one_of_with and not any(key in section for key in self.one_of_with):
                 section.fault(there[0], f" alone; accepted: with {', '.join(self.one_of_with)}")
         if self.some_of and not any(key in section for key in self.some_of):
             section.fault(self.some_of[0], f" is missing; accepted: one or more of {', '.join(self.some_of)}")
 
     def rules(self) -> JsonSchema:
-        """Return keys and what ties them together."""
+        """Return keys and their dependencies."""
         about = {key: {"$ref": f"#/$defs/{key}"} for key in ABOUT}
         rules: JsonSchema = {
             "type": "object",
@@ -121,13 +121,13 @@ def _any_of(keys: tuple[str, ...]) -> JsonSchema:
 
 @dataclass(frozen=True)
 class Entries(Entry):
-    """A mapping from names of one's own to values of one entry.
+    """A mapping from free names to values of one entry.
 
     Attributes:
         of: the entry.
-        least: how many entries there must be.
-        what: each entry is, in words.
-        names: pattern that all names must fit, if any, and what that means.
+        least: the smallest number of entries.
+        what: description of an entry.
+        names: pattern that all names must match, if any, and its meaning.
     """
 
     _: KW_ONLY
@@ -158,7 +158,7 @@ class Entries(Entry):
         return found
 
     def rules(self) -> JsonSchema:
-        """Return what the values are."""
+        """Return the description of the values."""
         about = {key: {"$ref": f"#/$defs/{key}"} for key in ABOUT}
         some: JsonSchema = {"minProperties": self.least} if self.least else {}
         some |= {"propertyNames": {"pattern": self.names[0]}} if self.names[0] else {}
@@ -174,7 +174,7 @@ class Either(Entry):
     plain: Entry
 
     def take(self, section: Section, key: str) -> Any:
-        """Return what it is."""
+        """Return the description."""
         return (self.mapping if section.holds_mapping(key) else self.plain).take(section, key)
 
     def rules(self) -> JsonSchema:

@@ -1,7 +1,7 @@
-"""Text from outside in a message: one line without control characters, of bounded length, its own length told.
+"""Text from outside in a message: one line without control characters, of bounded length, with its original length.
 
-Names, values, paths and lines come from files, messages and command lines. One with a line break in it would forge a
-line of a log, one with a bidirectional override would show something else than it is, and a long one would fill the
+Names, values, paths and lines come from files, messages and command lines. One with a line break would forge a
+line of a log, one with a bidirectional override would be displayed as another text, and a long one would fill the
 screen.
 """
 
@@ -18,16 +18,16 @@ LINE_LIMIT: Final = 2000
 """Characters of a whole message."""
 
 _ELLIPSIS = "…"
-_MOST_NAMES = 20
+_MAX_NAMES = 20
 _LONGEST_INTEGER = 400  # decimal digits; Python itself refuses to write more than 4300
 
 
 def quoted(value: object, limit: int = LIMIT) -> str:
-    """Return a value as Python writes it, in one line; a text or bytes in quotation marks.
+    """Return the `repr` of a value in one line; a text or bytes in quotation marks.
 
     Args:
-        value: anything; of a large object only the beginning is looked at.
-        limit: a text with more characters, and a `repr` with more of them, is shortened; its length is told.
+        value: anything; of a large object only the beginning is read.
+        limit: a longer text or `repr` is shortened, and its length appended.
     """
     if isinstance(value, str | bytes | bytearray):
         text = value if isinstance(value, str) else bytes(value)
@@ -40,7 +40,7 @@ def quoted(value: object, limit: int = LIMIT) -> str:
 
 
 def plain(text: object, limit: int = LIMIT) -> str:
-    """Return a name or a path without quotation marks: in one line, shortened with its length told if it is longer."""
+    """Return a name or a path without quotation marks: in one line; a longer one is shortened, with its length."""
     whole = str(text)
     if len(whole) <= limit:
         return _escaped(whole)
@@ -48,9 +48,9 @@ def plain(text: object, limit: int = LIMIT) -> str:
     return f"{_escaped(whole[:head])}{_ELLIPSIS}{_escaped(whole[len(whole) - tail :])} ({len(whole):,} characters)"
 
 
-def listed(given: Iterable[object], most: int = _MOST_NAMES) -> str:
+def listed(names: Iterable[object], most: int = _MAX_NAMES) -> str:
     """Return names with commas between them; of more than `most`, the first ones and how many others there are."""
-    every = list(given)
+    every = list(names)
     shown = ", ".join(plain(name) for name in every[:most])
     return f"{shown} and {len(every) - most:,} more" if len(every) > most else shown
 
@@ -66,7 +66,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def one_line(text: object, limit: int = LINE_LIMIT) -> str:
-    """Return a whole message as one line of bounded length: what `quoted` and `plain` returned stays as it is."""
+    """Return a whole message as one line of bounded length; the results of `quoted` and `plain` stay unchanged."""
     return plain(text, limit)
 
 
@@ -83,7 +83,7 @@ def _escaped(text: str) -> str:
 
 
 class _Repr(reprlib.Repr):
-    """Looks at no more of an object than is shown; a long integer, which Python does not write, is told by its size."""
+    """Reads no more of an object than is shown; a long integer, which Python does not print, is shown by its size."""
 
     def __init__(self, limit: int) -> None:
         super().__init__()

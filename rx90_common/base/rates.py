@@ -35,7 +35,7 @@ class Rates:
     Attributes:
         base_hz: velocity loop, current loop and plant tick, Hz (4 kHz in the CS7B).
         position_hz: position loop and set-points, Hz (1 kHz in the CS7B).
-        temperature_hz: how often temperatures of joints and windings are told, Hz.
+        temperature_hz: rate of the temperatures of joints and windings, Hz.
     """
 
     base_hz: int = 4000
@@ -80,7 +80,7 @@ class Rates:
         """Return the base ticks of a run of `duration` seconds.
 
         Raises:
-            ConfigError: if it is not finite, shorter than a tick, or beyond what a stamp holds.
+            ConfigError: if it is not finite, shorter than a tick, or beyond the range of stamps.
         """
         if not self.period <= duration <= _LAST:
             raise ConfigError(
@@ -93,7 +93,7 @@ class Rates:
         """Return the position tick of a start time in s.
 
         Raises:
-            ConfigError: if it is not finite, or beyond what a stamp holds.
+            ConfigError: if it is not finite, or beyond the range of stamps.
         """
         if not abs(start_time) <= _LAST:
             raise ConfigError(f"start time is {start_time} s; accepted: a finite number up to {_LAST:g} s")

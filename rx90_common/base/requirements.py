@@ -1,4 +1,4 @@
-"""The packages that this project stands on, and what to say where one is missing."""
+"""The packages that this project requires, and the message for a missing one."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ _APT_FOLDER = "/usr/lib/python3/dist-packages"
 
 
 def missing_module(error: ImportError) -> str | None:
-    """Return in one line which package is missing, or cannot be loaded, and what to install.
+    """Return a line with the package that is missing, or cannot be loaded, and the command that installs it.
 
-    None where the error is of no package that the project needs: then it is an error of the project's own.
+    None if the error concerns no required package: then it is an error of the project's own.
     """
     module = _outside(error)
     if module is None:

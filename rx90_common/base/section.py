@@ -1,4 +1,4 @@
-"""A mapping of a configuration file: every refusal names file, key, value and what is accepted."""
+"""A mapping of a configuration file: every refusal names file, key, value and the accepted values."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Section:
 
     Args:
         data: the mapping.
-        file: that it stands in.
+        file: that contains it.
         path: to the mapping.
-        faults: to which `attempt` adds refusals, in order to go on behind them; by default it raises them.
+        faults: collects the refusals of `attempt`, so that the checks continue; by default they are raised.
     """
 
     def __init__(
@@ -62,15 +62,15 @@ class Section:
         return f"{plain(self.file)}: {plain(self.path)}{'.' if self.path else ''}{plain(key)}"
 
     def refuse(self, key: str, value: object, accepted: str) -> None:
-        """Raise a ConfigError that names file, key, value and what is accepted."""
+        """Raise a ConfigError that names file, key, value and the accepted values."""
         raise ConfigError(f"{self.where(key)} is {quoted(value)}; accepted: {accepted}")
 
     def fault(self, key: str, text: str) -> None:
-        """Raise a ConfigError whose text goes on behind file and key."""
+        """Raise a ConfigError whose text continues after file and key."""
         raise ConfigError(f"{self.where(key)}{text}")
 
     def attempt(self, action: Callable[..., object], *values: Any) -> None:
-        """Call `action` with the values; what it refuses is kept where faults are gathered."""
+        """Call `action` with the values; collect its refusals if faults are collected."""
         try:
             action(*values)
         except ConfigError as error:
@@ -93,7 +93,7 @@ class Section:
         self._used.add(key)
 
     def get(self, key: str, accepted: str) -> Any:
-        """Return what stands under `key`, whatever it is; refuse a mapping without it."""
+        """Return the value of `key`, of any type; refuse a mapping without it."""
         self._used.add(key)
         if key not in self._data:
             raise ConfigError(f"{self.where(key)} is missing; accepted: {accepted}")

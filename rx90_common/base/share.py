@@ -49,11 +49,11 @@ def config_path(relative: str) -> Path:
 
 
 def resolve_config(name: str, folder: Path | None = None) -> Path:
-    """Resolve what a user typed: a path of their own, or the name of a shipped file under config/.
+    """Return the path for a user's entry: a path of their own, or the name of a shipped file under config/.
 
     Args:
-        name: what was typed.
-        folder: from which a relative path leads, the present one for None.
+        name: the entry.
+        folder: base of a relative path, the present one for None.
 
     Raises:
         ConfigError: if neither exists.

@@ -1,4 +1,4 @@
-"""The project's own source files, a hash of those that something is made of, and its versions."""
+"""The project's own source files, a hash of some of them, and its versions."""
 
 from __future__ import annotations
 

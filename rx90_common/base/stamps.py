@@ -1,7 +1,7 @@
 """Times of messages in nanoseconds: at the head of CDR bytes, and in message objects.
 
-A message with a header begins with four bytes of encapsulation, whose second tells the byte order, int32 seconds and
-uint32 nanoseconds.
+A message with a header begins with four bytes of encapsulation, the second of which is the byte order, int32 seconds
+and uint32 nanoseconds.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _LITTLE, _BIG = struct.Struct("<iI"), struct.Struct(">iI")
 
 
 def cdr_stamp(cdr: bytes) -> tuple[int, int]:
-    """Return seconds and nanoseconds at the head of a CDR message, at least HEAD bytes, as they stand there."""
+    """Return seconds and nanoseconds from the head of a CDR message, at least HEAD bytes, unchecked."""
     seconds, nanoseconds = (_LITTLE if cdr[1] & 1 else _BIG).unpack_from(cdr, ENCAPSULATION)
     return seconds, nanoseconds
 

@@ -1,6 +1,6 @@
 """The arm of a URDF as a chain of rigid bodies, the constants that compiled code and kinematics use.
 
-Pinocchio gives the same numbers to rounding, and other last bits in each of its builds.
+Pinocchio gives the same numbers to rounding, but the last bits differ between its builds.
 """
 
 from __future__ import annotations

@@ -5,12 +5,12 @@ A coupling is a matrix C, shape (n, n), of motor turns for joint turns without t
     motor velocity = gear * (C @ joint velocity),   joint torque = C^T @ (gear * motor torque).
 
 Each row of it is either that of a motor that turns with its own joint alone, or that of one that turns with several.
-Friction elements, and brakes, turn likewise: one for each joint, and behind them one for each motor that turns with
-several joints (section 4 of the paper); on a joint whose motor is one of those there is no brake.
+Friction elements, and brakes, turn likewise: one for each joint, followed by one for each motor that turns with
+several joints (section 4 of the paper); a joint with such a motor has no brake of its own.
 
-The wrist coupling of the RX family is q_m5 = n5 q5 and q_m6 = n6 (q5 + q6). Compiled code has it in a fixed order of
-operations of its own, where the gears are an array; for any other arm they are a record that holds the matrices, so
-that arms with as many joints and elements share what is compiled once.
+The wrist coupling of the RX family is q_m5 = n5 q5 and q_m6 = n6 (q5 + q6). Compiled code computes it in a fixed order
+of operations if the gears are given as an array; for any other arm they are a record with the matrices, so
+that arms with as many joints and elements share the compiled code.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ import numpy as np
 from numba.core import types
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.entries import MOST_JOINTS
+from rx90_common.base.entries import MAX_JOINTS
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import listed
 from rx90_common.kernels.compiled import by_type, inlined, kernel
 from rx90_common.kernels.lanes import Lanes, append, first, fma, lane, load, size, store
 
-MOST_ELEMENTS = 8
+MAX_ELEMENTS = 8
 """Friction elements that an arm may have: joints, and motors that turn with several of them."""
 
-_SINGULAR = 1e-9  # determinant below which motors do not tell the joints
+_SINGULAR = 1e-9  # determinant below which the motors do not determine the joints
 
 
 class ArmSize(NamedTuple):
@@ -62,15 +62,15 @@ class Coupling:
 
     Raises:
         ConfigError: for a matrix that is not square, or singular; for a motor that turns with one joint, but not its
-            own, or not as often; for more than MOST_ELEMENTS elements.
+            own, or not as often; for more than MAX_ELEMENTS elements.
     """
 
     turns: Array
 
     def __post_init__(self) -> None:
         turns = self.turns
-        if turns.ndim != 2 or turns.shape[0] != turns.shape[1] or not 1 <= len(turns) <= MOST_JOINTS:
-            raise ConfigError(f"coupling has shape {turns.shape}; accepted: square, of 1 to {MOST_JOINTS} rows")
+        if turns.ndim != 2 or turns.shape[0] != turns.shape[1] or not 1 <= len(turns) <= MAX_JOINTS:
+            raise ConfigError(f"coupling has shape {turns.shape}; accepted: square, of 1 to {MAX_JOINTS} rows")
         for i, row in enumerate(turns.tolist()):
             alone = sum(value != 0.0 for value in row) == 1
             if alone and row[i] != 1.0:
@@ -80,15 +80,15 @@ class Coupling:
                 )
         if not abs(np.linalg.det(turns)) > _SINGULAR:
             raise ConfigError(f"coupling is {turns.tolist()}; accepted: an invertible matrix")
-        if len(turns) + len(self.sums) > MOST_ELEMENTS:
+        if len(turns) + len(self.sums) > MAX_ELEMENTS:
             raise ConfigError(
                 f"coupling has {len(self.sums)} motors that turn with several of {len(turns)} joints; accepted: up to "
-                f"{MOST_ELEMENTS - len(turns)}, for {MOST_ELEMENTS} friction elements in all"
+                f"{MAX_ELEMENTS - len(turns)}, for {MAX_ELEMENTS} friction elements in all"
             )
 
     @classmethod
     def usual(cls, joints: int) -> Coupling:
-        """Return that of an arm whose files say nothing of it: the RX family's wrist for six joints, else none."""
+        """Return the coupling of an arm whose files have none: the RX family's wrist for six joints, else none."""
         turns = np.eye(joints)
         if joints == _RX_JOINTS:
             turns[5, 4] = 1.0
@@ -101,7 +101,7 @@ class Coupling:
 
     @cached_property
     def size(self) -> ArmSize:
-        """Return what compiled code is made for."""
+        """Return the properties that compiled code depends on."""
         joints = len(self.turns)
         wrist = joints == _RX_JOINTS and np.array_equal(self.turns, Coupling.usual(joints).turns)
         return ArmSize(joints, joints + len(self.sums), wrist)
@@ -125,7 +125,7 @@ class Coupling:
         return np.asarray(np.where(np.abs(inverse - whole) < 1e-12, whole, inverse))
 
     def of_elements(self, motors: Sequence[float], of_none: float) -> list[float]:
-        """Return for each friction element what belongs to the motor that turns with it, `of_none` where none does."""
+        """Return for each friction element the value of the motor that turns with it, `of_none` if there is none."""
         found = [of_none] * self.size.elements
         for element, value in zip(self.element_of_motor, motors, strict=True):
             found[element] = value
@@ -136,7 +136,7 @@ class Coupling:
         return [float(value) for value in np.abs(self.element_matrix) @ speeds]
 
     def coupled(self, motors: Array) -> Array:
-        """Return what motors have of their own, such as rotor inertias, between joints: C^T diag(motors) C, (n, n)."""
+        """Return properties of motors, such as rotor inertias, seen from the joints: C^T diag(motors) C, (n, n)."""
         return np.asarray(self.turns.T @ np.diag(motors) @ self.turns)
 
     def element_names(self, joint_names: Sequence[str]) -> tuple[str, ...]:
@@ -240,7 +240,7 @@ def ratios(gear: Any) -> Any:
 def to_motor(gear: Any, joint: Array, motor: Array) -> None:
     """Write motor positions (or velocities) for joint positions (or velocities), all shape (n,).
 
-    Here and below `gear` is what `gear_field` declares; outside of records an array, of the RX family's wrist.
+    Here and below `gear` is declared by `gear_field`; outside of records it is an array, for the RX family's wrist.
     """
     _to_motor(gear, joint, motor)
 
@@ -272,8 +272,8 @@ def _to_joint(gear: Any, motor: Any, joint: Any) -> Any:  # noqa: ARG001 - as ab
         joint[5] = motor[5] / gear[5] - joint[4]
 
     def of_matrices(gear: Any, motor: Array, joint: Array) -> None:
-        turned = load(motor, size(gear.ratio)) / load(gear.ratio, size(gear.ratio))
-        store(joint, times_lanes(gear.joint_columns, turned))
+        at_joints = load(motor, size(gear.ratio)) / load(gear.ratio, size(gear.ratio))
+        store(joint, times_lanes(gear.joint_columns, at_joints))
 
     return of_matrices if has_matrices(gear) else of_wrist
 
@@ -318,7 +318,7 @@ def _to_motor_torque(gear: Any, joint: Any, motor: Any) -> Any:  # noqa: ARG001 
 
 @by_type
 def add_drive_torques(gear: Any, drive: Any, torque: Any) -> Any:  # noqa: ARG001 - as above
-    """Add torques of the motors as seen through their gears, Nm, to those of the joints, both shape (n,)."""
+    """Add torques of the motors, converted by their gears, Nm, to those of the joints, both shape (n,)."""
 
     def of_wrist(gear: Array, drive: Array, torque: Array) -> None:  # noqa: ARG001 - as above
         for i in range(6):
@@ -333,7 +333,7 @@ def add_drive_torques(gear: Any, drive: Any, torque: Any) -> Any:  # noqa: ARG00
 
 @by_type
 def share_among_drives(gear: Any, torque: Any, drive: Any) -> Any:  # noqa: ARG001 - as above
-    """Write the torques of the motors, as seen through their gears, that make those of the joints, Nm, shape (n,)."""
+    """Write the motor torques, converted by their gears, that produce those of the joints, Nm, shape (n,)."""
 
     def of_wrist(gear: Array, torque: Array, drive: Array) -> None:  # noqa: ARG001 - as above
         for i in range(6):
@@ -377,7 +377,7 @@ def add_twist(gear: Any, joint: Any, twist: Any, share: Any, total: Any) -> Any:
 
 @by_type
 def turn_of_drive(gear: Any, joint: Any, drive: Any) -> Any:  # noqa: ARG001 - as above
-    """Return by how much a motor turns, as seen through its gear, for turns of the joints, shape (n,)."""
+    """Return the turn of a motor, divided by its gear ratio, for turns of the joints, shape (n,)."""
 
     def of_wrist(gear: Array, joint: Array, drive: int) -> float:  # noqa: ARG001 - as above
         turn: float = joint[drive] + joint[4] if drive == 5 else joint[drive]

@@ -1,6 +1,6 @@
 """The drives: gears with their coupling, motors, encoders, brakes, springs.
 
-Elasticity, cogging, windings and current sensors are blocks of their own; what a file leaves out of them is ideal.
+Elasticity, cogging, windings and current sensors are blocks of their own; parts missing in a file are ideal.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import counted
 from rx90_common.description.coupling import Coupling
 
-MOST_TERMS = 8
+MAX_TERMS = 8
 """Of the Fourier series."""
 
 _waves = ListOf(
@@ -61,8 +61,8 @@ class Cogging(Declared):
     def __post_init__(self) -> None:
         super().__post_init__()
         terms = len(self.harmonic)
-        if terms > MOST_TERMS:
-            raise ConfigError(f"cogging: harmonic has {counted(terms, 'number')}; accepted: up to {MOST_TERMS}")
+        if terms > MAX_TERMS:
+            raise ConfigError(f"cogging: harmonic has {counted(terms, 'number')}; accepted: up to {MAX_TERMS}")
         shape = terms, np.shape(self.amplitude)[-1]
         for name in ("amplitude", "phase"):
             value = getattr(self, name)
@@ -71,7 +71,7 @@ class Cogging(Declared):
 
     @classmethod
     def of_file(cls, content: Mapping[str, Any] | None, **fields: Any) -> Cogging:
-        """Return what a block of a drives file says; none for none."""
+        """Return the content of a block of a drives file; none for none."""
         phases = (
             {} if content is None else {"phase": ((0.0,) * len(content["amplitude"][0]),) * len(content["amplitude"])}
         )
@@ -135,7 +135,7 @@ def _endless() -> Array:
 class Windings(Declared):
     """A thermal node in each motor, heated by I^2 R; arrays have a value for each, temperatures in degrees Celsius.
 
-    A resistance of 0 stands for windings that stay as warm as they are. Between `derating` and `limit` the peak current
+    A resistance of 0 means windings at constant temperature. Between `derating` and `limit` the peak current
     falls linearly.
 
     Raises:
@@ -185,7 +185,7 @@ class Windings(Declared):
 
     @classmethod
     def of_file(cls, content: Mapping[str, Any] | None, **fields: Any) -> Windings:
-        """Return what a block of a drives file says; cold ones for none."""
+        """Return the content of a block of a drives file; cold windings for none."""
         return super().of_file(content and {"initial": content["ambient"], **content}, **fields)
 
 
@@ -193,9 +193,9 @@ MOTOR, LINK = "motor", "link"
 SIDES = (MOTOR, LINK)
 """Of the elasticity, on which the friction of the joints may act."""
 
-# rad: what a tooth and its gap take up of a wheel with 12 teeth. Gears of robots have an arc minute, 0.0003 rad, common
-# planetary ones half a degree; more than this is a slip of the unit.
-_MOST_PLAY = 0.5
+# rad: a tooth and its gap on a wheel with 12 teeth. Gears of robots have an arc minute, 0.0003 rad, common
+# planetary ones half a degree; a larger value is a wrong unit.
+_MAX_PLAY = 0.5
 
 
 _rigid_or_soft = _above_0(
@@ -203,7 +203,7 @@ _rigid_or_soft = _above_0(
     infinite=True,
 )  # fmt: skip
 _play = Numbers(
-    "Play: the way, at the joint, from one flank to the other.", "rad", count=PER_JOINT, low=0.0, high=_MOST_PLAY
+    "Play: the way, at the joint, from one flank to the other.", "rad", count=PER_JOINT, low=0.0, high=_MAX_PLAY
 )
 
 
@@ -265,10 +265,10 @@ _bandwidth = Number("Bandwidth of the drive's velocity observer.", "Hz", low=0.0
 class DriveParameters(Declared):
     """The drives of an arm with 1 to 7 joints, each with a motor; every array has a value for each, shape (n,).
 
-    A coupling says which joints each motor turns with; without one, of six joints, it is the RX family's wrist, whose
-    motor 6 drives joints 5 and 6 together, and in other arms each motor turns with its own joint. Brakes, springs and
-    end stops are those of the joints. What is left out of elasticity, cogging, winding and
-    current_sensor is ideal.
+    A coupling lists the joints that each motor turns with. Without one each motor turns with its own joint, except in
+    arms of six joints, which have the RX family's wrist: motor 6 drives joints 5 and 6 together. Brakes, springs and
+    end stops are those of the joints. Elasticity, cogging, winding and
+    current_sensor are ideal if they are left out.
     """
 
     name = "drives"

@@ -192,8 +192,8 @@ def pose_error(chain: RigidChain, q: Array, pose: Pose) -> Array:
 def solve_near(chain: RigidChain, pose: Pose, guess: Array) -> Array | None:
     """Return the joint angles (n,) of one pose near `guess` by damped Newton steps, or None.
 
-    The damping follows the error, so that the convergence is quadratic at the end, to rounding. Of the steps that lead
-    to the pose, an arm of more than six joints takes the shortest: none moves its elbow alone.
+    The damping decreases with the error, so that the convergence is quadratic at the end, to rounding. An arm of more
+    than six joints takes the shortest of the steps to the pose: none moves its elbow alone.
     """
     q = newton_steps(chain, pose, guess)
     return q if _size(pose_error(chain, q, pose)) < 10.0 * _NEWTON_RESIDUAL else None

@@ -87,8 +87,9 @@ class PathError(NamedTuple):
     """Deviation of points from a path, such as the straight line between two points.
 
     Attributes:
-        along: (n,) distance from the start, measured along the path, m; beyond 0 and its length past an end.
-        perpendicular: (n,) distance from the path, which goes on straight beyond its ends, m; this is the path error.
+        along: (n,) distance from the start, measured along the path, m; below 0 or above its length beyond an end.
+        perpendicular: (n,) distance from the path, extended by straight lines beyond its ends, m; this is the path
+            error.
     """
 
     along: Array
@@ -121,8 +122,8 @@ def nearest_corner(points: Array, corners: Array, near: Index | None = None) -> 
     Args:
         points: m.
         corners: m.
-        near: where to look for it, (n,): the next local minimum from there; None for everywhere. A path that crosses
-            itself has more than one.
+        near: where to start the search, (n,): the next local minimum from there; None for everywhere. A path that
+            crosses itself has more than one.
     """
     if near is None:
         from scipy.spatial import cKDTree  # here, because it takes its time to import
@@ -130,9 +131,9 @@ def nearest_corner(points: Array, corners: Array, near: Index | None = None) -> 
         return np.asarray(cKDTree(corners).query(points)[1])
     found, rows, around = np.array(near), np.arange(len(points)), np.array([0, -1, 1])
     while len(rows):
-        beside = np.clip(found[rows, None] + around, 0, len(corners) - 1)
-        off = np.sum((corners[beside] - points[rows, None]) ** 2, axis=2)
-        closest = beside[np.arange(len(rows)), np.argmin(off, axis=1)]
+        neighbours = np.clip(found[rows, None] + around, 0, len(corners) - 1)
+        off = np.sum((corners[neighbours] - points[rows, None]) ** 2, axis=2)
+        closest = neighbours[np.arange(len(rows)), np.argmin(off, axis=1)]
         moved = closest != found[rows]
         found[rows] = closest
         rows = rows[moved]
@@ -154,9 +155,9 @@ def polyline_error(points: Array, corners: Array, near: Index | None = None) -> 
         off = points - corners[line]
         at = np.sum(off * lines[line], axis=1) / ways[line]
         at = np.clip(at, np.where(line == 0, -np.inf, 0.0), np.where(line == last, np.inf, ways[line]))
-        away = length(off - (at / ways[line])[:, None] * lines[line])
-        closer = away < across
-        along[closer], across[closer] = (distance[line] + at)[closer], away[closer]
+        gap = length(off - (at / ways[line])[:, None] * lines[line])
+        closer = gap < across
+        along[closer], across[closer] = (distance[line] + at)[closer], gap[closer]
     return PathError(along, across)
 
 

@@ -1,4 +1,4 @@
-"""The torque that moving a rigid arm takes, by Pinocchio; the plant's compiled `mass_and_bias` is tested against it."""
+"""The torque for a motion of a rigid arm, by Pinocchio; the plant's compiled `mass_and_bias` is tested against it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rx90_common.base.arrays import Array
 def rigid_torque(
     model: Any, rotor: Array, spring: Array, position: Array, velocity: Array, acceleration: Array
 ) -> Array:
-    """Return M(q) a + h(q, v) along a motion: what the drives give at the joints where there is no friction.
+    """Return M(q) a + h(q, v) along a motion: the drives' torques at the joints in the absence of friction.
 
     Args:
         model: Pinocchio's model of n turning joints, from base to tip.

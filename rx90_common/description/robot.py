@@ -79,7 +79,7 @@ def load_tool(file: Path) -> Tool:
     """Read a tool file.
 
     Raises:
-        ConfigError: naming file, key, value and what is accepted.
+        ConfigError: naming file, key, value and the accepted values.
     """
     root = load_yaml(file)
     content = TOOL.read(root)
@@ -179,10 +179,10 @@ class RobotModel:
     placements: tuple[Placement, ...]
 
     def check_count(self, file: Path, name: str, values: Array) -> None:
-        """Check that a file with lists of one value for each joint has as many as the arm has joints.
+        """Check that the lists of a file with one value for each joint have as many values as the arm has joints.
 
         Raises:
-            ConfigError: naming file, list, its length and what is accepted.
+            ConfigError: naming file, list, its length and the accepted length.
         """
         joints = len(self.joint_names)
         if len(values) != joints:
@@ -193,8 +193,8 @@ class RobotModel:
 def load_robot(urdf: Path, tool: Path | None = None, held: Collection[str] = (), replaced: bool = False) -> RobotModel:
     """Read a URDF of a fixed-base serial arm with 1 to 7 revolute joints, and the tool it carries.
 
-    Without a tool the tool centre point is link `tool0`, or the last link where there is none. Joints that are `held`
-    are fixed, where the URDF has all joints at 0. Inertias that are to be `replaced` may be any.
+    Without a tool the tool centre point is link `tool0`, or the last link if there is none. `held` joints
+    are fixed, at the URDF's zero position. Inertias that are to be `replaced` may have any values.
 
     Raises:
         ConfigError: naming file, element, value and what is accepted.

@@ -1,4 +1,4 @@
-"""The files that describe a robot, those of a folder or those that a user names, and where their numbers come from."""
+"""The files that describe a robot, from a folder or named by a user, and the sources of their numbers."""
 
 from __future__ import annotations
 
@@ -94,14 +94,14 @@ class RobotFiles:
 
     @classmethod
     def of_options(cls, options: object) -> RobotFiles:
-        """Return the files that a command's options `robot` and those named as the keys of FILES say; see `named`."""
+        """Return the files given by a command's options, `robot` and the keys of FILES; see `named`."""
         return cls.named(getattr(options, "robot", None), **{key: getattr(options, key, None) for key in FILES})
 
     @classmethod
     def named(cls, robot: str | None = None, /, **names: str | None) -> RobotFiles:
-        """Return a robot's files, but for each that a user names the user's.
+        """Return a robot's files, replaced by those that a user names.
 
-        A folder without a URDF that lies in a robot folder is a variant: each file that it lacks is that robot's.
+        A folder without a URDF inside a robot folder is a variant: files that it lacks are that robot's.
 
         Args:
             robot: name of a shipped robot, or the path of a robot folder; None for the RX90B.
@@ -109,7 +109,7 @@ class RobotFiles:
                 also "none".
 
         Raises:
-            ConfigError: for a robot or a file that is not there.
+            ConfigError: for a robot or a file that does not exist.
         """
         folder = robot_folder(DEFAULT_ROBOT if robot is None else robot)
         above = folder.parent
@@ -125,7 +125,7 @@ class RobotFiles:
                 files[role] = resolve_config(given)
             else:
                 files[role] = None if role in _OPTIONAL and not own.is_file() else own
-        return cls(**files)  # type: ignore[arg-type]  # None only for what may be left out
+        return cls(**files)  # type: ignore[arg-type]  # None only for optional files
 
     def required(self, role: str) -> Path:
         """Return the path of a file that not every robot folder has.
@@ -139,7 +139,7 @@ class RobotFiles:
         return path
 
     def text(self, role: str) -> str:
-        """Return what names a file: its path below config/ where it is there, "none" for no tool."""
+        """Return the name of a file: its path below config/ if it is there, "none" for no tool."""
         path: Path | None = getattr(self, role)
         if path is None:
             return NO_TOOL
@@ -148,7 +148,7 @@ class RobotFiles:
 
 
 def provenance_of(files: RobotFiles) -> dict[str, list[str]]:
-    """Return for each file by its role what its blocks say, such as `motor assumed`; a URDF says it in comments.
+    """Return the provenance of each file's blocks, such as `motor assumed`, by role; a URDF has it in comments.
 
     Raises:
         ConfigError: if a file cannot be read.
@@ -160,6 +160,6 @@ def provenance_of(files: RobotFiles) -> dict[str, list[str]]:
             continue
         root = load_yaml(path)
         blocks = {name: root.section(name).provenance for name in root if root.holds_mapping(name)}
-        said = [f"{name} {provenance}" for name, provenance in blocks.items() if provenance]
-        found[role] = said or [root.provenance or "not said"]
+        texts = [f"{name} {provenance}" for name, provenance in blocks.items() if provenance]
+        found[role] = texts or [root.provenance or "not said"]
     return found

@@ -1,4 +1,4 @@
-"""Read a URDF and say in one line what is wrong with it, before any library sees it.
+"""Read a URDF and report errors in one line, before any library reads it.
 
 Only a fixed-base arm of 1 to 7 revolute joints in series passes; fixed side branches are allowed.
 """
@@ -14,7 +14,7 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from rx90_common.base.entries import MOST_JOINTS
+from rx90_common.base.entries import MAX_JOINTS
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 
@@ -70,11 +70,11 @@ class UrdfFile:
 
     Args:
         file: where it is.
-        held: joints that do not move, whatever the file says.
+        held: joints to be fixed.
         replaced: whether the inertias of the moving links are to be replaced, and are not checked.
 
     Attributes:
-        file: where it came from.
+        file: its path.
         root: the XML element `robot`.
         links: the elements of the links by name.
         limits: limits of the revolute joints by name, in chain order from the base.
@@ -98,7 +98,7 @@ class UrdfFile:
         self.limits = {name: self._limits(name, self._joints[name]) for name in self._chain()}
 
     def refuse(self, element: str, value: object, accepted: str) -> NoReturn:
-        """Raise a ConfigError that names file, element, value and what is accepted."""
+        """Raise a ConfigError that names file, element, value and the accepted values."""
         raise ConfigError(f"{self.file}: {element} is {quoted(value)}; accepted: {accepted}")
 
     def _parse(self) -> ET.Element:
@@ -204,7 +204,7 @@ class UrdfFile:
         for name, joint in self._joints.items():
             kind = joint.get("type")
             if kind not in {"revolute", "fixed"}:
-                self.refuse(f"joint '{name}' type", kind, f"revolute (1 to {MOST_JOINTS} of them in series) or fixed")
+                self.refuse(f"joint '{name}' type", kind, f"revolute (1 to {MAX_JOINTS} of them in series) or fixed")
             if joint.find("mimic") is not None:
                 self.refuse(f"joint '{name}'", "mimic", "joints that move by themselves")
             self._origin(joint, f"joint '{name}'")
@@ -241,8 +241,8 @@ class UrdfFile:
     def _chain(self) -> list[str]:
         """Return the revolute joints from base to tip; check that there are not too many, in series, with mass."""
         moving = [name for name, joint in self._joints.items() if joint.get("type") == "revolute"]
-        if not 1 <= len(moving) <= MOST_JOINTS:
-            self.refuse("the number of revolute joints", len(moving), f"1 to {MOST_JOINTS}, in series")
+        if not 1 <= len(moving) <= MAX_JOINTS:
+            self.refuse("the number of revolute joints", len(moving), f"1 to {MAX_JOINTS}, in series")
         paths = {
             name: [j for j in self._path(self._end(self._joints[name], "child"), self._parent_joint) if j in moving]
             for name in moving
@@ -260,7 +260,7 @@ class UrdfFile:
         for name in self.links:
             body = bodies.get(name)
             carried = [j for j in self._path(name, self._parent_joint) if j in chain][-1:]
-            if body is not None and carried:  # what stands still may have any inertia, and in many files has
+            if body is not None and carried:  # a fixed link may have any inertia, and in many files has
                 fault = None if self._replaced else inertia_fault(body.inertia)
                 if fault is not None:
                     text = " ".join(f"{key}={value:g}" for key, value in zip(_INERTIA_KEYS, body.inertia, strict=True))

@@ -1,6 +1,6 @@
 """The rigid arm in compiled code: base parameters, mass matrix and bias torques, inverse dynamics.
 
-It lies on the ground because plant, controller and perturbation method share it.
+It is in rx90_common because plant, controller and perturbation method share it.
 """
 
 from rx90_common.dynamics.base_parameters import manipulator_record

@@ -1,10 +1,10 @@
 """The rigid arm in compiled code: mass matrix and bias torques of a serial chain of revolute joints.
 
-All links are worked on at once, one lane each (rx90_common.kernels.lanes); only the product of the rotations runs
+All links are computed at once, one lane each (rx90_common.kernels.lanes); only the product of the rotations runs
 from link to link. Every quantity is expressed in the base frame about the base origin, where inertias and
 forces of several links simply add up: the composite-rigid-body algorithm (Featherstone 2008, table 6.2)
 becomes a sum over lanes. Mass distributions are first and second moments, integrals of r and r r^T, of the
-base parameters, which hold no mass; Pinocchio is the oracle in the tests. The inverse dynamics need no mass matrix.
+base parameters, which contain no mass; Pinocchio is the oracle in the tests. The inverse dynamics need no mass matrix.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def manipulator_dtype(joints: int) -> np.dtype[np.void]:
             ("first_origin", np.float64, 3),
             ("first_moment", np.float64, (2, joints)),  # x, y
             ("second_moment", np.float64, (4, joints)),  # xx, yy, xz, yz
-            ("base_acceleration", np.float64, 3),  # upwards: it stands for gravity
+            ("base_acceleration", np.float64, 3),  # upwards: represents gravity
             ("rotor", np.float64, (joints, joints)),
             ("spring_torque", np.float64, (joints,)),  # amplitude of the torque -k sin(q)
         ],
@@ -243,7 +243,7 @@ def _pose(arm: Any, body: Any, q: NDArray[np.float64]) -> _Pose:
 
 @inlined
 def _torques(arm: Any, pose: Any, field: tuple[Vector, Vector, Vector]) -> Lanes:
-    """Return what the joints give where the links' points have the accelerations of `field`, springs included, Nm."""
+    """Return the joint torques for accelerations `field` of the links' points, springs included, Nm."""
     acceleration = sum_before(arm.base_acceleration, product(field, pose.step))
     force = product(field, pose.moment)
     torque = add_cross(_torque(field, pose.spread), pose.moment, acceleration)

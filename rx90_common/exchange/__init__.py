@@ -1,1 +1,1 @@
-"""How nodes exchange ticks over DDS: raw CDR, the lock-step, pacing, and what entry points share."""
+"""The exchange of ticks between nodes over DDS: raw CDR, lock-step, pacing, and code shared by entry points."""

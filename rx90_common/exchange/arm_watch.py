@@ -1,4 +1,4 @@
-"""Watch a running arm by its public topics, without making it wait."""
+"""Observe a running arm by its public topics, without making it wait."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _TICKS = 1000  # of the position loop in a second
 
 
 class _Newest:
-    """A subscription that keeps the newest messages; others cost no processor time but the middleware's.
+    """A subscription that keeps the newest messages; dropped ones cost no processor time but the middleware's.
 
-    Best effort, unless `latched`: the publisher neither waits for it nor sends again what it has missed.
+    Best effort, unless `latched`: the publisher neither waits for it nor repeats messages that it has missed.
     """
 
     def __init__(self, node: Node, kind: Any, topic: str, depth: int = 1, *, latched: bool = False) -> None:
@@ -48,13 +48,13 @@ class _Newest:
         self.topic = str(self.subscription.topic_name)
 
     def take(self) -> list[Any]:
-        """Return the messages that came since the last call, as far as they were kept, the newest last."""
+        """Return the messages received since the last call, as far as they were kept, the newest last."""
         messages = (self.subscription.handle.take_message(self._kind, self._raw) for _ in range(self._depth))
         return [one[0] for one in takewhile(lambda one: one is not None, messages)]
 
 
 class JointSample(NamedTuple):
-    """A message of type JointState: simulated time in s, and arrays in the order of the names asked for."""
+    """A message of type JointState: simulated time in s, and arrays in the order of the requested names."""
 
     time: float
     position: Array
@@ -63,7 +63,7 @@ class JointSample(NamedTuple):
 
 
 class NodeStatus(NamedTuple):
-    """What a node says of itself once a second: 0 good, 1 warning, 2 error, 3 stale."""
+    """A node's diagnostics, once a second: 0 good, 1 warning, 2 error, 3 stale."""
 
     level: int
     message: str
@@ -92,20 +92,20 @@ class Trajectory(NamedTuple):
 
 
 class ArmWatch:
-    """The newest of what a simulation and a controller publish; whoever asks may miss some.
+    """The newest messages of a simulation and a controller; some may be missed.
 
     Args:
-        node: that listens.
+        node: the subscriber.
         controller: name of the controller node, relative or absolute; the arm is in its namespace.
         joints: names of the joints.
         elements: names of the friction elements.
 
     Attributes:
-        problem: why the newest message of the arm is not one of this robot; empty if it is.
+        problem: why the newest message of the arm does not belong to this robot; empty if it does.
         namespace: of the nodes, such as /cell; empty for none.
         robot: name of the simulation's robot; None until it is known.
-        trajectory: the one that was accepted last, as of the last call of `joints`; None if there is none.
-        diagnostics: what the nodes of this namespace say, by their names without it.
+        trajectory: the newest accepted one, as of the last call of `joints`; None if there is none.
+        diagnostics: of the nodes in this namespace, by their names without it.
 
     Raises:
         ConfigError: if that cannot be a node's name.
@@ -131,7 +131,7 @@ class ArmWatch:
         return _Newest(self._node, JointState, joints, _SAMPLES), _Newest(self._node, JointState, elements, _SAMPLES)
 
     def at_ticks(self, *, wanted: bool) -> None:
-        """Listen to the friction elements at every tick of the position loop, or no more; see `elements_at_ticks`."""
+        """Subscribe to the friction elements at every tick of the position loop, or end that: `elements_at_ticks`."""
         if wanted and self._ticks is None:
             self._ticks = _Newest(self._node, JointState, f"{self.namespace}/friction_states", _TICKS)
         elif not wanted and self._ticks is not None:
@@ -154,7 +154,7 @@ class ArmWatch:
         return int(self._joints.subscription.get_publisher_count())
 
     def joints(self) -> list[JointSample]:
-        """Return the samples of the joints that came since the last call, as far as they were kept."""
+        """Return the samples of the joints received since the last call, as far as they were kept."""
         samples = self._take(self._joints, self._codecs[0])
         for accepted in self._accepted.take():
             self.trajectory = _trajectory(accepted, self._codecs[0].names)

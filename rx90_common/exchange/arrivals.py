@@ -1,9 +1,9 @@
-"""What happens when a message arrives, on the middleware's own thread, without the interpreter.
+"""Callbacks for arriving messages, on the middleware's own thread, without the interpreter.
 
-rclpy has no function for rcl's callback for new messages. A channel counts with it: asking the middleware again and
-again whether there is a message takes, each time, the lock that its receiving thread needs to bring it. A recorder
-gathers with it: waking a receiving thread that sleeps costs the publisher more than the message itself, so that thread
-sleeps where nobody wakes it, and finds many messages at once.
+rclpy has no function for rcl's callback for new messages. A channel counts messages with it: polling the middleware
+would take, each time, the lock that its receiving thread needs to deliver a message. A recorder
+gathers messages with it: waking a sleeping receiving thread costs the publisher more than the message itself, so that
+thread sleeps for fixed pauses, and finds many messages at once.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from rx90_common.kernels.compiled import c_function, inlined
 _OK = 0
 _MICROSECONDS = 1_000_000
 
-# The numbers that `_receive_batch` works on: the pause in us, how often there was one, and a slot for each receiving
-# thread: its id, its voluntary context switches after its last pause, when it was here last in ns, and room for what
-# the system answers: a struct timespec or a struct rusage, here of 64-bit numbers.
+# The numbers that `_receive_batch` uses: the pause in us, the number of pauses, and a slot for each receiving
+# thread: its id, its voluntary context switches after its last pause, the time of its last call in ns, and room for
+# the system's answer: a struct timespec or a struct rusage, here of 64-bit numbers.
 _PAUSE: Final = 0
 _PAUSES: Final = 1
 _SLOTS: Final = 2
 _SLOT_LENGTH: Final = 21
-_MOST_THREADS: Final = 16  # further ones do not pause
-_BATCH_LENGTH: Final = _SLOTS + _SLOT_LENGTH * _MOST_THREADS
+_MAX_THREADS: Final = 16  # further ones do not pause
+_BATCH_LENGTH: Final = _SLOTS + _SLOT_LENGTH * _MAX_THREADS
 _SWITCHES, _LAST, _ANSWER = 1, 2, 3  # in a slot
 _USAGE_SWITCHES: Final = 16  # in struct rusage
 _CLOCK_MONOTONIC: Final = 1
@@ -41,7 +41,7 @@ _getrusage: Any = types.ExternalFunction("getrusage", types.int32(types.int32, t
 _pthread_self: Any = types.ExternalFunction("pthread_self", types.int64())
 _usleep: Any = types.ExternalFunction("usleep", types.int32(types.uint32))
 
-# Some bytes for each subscription, never freed: the middleware does not say when it has called for the last time.
+# Some bytes for each subscription, never freed: the middleware does not report its last call.
 _kept: list[object] = []
 
 
@@ -107,8 +107,8 @@ def count_arrivals(subscription: Subscription, counter: ctypes.c_int64) -> bool:
 class ReceiveBatching:
     """Lets receiving threads sleep, before a message that they had to wait for, while more messages arrive.
 
-    For subscriptions on which nobody waits: a thread sleeps with the locks of one of them. What arrives in a pause must
-    fit into the socket.
+    For subscriptions on which nobody waits: a thread sleeps with the locks of one of them. The messages arriving in a
+    pause must fit into the socket.
 
     Args:
         pause: s.

@@ -1,10 +1,10 @@
 """Messages as CDR bytes: written into frames laid out once, read field by field, JointState at 4 kHz in Python.
 
-A JointState codec knows the joint names of its topic. The bytes around the numbers are then constant, a frame, which
-compiled code reads and writes in one call. Messages of other publishers (another order of names, a frame_id, big
+A JointState codec is made for the joint names of its topic. The bytes around the numbers are then constant, a frame,
+which compiled code reads and writes in one call. Messages of other publishers (another order of names, a frame_id, big
 endian, uninitialised padding) are read field by field.
 
-Alignment padding is written as zeros, so that equal values give equal bytes. The serialiser of rclpy leaves whatever
+Alignment padding is written as zeros, so that equal values give equal bytes. The serialiser of rclpy leaves random
 was in memory there and up to 15 unused bytes at the end; apart from those, both write the same.
 """
 
@@ -123,9 +123,9 @@ class CdrReader:
     def count(self, what: str, least_bytes: int) -> int:
         """Return a length; refuse one that the rest of the message cannot hold before anything is built."""
         (count,) = struct.unpack(f"{self._order}I", self._take(4, 4, what))
-        left = len(self._body) - self._at
-        if count * least_bytes > left:
-            raise ExchangeError(f"message is cut off in {what}: {count} elements announced, {left} bytes left")
+        remaining = len(self._body) - self._at
+        if count * least_bytes > remaining:
+            raise ExchangeError(f"message is cut off in {what}: {count} elements announced, {remaining} bytes left")
         return int(count)
 
     def string(self, what: str) -> str:
@@ -148,9 +148,9 @@ class CdrReader:
 
     def finish(self) -> None:
         """Expect the end of the message."""
-        left = len(self._body) - self._at
-        if left > _MAX_SLACK:
-            raise ExchangeError(f"message has {left} bytes behind its end; it is no sensor_msgs/JointState")
+        remaining = len(self._body) - self._at
+        if remaining > _MAX_SLACK:
+            raise ExchangeError(f"message has {remaining} bytes behind its end; it is no sensor_msgs/JointState")
 
 
 class TransformCodec:
@@ -246,14 +246,14 @@ def _write_frame(stamp_ns, memory_at, first_at, second_at, third_at, shape_at): 
 
 
 class _Layout:
-    """The bytes of a JointState in which a given set of the three arrays is present, numbers left out.
+    """The bytes of a JointState with a given set of the three arrays, without the numbers.
 
     Attributes:
         size: bytes of the message.
         blocks: where the numbers of each array begin in the message; below 0 for an absent one.
         expected: its constant bytes, shape (size,).
-        views: the numbers of the message that was read last, None for an absent array.
-        reading: what `_read_frame` needs besides the message.
+        views: the numbers of the message read last, None for an absent array.
+        reading: the arguments of `_read_frame` besides the message.
         outgoing: memory of a message to write, its constant bytes filled in.
     """
 
@@ -333,7 +333,7 @@ class JointStateCodec:
     def encoder(
         self, position: Array | None = None, velocity: Array | None = None, effort: Array | None = None
     ) -> Callable[[int], bytes]:
-        """Return a function from header.stamp in ns to the message with what these arrays hold when it is called.
+        """Return a function from header.stamp in ns to the message with the contents of these arrays at the call.
 
         For arrays that stay where they are in memory and are sent again and again.
 
@@ -353,7 +353,8 @@ class JointStateCodec:
         message = layout.outgoing[_MARGIN:]
         outgoing_at, shape_at = layout.outgoing_at, layout.shape_at
 
-        # A default, so that what the addresses belong to lives as long as they are used, also without this codec.
+        # A default argument, so that the owners of the addresses live as long as these are used, also without this
+        # codec.
         def encode(stamp_ns: int, _kept: object = (arrays, layout)) -> bytes:
             if not 0 <= stamp_ns <= _MAX_STAMP_NS:
                 raise ExchangeError(f"stamp is {stamp_ns} ns; accepted: 0 to {_MAX_STAMP_NS}")
@@ -395,7 +396,7 @@ class JointStateCodec:
     def decode(self, raw: bytes) -> tuple[int, Array | None, Array | None, Array | None]:
         """Return stamp, ns, and the arrays of a message, shape (n,), None for an empty one.
 
-        The arrays are views of this codec's buffer, valid until its next `decode`: copy what is kept longer.
+        The arrays are views of this codec's buffer, valid until its next `decode`: copy values to keep.
         (Fresh arrays cost twice the time.)
 
         Raises:

@@ -1,12 +1,12 @@
-"""What nodes exchange their ticks through: raw DDS messages between processes, memory within one.
+"""Channels for the exchange of ticks: raw DDS messages between processes, memory within one.
 
 An rclpy executor rebuilds its wait set, makes tasks and deserialises for every message, which allows some
 1,400 exchanges a second. A channel does one system call to wait and one to send.
 
-Each tick topic has one publisher: a second simulation or controller is refused before it can mix in. The graph cannot
-say: a node that was killed stays in it until its lease expires, and its successor would have to wait for that. A name
-in the abstract socket namespace goes with the process that holds it, however it ends, and names that process. It
-reaches as far as loopback does; publishers elsewhere are recognised by what they send.
+Each tick topic has one publisher: a second simulation or controller is refused before it can interfere. The ROS graph
+cannot be used for that: a node that was killed stays in it until its lease expires, and its successor would have to
+wait. A name in the abstract socket namespace disappears with its process, however that ends, and identifies it. It
+reaches as far as loopback does; publishers elsewhere are recognised by their messages.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _BLOCKING_WAITS = 50  # after a busy wait in vain, before the next one
 _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _PROBE_TIMEOUT = 1.0  # s
 _LOOK = 1.0  # s between two looks at the graph
-_LOOKS = 8  # that others must be seen in a row: a process that was killed stays in the graph for 5 s
+_LOOKS = 8  # in which others must be seen in a row: a process that was killed stays in the graph for 5 s
 
 
 class Matches(NamedTuple):
@@ -63,9 +63,9 @@ class TickChannel:
         qos: of both.
 
     Attributes:
-        publisher: to look at what it is matched with and what has been acknowledged.
-        subscribe_topic: resolved name of the topic that is received.
-        answering: how many subscriptions of the published topic are the other end's, and not a listener's.
+        publisher: for the check of its matches and acknowledgements.
+        subscribe_topic: resolved name of the received topic.
+        answering: number of the published topic's subscriptions that belong to the other end, not to other subscribers.
 
     Raises:
         ExchangeError: if another process on this machine publishes `publish_topic` through a channel.
@@ -143,10 +143,10 @@ class Channel(TickChannel):
         return None if message is None else message[0]
 
     def _take_next(self) -> Any:
-        """Take a message and keep the count of those taken next to the count of arrivals."""
+        """Take a message and update the count of taken messages, to be compared with the count of arrivals."""
         arrived = self._counter.value
         message = self._take(JointState, True)
-        # With nothing left, as many as arrived have been taken, or were replaced by newer ones.
+        # If none remains, as many as arrived have been taken, or were replaced by newer ones.
         self._count = arrived if message is None else self._count + 1
         return message
 
@@ -174,15 +174,15 @@ class Channel(TickChannel):
         self._guard.trigger_guard_condition()
 
     def matches(self) -> Matches:
-        """Count what the middleware has connected now."""
+        """Count the present connections of the middleware."""
         return Matches(self.publisher.get_subscription_count(), self._subscription.get_publisher_count())
 
 
 class LocalChannel(TickChannel):
     """The exchange within one process: the same bytes as over DDS, handed over in memory; made by `LocalLink.end`.
 
-    What is sent is also published while somebody listens, so that recorders and plots see no difference. Nothing is
-    taken from DDS: who else publishes on these topics is not heard, and is announced. The other end does not subscribe.
+    Messages are also published while there are subscribers, so that recorders and plots see no difference. None is
+    taken from DDS: other publishers on these topics are ignored, and reported. The other end does not subscribe.
 
     Attributes:
         peer: the other end, once it is there.
@@ -203,7 +203,7 @@ class LocalChannel(TickChannel):
         self._timer = node.create_timer(_LOOK, self.look_for_others)
 
     def close(self) -> None:
-        """Part the ends, which forget what nobody will answer."""
+        """Separate the ends, which forget messages that will never be answered."""
         super().close()
         for end in self._link.ends:
             end._inbox.clear()
@@ -228,9 +228,9 @@ class LocalChannel(TickChannel):
             self._serve()
         if not inbox and timeout_s > 0.0:
             deadline = time.monotonic() + timeout_s
-            # In this order: what comes in between is found, or announced.
+            # In this order: a message that arrives in between is found, or announced.
             self._waiting = True
-            # The announcement of a message that was taken before may come now: it ends no wait.
+            # The announcement of a message that was taken before may arrive now: it ends no wait.
             while not inbox and not self._woken and self._arrived.wait(deadline - time.monotonic()):
                 self._arrived.clear()
             self._waiting = self._woken = False
@@ -242,12 +242,12 @@ class LocalChannel(TickChannel):
         self._arrived.set()
 
     def matches(self) -> Matches:
-        """Return one of each while the peer is there: nobody else is heard."""
+        """Return one of each while the peer is there: other nodes are ignored."""
         there = int(self.peer is not None)
         return Matches(there, there)
 
     def look_for_others(self) -> None:
-        """Warn, each time that they appear, of other publishers of the topic on which only the peer is heard."""
+        """Warn of other publishers of the topic, each time that they appear: only the peer's messages are received."""
         others = self._node.count_publishers(self.subscribe_topic) - 1
         self._others_seen = self._others_seen + 1 if others > 0 and self.peer is not None else 0
         if self._others_seen == _LOOKS and self.peer is not None:

@@ -1,6 +1,6 @@
-"""The node of a program that asks the running nodes for something: messages and answers come in while it waits.
+"""The node of a program with requests to the running nodes: messages and answers arrive while it waits.
 
-Services are also called without waiting: what becomes of a call is handed to its caller, at the latest after a timeout.
+Services are also called without waiting: the result of a call is given to its caller, at the latest after a timeout.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from rclpy.task import Future
 
 from rx90_common.base.errors import ConfigError, ExchangeError
 from rx90_common.exchange.ros_start import start_ros
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 
 POLL = 0.05
 """The longest time without a look for Ctrl-C, s."""
@@ -36,7 +36,7 @@ _EVENTS, _LINES = 10, 100  # messages kept
 
 @dataclass(frozen=True)
 class ClientNode:
-    """A node whose messages are taken by `spin`, on the caller's thread.
+    """A node whose messages are received by `spin`, on the caller's thread.
 
     Attributes:
         node: for publishers, subscriptions and service clients.
@@ -58,23 +58,23 @@ class ClientNode:
         self.check_interrupt()
 
     def wait(self, ready: Callable[[], bool], what: str, more: Callable[[], float] = float) -> None:
-        """Spin until `ready`; say once that `what` is waited for.
+        """Spin until `ready`; print once that the program waits for `what`.
 
         Args:
-            ready: whether it is there.
+            ready: returns whether it is there.
             what: in words.
-            more: asked once, after the timeout: returns how long to go on, s.
+            more: called once, after the timeout: returns the additional time to wait, s.
 
         Raises:
             ExchangeError: after the timeout.
         """
-        allowed, asked = self.timeout, False
+        allowed, request = self.timeout, False
         begin = time.monotonic()
         if not ready():
             self.say(f"waiting for {what}")
         while not ready():
-            if not asked and time.monotonic() >= begin + allowed:
-                allowed, asked = allowed + more(), True
+            if not request and time.monotonic() >= begin + allowed:
+                allowed, request = allowed + more(), True
             if time.monotonic() >= begin + allowed:
                 raise ExchangeError(f"found no {what.removeprefix('a ')} within {allowed:g} s")
             self.spin()
@@ -104,7 +104,7 @@ def client_node(
     if not (math.isfinite(timeout) and timeout > 0.0):
         raise ConfigError(f"the timeout is {timeout:g} s; accepted: a number > 0")
     context = Context()
-    with interrupts_later() as check_interrupt:
+    with deferred_interrupts() as check_interrupt:
         start_ros(ros_args, context)
         try:
             node = rclpy.create_node(name, context=context)
@@ -120,13 +120,13 @@ def client_node(
 
 
 class ServiceRequest(NamedTuple):
-    """What is asked of a service.
+    """A request to a service.
 
     Attributes:
         kind: type of the service.
         service: its name.
         request: of that type.
-        read: returns what an answer says; raises ExchangeError for one that is a refusal.
+        read: returns the result in an answer; raises ExchangeError for a refusal.
     """
 
     kind: Any
@@ -136,7 +136,7 @@ class ServiceRequest(NamedTuple):
 
 
 Outcome = Callable[["str | ExchangeError"], None]
-"""Takes what an answer says, or why there is none, or none that is a yes."""
+"""Called with the result of a call, or with the reason why there is none, or a refusal."""
 
 
 class ServiceCalls:
@@ -151,34 +151,34 @@ class ServiceCalls:
         self._callers: dict[str, Client] = {}
         self._open: list[tuple[ServiceRequest, Future, float, Outcome]] = []  # with the latest time of the answer
 
-    def there(self, asked: ServiceRequest) -> bool:
-        """Return whether somebody serves what is asked."""
-        if asked.service not in self._callers:
-            self._callers[asked.service] = self._client.node.create_client(asked.kind, asked.service)
-        return bool(self._callers[asked.service].service_is_ready())
+    def there(self, request: ServiceRequest) -> bool:
+        """Return whether the service exists."""
+        if request.service not in self._callers:
+            self._callers[request.service] = self._client.node.create_client(request.kind, request.service)
+        return bool(self._callers[request.service].service_is_ready())
 
-    def ask(self, asked: ServiceRequest, then: Outcome) -> None:
-        """Call a service; `then` gets what it says."""
-        there, caller = self.there(asked), self._callers[asked.service]
+    def ask(self, request: ServiceRequest, then: Outcome) -> None:
+        """Call a service; `then` is called with the result."""
+        there, caller = self.there(request), self._callers[request.service]
         if there:
             deadline = time.monotonic() + self._client.timeout
-            self._open.append((asked, caller.call_async(asked.request), deadline, then))
+            self._open.append((request, caller.call_async(request.request), deadline, then))
         else:
             then(ExchangeError(f"there is no service {caller.srv_name}; accepted: while its node runs"))
 
     def look(self) -> None:
-        """Hand over the answers that have come, and say of the calls that are too old that none has."""
+        """Deliver the answers that have arrived, and report calls that have timed out."""
         now, calls, self._open = time.monotonic(), self._open, []
         for call in calls:
-            asked, answer, deadline, then = call
+            request, answer, deadline, then = call
             outcome: str | ExchangeError
             if answer.done():
                 try:
-                    outcome = asked.read(answer.result())
+                    outcome = request.read(answer.result())
                 except ExchangeError as error:
                     outcome = error
             elif now >= deadline:
-                caller = self._callers[asked.service]
+                caller = self._callers[request.service]
                 caller.remove_pending_request(answer)
                 outcome = ExchangeError(f"no answer of {caller.srv_name} within {self._client.timeout:g} s")
             else:
@@ -188,7 +188,7 @@ class ServiceCalls:
 
 
 def spoken(service: str) -> Callable[[Any], str]:
-    """Return what reads an answer with `success` and `message`."""
+    """Return the reader of an answer with `success` and `message`."""
 
     def read(answer: Any) -> str:
         if not answer.success:
@@ -262,7 +262,7 @@ class NodeWatch:
         client.node.create_subscription(TransitionEvent, f"{node}/transition_event", self._take, _EVENTS)
 
     def look(self) -> None:
-        """Ask a node that has come for its state, and see whether it has gone; to be called now and then."""
+        """Ask a new node for its state, and check whether a known one has ended; to be called now and then."""
         if not self._calls.there(self._asked):
             self.state = ""
         elif not self.state and not self._asking:
@@ -278,13 +278,13 @@ class NodeWatch:
         self.state = str(event.goal_state.label)
 
 
-def hear_log(client: ClientNode, nodes: Sequence[str], heard: Callable[[str, str, bool], None]) -> None:
+def subscribe_log(client: ClientNode, nodes: Sequence[str], heard: Callable[[str, str, bool], None]) -> None:
     """Call `heard` with each line that one of some nodes logs from now on.
 
     Args:
-        client: the node to hear with.
+        client: the node that subscribes.
         nodes: their names, relative to its namespace or absolute.
-        heard: takes the name as it is in `nodes`, the line, and whether that is a warning or an error; within
+        heard: called with the name as in `nodes`, the line, and whether that is a warning or an error, within
             `ClientNode.spin`.
     """
     # A log bears the absolute name without the first slash, and with dots for the others.

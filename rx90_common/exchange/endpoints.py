@@ -1,8 +1,8 @@
-"""Publishers and subscriptions of nodes: quality of service, bytes that cannot be read, waits for who listens.
+"""Publishers and subscriptions of nodes: quality of service, unreadable messages, waits for subscribers.
 
 Depth, reliability and durability can be chosen by parameters `qos_overrides./joint_states.publisher.depth` and so on,
-as rclcpp has them. History cannot: a publisher that keeps all stops the tick, for as long as the lease of a reader that
-was killed.
+as in rclcpp. History cannot be chosen: a publisher that keeps all stops the tick, for as long as the lease of a reader
+that was killed.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _ACCEPTED = {
 _LOOK = 0.05  # s between two looks at the graph
 _SETTLED_LOOKS = 10
 _SLICE = Duration(nanoseconds=50_000_000)
-_RECEIVED_WITHIN = 4.0  # s; shorter than the wait for the end of a ticking thread
+_DELIVERY_TIMEOUT = 4.0  # s; shorter than the wait for the end of a ticking thread
 _SHARE = 0.75  # of the publishers' history that is sent before the next wait
 _PATIENCE = 6.0  # s; the lease of a process that was killed, in config/dds, is 5 s
 
@@ -78,14 +78,14 @@ def _overridable(node: Node, topic: str, entity: str) -> QoSOverridingOptions:
     """Return the options with which rclpy declares and applies the parameters of a topic's "publisher" or such."""
     for policy, (values, accepted) in _ACCEPTED.items():
         name = f"{PREFIX}{node.resolve_topic_name(topic)}.{entity}.{policy.name.lower()}"
-        given = node._parameter_overrides.get(name)  # rclpy's own errors name no parameter
-        if given is not None and (isinstance(given.value, bool) or given.value not in values):
-            raise ConfigError(f"parameter {plain(name)} is {quoted(given.value)}; accepted: {accepted}")
+        override = node._parameter_overrides.get(name)  # rclpy's own errors name no parameter
+        if override is not None and (isinstance(override.value, bool) or override.value not in values):
+            raise ConfigError(f"parameter {plain(name)} is {quoted(override.value)}; accepted: {accepted}")
     return QoSOverridingOptions(list(_ACCEPTED))
 
 
 def overridable_topics(node: Node) -> str:
-    """Return, for a message, what can be chosen, once the node has all its topics; of the others it is fixed."""
+    """Return, for a message, the parameters that can be chosen, once the node has all its topics."""
     known = {known.removeprefix(PREFIX).rpartition(".")[0] for known in node._parameters if known.startswith(PREFIX)}
     return f"{', '.join(policy.name.lower() for policy in _ACCEPTED)} of {', '.join(sorted(known))}"
 
@@ -107,18 +107,18 @@ def subscribe(
     qos: QoSProfile,
     check: Callable[[bytes], None] | None = None,
 ) -> None:
-    """Call `callback` with each message of type `kind`, on the executor's thread; what cannot be read is one line.
+    """Call `callback` with each message of type `kind`, on the executor's thread; report an unreadable one in a line.
 
-    The bytes are taken as they are, because the middleware's own complaints name no topic and run over several lines.
+    The serialised bytes are received, because the middleware's own messages name no topic and run over several lines.
 
     Args:
         node: the subscriber.
         kind: class of the messages.
         topic: relative or absolute name.
-        callback: takes a message.
+        callback: called with a message.
         qos: of the subscription, which the node's parameters may change.
-        check: reads the bytes before the middleware does and raises ExchangeError for what is wrong with them. For
-            types with sequences, whose lengths the middleware complains of on standard error by itself.
+        check: reads the bytes before the middleware does and raises ExchangeError if they are invalid. For
+            types with sequences, about whose lengths the middleware itself prints to standard error.
 
     Raises:
         ConfigError: as `publish`.
@@ -164,11 +164,11 @@ def fitting_subscriptions(node: Node, publisher: Publisher) -> int:
     """Return how many subscriptions the graph knows of that a publisher's quality of service suits."""
     offered, fitting = publisher.qos_profile, 0
     for info in node.get_subscriptions_info_by_topic(publisher.topic_name):
-        asked = info.qos_profile
-        # Where no times are asked for, the graph reports infinite ones, which the check would compare.
-        times = {name: getattr(asked, name) for name in ("deadline", "liveliness_lease_duration")}
+        requested = info.qos_profile
+        # If no times are required, the graph reports infinite ones, which the check would compare.
+        times = {name: getattr(requested, name) for name in ("deadline", "liveliness_lease_duration")}
         times = {name: time for name, time in times.items() if time < Infinite}
-        profile = QoSProfile(depth=1, reliability=asked.reliability, durability=asked.durability, **times)
+        profile = QoSProfile(depth=1, reliability=requested.reliability, durability=requested.durability, **times)
         fitting += qos_check_compatible(offered, profile)[0] != QoSCompatibility.ERROR
     return fitting
 
@@ -176,17 +176,17 @@ def fitting_subscriptions(node: Node, publisher: Publisher) -> int:
 def wait_until_matched(
     node: Node, publishers: Sequence[Publisher], attempts: int, stop: Callable[[], bool] = lambda: False
 ) -> bool:
-    """Wait until every subscription that the graph knows of is matched with our publishers; return whether it is.
+    """Wait until every subscription in the graph is matched with our publishers; return whether it is.
 
-    A recorder that was started before then gets the first message too. The graph learns of its members one by one, so
-    it must also have stayed as it is for half a second. Who asks for another quality of service than is offered is
+    A recorder that was started before then gets the first message too. The graph discovers its members one by one, so
+    it must also have been constant for half a second. A subscription with an incompatible quality of service is
     never matched, and not waited for.
 
     Args:
         node: the publishers' node.
         publishers: of all topics.
-        attempts: how often to look, 50 ms apart.
-        stop: returns whether there is something else to do.
+        attempts: number of checks, 50 ms apart.
+        stop: returns whether to stop waiting.
     """
     pause, before, quiet = threading.Event(), list[int](), 0
     for _ in range(attempts):
@@ -205,27 +205,27 @@ def wait_until_matched(
 
 def wait_until_received(publishers: Sequence[Publisher]) -> None:
     """Let the last messages reach their subscribers, a recorder for example; at most 4 s for all topics together."""
-    deadline = time.monotonic() + _RECEIVED_WITHIN
+    deadline = time.monotonic() + _DELIVERY_TIMEOUT
     for publisher in publishers:
         while not publisher.wait_for_all_acked(_SLICE) and time.monotonic() < deadline:
             pass
 
 
 class Listeners:
-    """Keeps a run that is as fast as it goes from outrunning its subscribers; owned by the thread that ticks.
+    """Keeps an unpaced run from outrunning its subscribers; owned by the ticking thread.
 
-    Publishers keep two seconds of simulated time. A run that is not paced spends them in a fraction of that, and a
-    recorder that the machine keeps waiting for so long would lose messages. So every some thousand ticks it waits until
-    what was sent has arrived.
+    Publishers keep two seconds of simulated time. An unpaced run computes them in a fraction of that time, and a
+    recorder that the machine delays for so long would lose messages. So every few thousand ticks the run waits until
+    its messages have arrived.
 
     Args:
-        publishers: whose messages are to arrive.
-        state_ticks: ticks from one message to the next of those that do not come in each.
-        interrupted: asked 20 times a second during a wait, which it ends.
+        publishers: of the messages that must arrive.
+        state_ticks: ticks from one message to the next, for topics that are not published in each.
+        interrupted: called 20 times a second during a wait; ends it if it returns True.
         clock: the steady clock, s.
 
     Attributes:
-        others: returns publishers of which another thread may destroy some, whose messages are waited for, too.
+        others: returns publishers that another thread may destroy, whose messages are waited for, too.
     """
 
     def __init__(

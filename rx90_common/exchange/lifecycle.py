@@ -1,7 +1,7 @@
-"""What nodes run in: threads for the ticks, an executor for everything slow, diagnostics, and the lifecycle.
+"""The processes of nodes: threads for the ticks, an executor for slow work, diagnostics, and the lifecycle.
 
-Managed nodes are those of design.ros2.org/articles/node_lifecycle.html: here are their states and transitions, and who
-ticks when.
+Managed nodes follow design.ros2.org/articles/node_lifecycle.html: this module has their states and transitions, and
+starts and stops their ticks.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _SPIN_SLICE = 0.2  # s
 _SWITCH_INTERVAL = 5e-4  # s
 _LAST_TICK_S = 5.0  # the longest wait for the end of a ticking thread
 _SHUTDOWN_S = 25.0  # after which a node that does not end is cut off: the middleware may wait for ever
-_ENTITIES = {  # what a configured node may have made, and what destroys it
+_ENTITIES = {  # what a configured node may have made, and the function that destroys it
     "publishers": "destroy_publisher",
     "subscriptions": "destroy_subscription",
     "clients": "destroy_client",
@@ -103,11 +103,11 @@ class TickingNode(Protocol):
 def spin(make: Callable[[], Sequence[TickingNode]], args: Sequence[str], services: int = 1) -> None:
     """Run ticking nodes: ticks on threads of their own, everything slow on an executor in this one.
 
-    The first node that ends, ends all. An executor of several nodes has a thread for each, and more where a node has
-    `services` that wait for something, so that one does not keep the others waiting.
+    All nodes end with the first one. An executor of several nodes has a thread for each, and more if a node has
+    `services` that wait, so that one does not keep the others waiting.
 
     Raises:
-        Rx90Error: what the nodes' constructors or their ticks raise.
+        Rx90Error: from the nodes' constructors or their ticks.
     """
     cut_off = threading.Timer(_SHUTDOWN_S, _cut_off)
     cut_off.daemon = True
@@ -155,7 +155,7 @@ def _spin(members: Sequence[TickingNode], services: int, cut_off: threading.Time
             _spin_once(executor, log)
     finally:
         cut_off.start()
-        # The simulation comes first: what its last tick has brought about is sent before the controller ends.
+        # The simulation comes first: the results of its last tick are sent before the controller ends.
         for member, thread in zip(members, threads, strict=True):
             member.stop()
             thread.join(_LAST_TICK_S)
@@ -169,7 +169,7 @@ def _spin(members: Sequence[TickingNode], services: int, cut_off: threading.Time
 
 
 def _spin_once(executor: Executor, log: ThrottledLog) -> None:
-    """Serve what has come, or wait a moment; a request or a message that cannot be served is a line, not the end."""
+    """Handle what has arrived, or wait a moment; a failing request or message is logged and does not end the node."""
     try:
         executor.spin_once(timeout_sec=_SPIN_SLICE)
     except ExternalShutdownException:
@@ -194,7 +194,7 @@ class Managed(TickingNode, Protocol):
         """The node, with the services."""
 
     def configure(self) -> None:
-        """Load what the parameters say; raises Rx90Error. What it makes of the node is destroyed at the cleanup."""
+        """Load the node's parts by its parameters; raises Rx90Error. Their entities are destroyed at the cleanup."""
 
     def activate(self) -> None:
         """Begin to work."""
@@ -210,17 +210,17 @@ _Member = TypeVar("_Member", bound=Managed)
 
 
 class ManagedNode(LifecycleNode):
-    """The services of a managed node, and what its states mean for its parameters and for what it is made of.
+    """The services of a managed node, and the effects of its states on its parameters and parts.
 
     Args:
         name: of the node.
         own_args: arguments for ROS that concern this node of its process alone.
-        managed: what the transitions are handed to.
+        managed: carries out the transitions.
         make_channel: makes the node's end of the exchange.
 
     Attributes:
         changes: answers requests to set parameters.
-        ticking: the thread that ticks, from a `configure` to the cleanup.
+        ticking: the ticking thread, from a `configure` to the cleanup.
         autostart: whether it is configured and activated at the start, by `started`.
         starting: whether that is going on.
         error: why the last transition was refused, if it was.
@@ -254,10 +254,10 @@ class ManagedNode(LifecycleNode):
         return channel
 
     def declare_robot_files(self, *names: str) -> RobotFiles:
-        """Declare what `parameters.declare_robot_files` does; with another robot come its files, but for named ones.
+        """Declare the parameters of `declare_robot_files`; another robot brings its files, except for named ones.
 
         Raises:
-            ConfigError: for a robot or a file that is not there.
+            ConfigError: for a robot or a file that does not exist.
         """
         chosen = declare_robot_files(self, *names)
         self.changes.follow_robot(*names)
@@ -327,11 +327,11 @@ class ManagedNode(LifecycleNode):
 
     def _change_state(self, change: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
         known = {each[0]: each[1] for each in self._state_machine.available_transitions}
-        asked = request.transition
+        requested = request.transition
         # rclpy raises for one that is not possible now, and nobody would be answered.
-        if asked.label in known.values() or (not asked.label and asked.id in known):
+        if requested.label in known.values() or (not requested.label and requested.id in known):
             return change(request, response)
-        name = plain(asked.label) if asked.label else f"transition {asked.id}"
+        name = plain(requested.label) if requested.label else f"transition {requested.id}"
         state, accepted = self._state_machine.current_state[1], ", ".join(known.values())
         self.get_logger().error(f"{name} is not possible in state {state}; accepted: {accepted}")
         response.success = False
@@ -339,10 +339,10 @@ class ManagedNode(LifecycleNode):
 
 
 def started(members: Iterable[_Member]) -> list[_Member]:
-    """Configure all nodes that start themselves, in this order, then activate them; return all.
+    """Configure all nodes that start by themselves, in this order, then activate them; return all.
 
     Raises:
-        Rx90Error: what `configure` raises.
+        Rx90Error: from `configure`.
     """
     members = list(members)
     own = [member.node for member in members if member.node.autostart]
@@ -362,7 +362,7 @@ def _insist(node: ManagedNode, done: TransitionCallbackReturn) -> None:
 
 
 class TickThread:
-    """The ticking thread of a managed node: it runs what was configured, until the cleanup."""
+    """The ticking thread of a managed node: it runs the configured node, until the cleanup."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -371,7 +371,7 @@ class TickThread:
         self._busy = self._stopped = False
 
     def loop(self) -> None:
-        """Run what there is to run, again and again; return after `stop`, or when a run has ended by itself."""
+        """Run the configured nodes, one after another; return after `stop`, or when a run has ended by itself."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._stopped or self._run is not None)
@@ -396,7 +396,7 @@ class TickThread:
             self._changed.notify_all()
 
     def finish(self) -> None:
-        """End what runs, and wait until it has ended."""
+        """End the run, and wait until it has ended."""
         with self._changed:
             end, self._run, self._end = self._end, None, lambda: None
         end()

@@ -1,12 +1,12 @@
-"""Lock-step: one state out, one command back, tick by tick; nothing missed, nothing reordered.
+"""Lock-step: one state out, one command back, tick by tick; none missed, none reordered.
 
-The simulation publishes the states of tick k and waits for the command with the same stamp. Nothing else is ever
-outstanding, so whoever was away can be brought back by sending that one message again: the simulation does so when the
-set of matched endpoints changes, and once a second as long as somebody is there. A controller that sees the same states
-again sends the same bytes again. Both are idempotent.
+The simulation publishes the states of tick k and waits for the command with the same stamp. No other message is ever
+outstanding, so after an interruption of either side it is enough to repeat that one message: the simulation does so
+when the set of matched endpoints changes, and once a second while there is a subscriber. A controller that receives the
+same states again sends the same bytes again. Both are idempotent.
 
 Of two simulations or two controllers on the same topics the second is refused when it starts (`lock_publisher`).
-Where that does not reach, they are recognised by what they send, and time stands still until one of them is left.
+Beyond the reach of that lock they are recognised by their messages, and time stands still until one remains.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from rx90_common.exchange.channel import TickChannel
 
 _SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at
 _PATIENCE = 1.0  # s of silence before it is announced and, with a peer there, the message is sent again
-_CLOCKS_APART = 3600 * NANOSECONDS
-_OTHERS = 3  # commands with other stamps in one wait that are no repetitions, nor from before a reset
+_OTHER_CLOCK_NS = 3600 * NANOSECONDS
+_MAX_FOREIGN = 3  # commands with other stamps in one wait that are no repetitions, nor from before a reset
 _CONFLICTS = 3  # different commands for a stamp that make two controllers; a restart in mid-tick makes one at most
 
 
 def stamped(stamp_ns: int, now_ns: int) -> str:
-    """Return what is to say of a stamp that is not the simulation's."""
+    """Return the message about a stamp that is not the simulation's."""
     if stamp_ns == 0:
         return f"header.stamp is 0, not set, at {now_ns / NANOSECONDS:.6g} s"
-    of = ", of another clock," if abs(stamp_ns - now_ns) > _CLOCKS_APART else ""
+    of = ", of another clock," if abs(stamp_ns - now_ns) > _OTHER_CLOCK_NS else ""
     return f"the stamp is {stamp_ns / NANOSECONDS:.10g} s{of} at {now_ns / NANOSECONDS:.6g} s"
 
 
@@ -41,13 +41,13 @@ class Wait:
         self._announced = False
 
     def begin(self, text: str) -> None:
-        """Announce what is waited for."""
+        """Announce the wait."""
         if not self._announced:
             self._announced = True
             self._announce(text)
 
     def explained(self) -> None:
-        """Announce no more what is waited for: another line says it."""
+        """Suppress the announcement of the wait: another line reports it."""
         self._announced = True
 
     def end(self, stamp_ns: int) -> None:
@@ -58,13 +58,13 @@ class Wait:
 
 
 class LockstepSimulation:
-    """The simulation's side; owned by the thread that ticks.
+    """The simulation's side; owned by the ticking thread.
 
     Args:
         channel: publishes states, receives commands.
         announce: prints a line.
         complain: prints a line about a controller whose stamps are wrong; called once for each wait; else `announce`.
-        usable: returns whether a command with the pending stamp is one; where not, it has said why.
+        usable: returns whether a command with the pending stamp is valid; if not, it has reported the reason.
 
     Attributes:
         ignored: commands whose stamp was not the pending one.
@@ -82,7 +82,7 @@ class LockstepSimulation:
         self._accepted = b""
         self._conflicts = 0
         self._two_controllers = False
-        self._others = 0  # commands with other stamps since one came at once, but repetitions
+        self._foreign = 0  # commands with other stamps since one came at once, but repetitions
         self.ignored = 0
 
     def exchange(
@@ -94,14 +94,14 @@ class LockstepSimulation:
     ) -> bytes | None:
         """Publish the states stamped `stamp_ns` and return a usable command with that stamp, None if interrupted.
 
-        `meanwhile` is called once the states are on their way: what it does costs no time while the controller works.
-        `interrupted` is asked 20 times a second and after each `Channel.wake`, and only while there is no command.
+        `meanwhile` is called after the states are sent: it costs no time while the controller computes.
+        `interrupted` is called 20 times a second and after each `Channel.wake`, and only while there is no command.
         """
         self._channel.publish(state)
         meanwhile()
         raw = self._channel.receive(_SLICE)
         if raw is not None and self._answers(raw, stamp_ns):
-            self._others = 0
+            self._foreign = 0
             return raw
         return self._wait_for(stamp_ns, state, interrupted, raw)
 
@@ -123,10 +123,10 @@ class LockstepSimulation:
         channel = self._channel
         matches = channel.matches()
         began = sent = looked = time.monotonic()
-        others, wrong_ns, complained = 0, 0, False  # commands with other stamps; whether that was said
+        foreign, wrong_ns, complained = 0, 0, False  # commands with other stamps; whether that was reported
         while True:
             if raw is not None and cdr_stamp_ns(raw) != stamp_ns and not self._two_controllers:
-                others, wrong_ns = others + 1, cdr_stamp_ns(raw)
+                foreign, wrong_ns = foreign + 1, cdr_stamp_ns(raw)
             now = time.monotonic()
             # Looked at by the clock: a stream of foreign commands must not keep it from being looked at.
             if raw is None or now - looked >= _SLICE:
@@ -136,16 +136,16 @@ class LockstepSimulation:
                 current = channel.matches()
                 there = current.publishers > 0 and current.subscriptions > 0
                 # Who always answers with the stamp before is right when the states come again, once a second.
-                if others and max(others, self._others) >= _OTHERS and now - began > _PATIENCE:
+                if foreign and max(foreign, self._foreign) >= _MAX_FOREIGN and now - began > _PATIENCE:
                     if not complained:
                         complained = True
-                        if others >= _OTHERS:
+                        if foreign >= _MAX_FOREIGN:
                             self._wait.explained()
                         self._complain(
                             f"{channel.subscribe_topic}: {stamped(wrong_ns, stamp_ns)}; accepted in lock_step: that of "
                             "the states that a command answers; time stands still"
                         )
-                elif now - began > (_PATIENCE if others == 0 else _OTHERS * _PATIENCE) or current.publishers == 0:
+                elif now - began > (_PATIENCE if foreign == 0 else _MAX_FOREIGN * _PATIENCE) or current.publishers == 0:
                     self._announce_wait(stamp_ns, current.publishers > 0)
                 if there and (current != matches or now - sent > _PATIENCE):
                     self._two_controllers = self._two_controllers and current.publishers > 1
@@ -169,7 +169,7 @@ class LockstepSimulation:
     def _ignore(self, raw: bytes) -> None:
         """Count a command that nobody waits for; a repetition of the accepted one is usual, another one is not."""
         self.ignored += 1
-        self._others += raw != self._accepted
+        self._foreign += raw != self._accepted
         if raw == self._accepted or cdr_stamp_ns(raw) != cdr_stamp_ns(self._accepted) or self._two_controllers:
             return
         self._conflicts += 1

@@ -1,4 +1,4 @@
-"""What follows the wall clock: the pace of ticks, and log lines that may come thousands of times a second."""
+"""Functions of the wall clock: the pace of ticks, and limits for log lines, which may be thousands in a second."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _NUMBER = re.compile(r"[-+]?\d[\d.e+-]*|\bnan\b|[-+]?\binf\b")
 
 
 def check_factor(factor: float) -> float:
-    """Return a factor that a pacer can keep.
+    """Return a real-time factor, checked.
 
     Raises:
-        ConfigError: with what is accepted.
+        ConfigError: with the accepted values.
     """
     # Not slower, because a sleep cannot be interrupted and a tick would take seconds.
     if not (factor == 0.0 or 0.001 <= factor <= 1000.0):

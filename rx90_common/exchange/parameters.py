@@ -1,4 +1,4 @@
-"""Parameters of nodes: declared with descriptors, changed while a node runs, and what rclpy cannot take refused."""
+"""Parameters of nodes: declared with descriptors, changed while a node runs, and checked where rclpy would fail."""
 
 from __future__ import annotations
 
@@ -58,11 +58,11 @@ def declare(
     Args:
         node: its owner.
         name: of the parameter.
-        default: its value where none is given.
-        description: what it means, with its unit.
-        low: the least that is accepted.
-        high: the most.
-        read_only: whether it can never be set; None: only those of a managed node can, as ParameterChanges says.
+        default: its value if none is given.
+        description: its meaning, with its unit.
+        low: the least accepted value.
+        high: the largest one.
+        read_only: whether it can never be set; None: it can be set on a managed node, see ParameterChanges.
 
     Raises:
         ConfigError: naming parameter, value and accepted range.
@@ -127,7 +127,7 @@ def declare_robot_files(node: Node, *names: str) -> RobotFiles:
     given: dict[str, str | None] = {}
     for name in names:
         override = node._parameter_overrides.get(name)
-        if override is not None and override.value == "":  # what a launch argument left out comes to
+        if override is not None and override.value == "":  # the value of a launch argument that was left out
             del node._parameter_overrides[name]
         usual = of_robot.text(name)
         chosen = declare(node, name, usual, f"{DESCRIPTIONS[name]}; the robot's or your own")
@@ -152,7 +152,7 @@ def refuse_unknown_parameters(nodes: Sequence[Node]) -> None:
 
 
 def unknown_parameter(node: Node, name: str, accepted: str | None = None) -> str:
-    """Return that a node has no such parameter, with what is accepted; by default those that it has."""
+    """Return the result for an unknown parameter, with accepted names; by default the node's parameters."""
     if accepted is None and name.startswith(PREFIX):
         accepted = overridable_topics(node)
     elif accepted is None:
@@ -164,8 +164,8 @@ class ParameterChanges:
     """Answers every request to set parameters of a managed node.
 
     In state unconfigured all may be set. Later those of the groups may, which take effect between two ticks; then the
-    topic `~/parameters` says so. Values of one request are set together or, where the request is atomic and one of them
-    is refused, not at all.
+    topic `~/parameters` publishes the change. Values of one request are set together; if the request is atomic and one
+    of them is refused, none is set.
 
     Args:
         node: its parameters are declared by `declare`.
@@ -190,8 +190,8 @@ class ParameterChanges:
 
         Args:
             names: of the parameters.
-            check: gets the values of all of them as they would be; returns what `apply` needs, raises Rx90Error.
-            apply: makes them count, and sees to it that its second argument is called.
+            check: called with the resulting values of all of them; returns the argument of `apply`, raises Rx90Error.
+            apply: applies them, and calls its second argument afterwards.
         """
         self._groups.append((tuple(names), check, apply))
 
@@ -227,7 +227,7 @@ class ParameterChanges:
         names = {parameter.name for parameter in given}
         for parameter in given:
             if parameter.name == "robot" and self._robot_files and self._unconfigured():
-                with suppress(Rx90Error):  # `_answer` says so
+                with suppress(Rx90Error):  # `_answer` reports it
                     files = self._files_of(parameter.value)
                     complete += [Parameter(name, value=file) for name, file in files.items() if name not in names]
         return complete
@@ -269,7 +269,7 @@ class ParameterChanges:
 
 
 def _with_real_numbers(given: Parameter, usual: object) -> Parameter:
-    """Return the parameter with whole numbers made real ones where those are asked for: 1 is as good as 1.0."""
+    """Return the parameter with integers converted to real numbers if these are required: 1 is as good as 1.0."""
     if isinstance(usual, float) and given.type_ is Parameter.Type.INTEGER:
         return Parameter(given.name, Parameter.Type.DOUBLE, float(given.value))
     if not isinstance(usual, bool | int | float | str | bytes) and given.type_ is Parameter.Type.INTEGER_ARRAY:
@@ -278,9 +278,9 @@ def _with_real_numbers(given: Parameter, usual: object) -> Parameter:
 
 
 def answer_all_requests(node: Node) -> None:
-    """Let the services refuse what rclpy cannot take.
+    """Let the services refuse values that rclpy cannot handle.
 
-    It does not survive a value of a type that does not exist. A type hash that is none is printed as it is by rcl, with
+    It crashes on a value of a type that does not exist. rcl prints an invalid type hash unchanged, with
     its line breaks.
     """
     answers = {

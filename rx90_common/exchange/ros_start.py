@@ -1,6 +1,6 @@
-"""Start ROS: the environment of its middleware, rclpy itself, and whether control_msgs is there.
+"""Start ROS: the environment of its middleware, rclpy itself, and checks for control_msgs.
 
-Nothing of ROS is imported before it is asked for.
+Modules of ROS are imported only when they are needed.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ _REASON = 400  # characters; ROS explains at length where a name is wrong
 def prepare() -> None:
     """Set the environment of Fast DDS; every process of the suite calls this before `rclpy.init`.
 
-    - UDP instead of shared memory: a killed process leaves no segments behind whose remains the next start reports
+     UDP instead of shared memory: a killed process leaves no segments behind whose remains the next start reports
       as errors. With the range LOCALHOST rmw_fastrtps adds shared memory whatever FASTDDS_BUILTIN_TRANSPORTS says;
-      there a profile with UDP on 127.0.0.1 alone takes the place of the range, with the same reach.
-    - Profiles whose reasons stand in config/dds/profiles.xml.
+      then a profile with UDP on 127.0.0.1 alone replaces the range, with the same reach.
+     Profiles, explained in config/dds/profiles.xml.
 
     Another middleware, profiles of the user's own, and static peers are left as they are.
 
     Raises:
-        ConfigError: for a domain or a middleware that cannot be, which ROS itself would end the process for.
+        ConfigError: for an impossible domain or middleware, for which ROS itself would end the process.
     """
     domain = os.environ.get("ROS_DOMAIN_ID", "")
     if domain and not (domain.isascii() and domain.isdecimal() and int(domain) <= _LAST_DOMAIN):
@@ -70,7 +70,7 @@ def start_ros(args: Sequence[str], context: Context | None = None) -> None:
     from rclpy.logging import set_logger_level
     from rclpy.signals import SignalHandlerOptions
 
-    # rcl would print a refusal itself, beside the line that the error becomes.
+    # rcl would print a refusal itself, besides the line of the error.
     set_logger_level("rcl", LoggingSeverity.FATAL)
     try:
         rclpy.init(args=list(args), context=context, signal_handler_options=SignalHandlerOptions.NO)
@@ -82,15 +82,15 @@ def start_ros(args: Sequence[str], context: Context | None = None) -> None:
 
 
 def reason(error: Exception) -> str:
-    """Return what ROS says, in one line and without the place in its source."""
+    """Return ROS' error text in one line, without the place in its source."""
     return plain(" ".join(str(error).split(", at /")[0].split()), _REASON)
 
 
 def missing_control_msgs() -> str | None:
-    """Return None where control_msgs can be used; else in one line what is missing and how to get it.
+    """Return None if control_msgs can be used; else a line with the missing package and how to get it.
 
-    Without it a controller runs with its topics and services, and without the action. Where nothing is there it costs a
-    search for the folder; what it imports otherwise is what the action needs.
+    Without it a controller runs with its topics and services, but without the action. If it is missing, the check costs
+    a search for the folder; otherwise the imports are those of the action.
     """
     try:
         from control_msgs import control_msgs_s__rosidl_typesupport_c  # noqa: F401
@@ -103,7 +103,7 @@ def missing_control_msgs() -> str | None:
 
 
 def missing_controller_manager_msgs() -> str | None:
-    """Return None where controller_manager_msgs can be used; else in one line what is missing and how to get it."""
+    """Return None if controller_manager_msgs can be used; else a line with the missing package and how to get it."""
     try:
         from controller_manager_msgs import controller_manager_msgs_s__rosidl_typesupport_c  # noqa: F401
         from controller_manager_msgs.srv import ListControllers  # noqa: F401

@@ -1,4 +1,4 @@
-"""What both nodes must agree on: names of topics and motors, how time is kept, rates and robot."""
+"""Agreements between both nodes: names of topics and motors, time mode, rates and robot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MOTOR_COMMANDS: Final = "motor_commands"
 JOINT_COMMANDS: Final = "joint_commands"
 """Efforts at the joints, in place of MOTOR_COMMANDS."""
 MEASURED_JOINT_STATES: Final = "measured_joint_states"
-"""What the drives measure, seen at the joints: the states that JOINT_COMMANDS answer."""
+"""Measurements of the drives, converted to the joints: the states that JOINT_COMMANDS answer."""
 MOTOR_INTERFACE: Final = "motor"
 JOINT_INTERFACE: Final = "joint"
 COMMAND_INTERFACES: Final = {
@@ -23,15 +23,15 @@ COMMAND_INTERFACES: Final = {
 }
 """The sides on which the simulation can be commanded, each with the topics of states and of commands."""
 TRAJECTORY_ACCEPTED: Final = "trajectory_accepted"
-"""Private topic of the controller: what it follows, stamped with the time at which that starts."""
+"""Private topic of the controller: the trajectory that it follows, stamped with its start time."""
 COMMANDED_TRAJECTORY: Final = "joint_trajectory"
-"""Private topic of the controller: what it is to follow."""
+"""Private topic of the controller: the trajectory that it is to follow."""
 OF_ACTION: Final = "follow_joint_trajectory"
 """Frame of the messages on TRAJECTORY_ACCEPTED that came as goals, and not on COMMANDED_TRAJECTORY."""
 CORRECTION: Final = "correction"
 """Private topic of the controller: offsets of the position set-points, while a correction is played."""
 COMMANDED_CORRECTION: Final = "commanded_correction"
-"""Private topic of the controller: offsets for the trajectory whose identity their frame says, sent before it."""
+"""Private topic of the controller: offsets for the trajectory with the identity in their frame, sent before it."""
 CORRECTED: Final = "corrected"
 """Frame of a trajectory that is refused where its correction has not come before it."""
 PARAMETERS: Final = "parameters"
@@ -46,7 +46,7 @@ REFERENCE_ACCELERATION: Final = "reference_acceleration"
 COMMANDED_CURRENT: Final = "commanded_current"
 MOTOR_CURRENT: Final = "motor_current"
 DETAILS: Final = (REFERENCE_ACCELERATION, COMMANDED_CURRENT, MOTOR_CURRENT)
-"""Private topics of the controller: what the paper's block diagram has and the other topics do not."""
+"""Private topics of the controller: signals of the paper's block diagram that are not on the other topics."""
 DETAIL_DECIMATION: Final = 10
 """Ticks of the position loop for each message of these."""
 SAMPLED: Final = "sampled"
@@ -56,7 +56,7 @@ SAMPLED_RATE: Final = 100
 MAX_DISPLAY_RTF: Final = 1.2
 """Simulated s in one of the wall clock above which viewers are shown fewer samples."""
 TIME_MODE: Final = "time_mode"
-"""Latched by the simulation: how time is kept; the controller follows it."""
+"""Latched by the simulation: the time mode; the controller follows it."""
 LOCK_STEP: Final = "lock_step"
 FREE_RUNNING: Final = "free_running"
 TIME_MODES: Final = (LOCK_STEP, FREE_RUNNING)
@@ -69,12 +69,12 @@ def motor_names(motors: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class TimeMode:
-    """What the simulation latches on TIME_MODE: how time is kept, and the rates and the robot that both nodes share.
+    """The content of TIME_MODE, latched by the simulation: time mode, and the rates and the robot of both nodes.
 
     Attributes:
         mode: one of TIME_MODES.
         rates: of the simulation.
-        robot: name of its robot; None where the text says none.
+        robot: name of its robot; None if the text has none.
     """
 
     mode: str
@@ -109,7 +109,7 @@ class TimeMode:
         """Compare the simulation's rates and robot with the controller's.
 
         Raises:
-            ExchangeError: naming what differs first, with both values.
+            ExchangeError: naming the first difference, with both values.
         """
         for name in ("base", "position"):
             theirs, ours = getattr(self.rates, f"{name}_hz"), getattr(rates, f"{name}_hz")

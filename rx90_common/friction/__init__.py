@@ -1,6 +1,6 @@
 """Joint friction by the LuGre law (Aarts, Jonker, Waiboer, section 4): parameters, friction file, compiled steps.
 
-It lies on the ground because the robot's plant, the rig's and whoever compensates friction share it.
+It is in rx90_common because the robot's plant, the rig's and friction compensation share it.
 """
 
 from rx90_common.friction.element import FrictionElement

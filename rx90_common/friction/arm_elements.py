@@ -1,6 +1,6 @@
 """The friction elements among the joints of an arm: one for each joint, and one for each motor that turns with several.
 
-Whoever steps the friction of a whole arm, plant or controller, goes from joints to elements and back by these.
+Code that steps the friction of a whole arm, plant or controller, converts from joints to elements and back with these.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ def add_to_joints(gear: Any, joint: Any, torque: Any) -> Any:  # noqa: ARG001 - 
 
 @inlined
 def transmit(gear: Any, rotor: Array, torque: Array, acceleration: Array, transmitted: Array) -> None:
-    """Write what goes through the elements on to the links, Nm, shape (e,).
+    """Write the torque that passes through the elements to the links, Nm, shape (e,).
 
     Args:
         gear: of the arm.
         rotor: share of the rotors in the mass matrix, kg m^2, shape (n, n).
         torque: of the drives less friction, at the joints, Nm, shape (n,).
-        acceleration: of the rotors, seen at the joints, rad/s^2, shape (n,).
+        acceleration: of the rotors, converted to the joints, rad/s^2, shape (n,).
         transmitted: overwritten.
     """
     for i in range(size(rotor)):
@@ -65,10 +65,10 @@ def transmit(gear: Any, rotor: Array, torque: Array, acceleration: Array, transm
 
 @by_type
 def share_among_elements(gear: Any, transmitted: Any) -> Any:  # noqa: ARG001 - as above
-    """Make the torques of the n joints, Nm, those of the elements, shape (e,).
+    """Convert the torques of the n joints, Nm, to those of the elements, shape (e,).
 
-    Through a motor's element goes what the motor gives, through the element of a joint without a motor of its own what
-    the joint gives: on a wrist whose motor 6 turns with joints 5 and 6, what goes on to link 6 goes through both.
+    A motor's element transmits the motor's torque, the element of a joint without a motor of its own the joint's
+    torque: on a wrist whose motor 6 turns with joints 5 and 6, the torque of link 6 passes through both.
     """
 
     def of_wrist(gear: Array, transmitted: Array) -> None:  # noqa: ARG001 - as above
@@ -97,9 +97,9 @@ def element_of_motor(gear: Any, motor: Any) -> Any:  # noqa: ARG001 - as above
 
 @by_type
 def of_motors(gear: Any, motor: Any) -> Any:  # noqa: ARG001 - as above
-    """Return what belongs to the motor of each element, for the motors; both lanes.
+    """Return the value of each element's motor, from values of the motors; both lanes.
 
-    The element of a joint without a motor of its own gets something that must not count.
+    The element of a joint without a motor of its own gets a value that must not be used.
     """
 
     def of_wrist(gear: Array, motor: Lanes) -> Lanes:  # noqa: ARG001 - as above

@@ -1,4 +1,4 @@
-"""Compiled bristle equations: the exact step of equation 17 for a velocity held over the step.
+"""Compiled bristle equations: the exact step of equation 17 for a constant velocity.
 
 Velocity, deflection and the fields of `element`, an `Elements` of rx90_common.friction.compiled_elements, are plain
 numbers, or lanes with one friction element each: the equations are the same.

@@ -1,7 +1,7 @@
-"""Friction elements as compiled code sees them: a record of their parameters, and tuples that formulas read.
+"""Friction elements in compiled code: a record of their parameters, and tuples that formulas read.
 
 `load_elements`, `one_element`, `lane_of` and `with_present` name every parameter once each; they are written here from
-the declarations in FrictionElement, so that a new parameter is there without a line of its own.
+the declarations in FrictionElement, so that a new parameter needs no line of its own.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ _MAX_POWER = 700.0  # of (|v| / omega_s)^delta: beyond it, exp(-x) is no normal 
 
 
 def stribeck_decay(velocity: Array, omega_s: float, delta: float) -> Array:
-    """Return exp(-(|v| / omega_s)^delta), shape of the velocity in rad/s: what is left of the Stribeck rise."""
+    """Return exp(-(|v| / omega_s)^delta), the remaining share of the Stribeck rise; shape of the velocity in rad/s."""
     with np.errstate(over="ignore"):  # nothing is left then
         return np.asarray(np.exp(-((np.abs(velocity) / omega_s) ** delta)))
 

@@ -1,7 +1,7 @@
 """Friction elements, equations 17 to 19: their parameters, declared once, and their curves.
 
-The fields of `FrictionElement` are all that is said of a parameter: file, schema, checks, legends, units, paths and
-what compiled code holds come from them.
+The fields of `FrictionElement` are the only declaration of a parameter: file, schema, checks, legends, units, paths and
+the data of compiled code follow from them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rx90_common.base.groups import Either, Group
 from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay, viscous_torque
 from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY, BristlesPart
 from rx90_common.friction.parts.load import LoadPart
-from rx90_common.friction.parts.part import LEAST_SPEED, FrictionPart, in_words
+from rx90_common.friction.parts.part import MIN_SPEED, FrictionPart, in_words
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
@@ -30,14 +30,14 @@ SIGNS = ("positive", "negative")
 """Of the velocity, in the order in which everything keeps them."""
 
 ALPHA_BOUNDS = (0.3, 2.0)
-"""Of the viscous exponent.
+"""Range of the viscous exponent.
 
-Two is the drag of a turbulent fluid. Below 0.3 the slope at rest, LINEAR_SPEED^(alpha - 1) c2, comes near what a light
-wrist can bear in a tick: the part would be a Coulomb torque without bristles.
+Two is the drag of a turbulent fluid. Below 0.3 the slope at rest, LINEAR_SPEED^(alpha - 1) c2, approaches the limit of
+a light wrist in a tick: the part would be a Coulomb torque without bristles.
 """
 
 INVERSE: Final = object()
-"""Stands behind the entry of a parameter of which compiled code holds the inverse."""
+"""Follows the entry of a parameter whose inverse compiled code contains."""
 
 _coulomb = Number("Coulomb friction torque.", "Nm", low=0.0, above=True)
 _static = Number("Static friction torque, at least tau_c.", "Nm", low=0.0)
@@ -71,14 +71,14 @@ class FrictionElement(Declared):
     tau_c_negative: Annotated[float, _coulomb]
     tau_s_positive: Annotated[float, _static]
     tau_s_negative: Annotated[float, _static]
-    omega_s: Annotated[float, Number("Stribeck velocity.", "rad/s", low=LEAST_SPEED), INVERSE]
+    omega_s: Annotated[float, Number("Stribeck velocity.", "rad/s", low=MIN_SPEED), INVERSE]
     delta: Annotated[float, Number("Stribeck exponent.", "1", low=0.0, above=True)]
     c0: Annotated[float, Number("Bristle stiffness.", "Nm/rad", low=0.0, above=True)]
     c1: Annotated[float, Number("Micro-viscous damping at rest.", "Nm s/rad", low=0.0)]
     c2: Annotated[float, Number("Viscous friction.", "Nm (s/rad)^alpha", low=0.0)]
     omega_d: Annotated[
         float,
-        Number("Velocity in the fading c1 exp(-(v/omega_d)^2).", "rad/s", low=LEAST_SPEED, infinite=True),
+        Number("Velocity in the fading c1 exp(-(v/omega_d)^2).", "rad/s", low=MIN_SPEED, infinite=True),
         INVERSE,
     ] = math.inf
     alpha: Annotated[float, Number("Viscous exponent.", "1", low=ALPHA_BOUNDS[0], high=ALPHA_BOUNDS[1])] = 1.0
@@ -166,7 +166,7 @@ class FrictionElement(Declared):
             return float(np.min(self._least_dissipation(speed) / (speed * fading)))
 
     def _least_dissipation(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return 4 c0 g, or what other bristles have there, Nm, with the sign and the parts that leave least of it."""
+        """Return 4 c0 g, Nm, or the bound of other bristles, with the sign and the parts that make it least."""
         weakest, least = self, 1.0
         for part in self.parts.values():
             weakest, least = part.weakest(weakest), least * part.least_factor
@@ -181,13 +181,13 @@ def _speeds_up_to(largest: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class FrictionParameter:
-    """One parameter of an element as files have it.
+    """One parameter of an element as in files.
 
     Attributes:
         name: its key.
-        number: what a value may be.
-        attributes: of FrictionElement that hold it: one, or one for each of SIGNS.
-        inverse: whether compiled code holds the inverse.
+        number: its accepted values.
+        attributes: of FrictionElement that contain it: one, or one for each of SIGNS.
+        inverse: whether compiled code contains the inverse.
     """
 
     name: str
@@ -197,7 +197,7 @@ class FrictionParameter:
 
     @property
     def meaning(self) -> str:
-        """Return what it is, in words."""
+        """Return its description."""
         return in_words(self.number.about)
 
     @property
@@ -217,11 +217,11 @@ class FrictionParameter:
 
     @property
     def default(self) -> float | None:
-        """Return its value where it is left out; None where it is required."""
+        """Return its value if it is left out; None if it is required."""
         return None if self.number.default is REQUIRED else float(self.number.default)
 
     def entry(self) -> Entry:
-        """Return what may stand under its key in a file: a number, or one for each sign of the velocity."""
+        """Return the accepted values of its key in a file: a number, or one for each sign of the velocity."""
         if not self.signed:
             return self.number
         about = self.number.about
@@ -260,14 +260,14 @@ ELEMENT = Group(
     keys={parameter.name: parameter.entry() for parameter in FRICTION_PARAMETERS}
     | {name: part.entry() for name, part in PARTS.items()},
 )
-"""What stands in a file for one element."""
+"""The keys of one element in a file."""
 
 FRICTION_UNITS = FrictionElement.units()
 """Units of the attributes of FrictionElement."""
 
 
 def legend(parts: Iterable[str] = ()) -> str:
-    """Return the parameters as lines of comment, as they stand at the head of friction files, and those of parts."""
+    """Return the parameters as lines of comment, for the head of friction files, and those of parts."""
     lines = ""
     for parameter in FRICTION_PARAMETERS:
         signed = "; one value, or {positive: x, negative: y}" if parameter.signed else ""

@@ -1,4 +1,4 @@
-"""The friction elements of an arm, and their file: one reader and one writer for all who have parameters in a file."""
+"""The friction elements of an arm, and their file: one reader and one writer for all users of such files."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ FRICTION = Group(
 """What a friction file holds."""
 
 ALL_ELEMENTS = ""
-"""The name under which `FrictionFile.about` holds what is said of all elements."""
+"""Name for the remarks about all elements in `FrictionFile.about`."""
 
 
 @dataclass(frozen=True)
@@ -56,13 +56,13 @@ class FrictionFile:
 
     Attributes:
         elements: by their names.
-        provenance: published, derived, assumed or identified; None where the file does not say.
-        source: the sentence that names the source; None where there is none.
-        identification: how the values were found and how well they are known, for readers; None where there is none.
-        path: where it was read, if it was.
-        about: what the file says below that of its values: provenance, source and note of all elements under
-            ALL_ELEMENTS, of single ones under their names, each for the whole or by parameter, as they stand.
-        joints: offset, Nm, rotor_inertia, kg m^2, and spring, Nm, of joints, by their names; what is left out is 0.
+        provenance: published, derived, assumed or identified; None if the file has none.
+        source: the sentence that names the source; None if there is none.
+        identification: method and uncertainty of the identification, for readers; None if there is none.
+        path: of the file, if it was read from one.
+        about: further remarks in the file: provenance, source and note of all elements under
+            ALL_ELEMENTS, of single ones under their names, each for the whole or by parameter, unchanged.
+        joints: offset, Nm, rotor_inertia, kg m^2, and spring, Nm, of joints, by their names; missing values are 0.
     """
 
     elements: Mapping[str, FrictionElement]
@@ -91,7 +91,7 @@ class FrictionFile:
         elements = {name: read_element(section.section(name)) for name in section}
         mappings = {ALL_ELEMENTS: section.content, **{name: section.section(name).content for name in section}}
         about = {name: {key: one[key] for key in ABOUT if key in one} for name, one in mappings.items()}
-        about = {name: said for name, said in about.items() if said}
+        about = {name: text for name, text in about.items() if text}
         identification, joints = content.get("identification"), content["joints"]
         return cls(elements, root.provenance, root.source, identification, path, about, joints)
 
@@ -125,9 +125,9 @@ class FrictionFile:
             "identification": self.identification,
         }
         head = "# LuGre friction, joint side, SI units (equations 17 to 19 of the paper).\n#\n"
-        given = {key: value for key, value in content.items() if value is not None}
+        present = {key: value for key, value in content.items() if value is not None}
         parts = {part for element in self.elements.values() for part in element.parts}
-        return head + legend(parts) + remarks + yaml_text(given)
+        return head + legend(parts) + remarks + yaml_text(present)
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def _passivity_warning(name: str, element: FrictionElement, speed: float) -> str
     limit = element.passivity_limit(speed)
     if math.isinf(limit):
         return ""
-    reducing = [part_name for part_name, part in element.parts.items() if part.leaves_less]
+    reducing = [part_name for part_name, part in element.parts.items() if part.lowers_friction]
     leave = "leaves" if len(reducing) == 1 else "leave"
     least = f", where {conjoined(reducing)} {leave} least friction" if reducing else ""
     blocks = isinstance(element.bristles, MaxwellSlip)
@@ -189,13 +189,13 @@ def _passivity_warning(name: str, element: FrictionElement, speed: float) -> str
 def refuse_parts(
     elements: Mapping[str, FrictionElement], what: str, where: str = "friction.", held: Container[str] = ()
 ) -> None:
-    """Refuse elements with parts that something cannot hold.
+    """Refuse elements with parts that are not supported.
 
     Args:
         elements: by their names.
-        what: cannot hold them, such as "the perturbation method".
-        where: what stands before their names in the message: the file and the path in it.
-        held: the parts that it can.
+        what: that does not support them, such as "the perturbation method".
+        where: prefix of their names in the message: the file and the path in it.
+        held: the supported parts.
 
     Raises:
         ConfigError: naming element and part.

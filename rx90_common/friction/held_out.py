@@ -1,7 +1,7 @@
-"""Choose between models by how well they predict blocks of the data that they were not fitted to.
+"""Choose between models by their predictions of held-out blocks of the data.
 
 `leave_out` fits a model without each block in turn and returns the squared errors in that block; `HeldOutErrors`
-compares models block by block. Two measures of how much better one is serve two kinds of data: the logarithm of the
+compares models block by block. Two measures of the difference serve two kinds of data: the logarithm of the
 squared errors (`behind`, `refutes`), in which a block with large errors counts no more than another, and the RMS
 error over all rows (`gain`). Both are paired: errors that all models share cancel.
 """
@@ -26,10 +26,10 @@ Fit = TypeVar("Fit")
 def leave_out(
     blocks: Iterable[Block], fit: Callable[[Block], Fit], squares: Callable[[Fit, Block], Array]
 ) -> tuple[list[Fit], Array]:
-    """Return the fits without each of some blocks, and the squared errors of each fit in the block it has not seen.
+    """Return the fits without each of some blocks, and the squared errors of each fit in its held-out block.
 
     Args:
-        blocks: what is left out in turn: numbers of data sets, or groups of them.
+        blocks: to hold out in turn: numbers of data sets, or groups of them.
         fit: to everything but a block.
         squares: squared errors of a fit in a block, shape (m,): one or several sums, which are compared in pairs.
 
@@ -45,13 +45,13 @@ def leave_out(
 
 @dataclass(frozen=True, eq=False)
 class HeldOutErrors(Generic[Model]):
-    """Errors of models in blocks of data that they were not fitted to.
+    """Errors of models in held-out blocks of data.
 
     Attributes:
         squares: squared error of each of k blocks, noise included, by model, each of shape (k,); one model or more.
-        rows: of data in each block, shape (k,), for `rms` and `gain`; None where each block has one.
-        floor: added to the squared errors before their logarithm; None adds the error that no model goes below in half
-            of the blocks, so that noise is not compared.
+        rows: of data in each block, shape (k,), for `rms` and `gain`; None if each block has one.
+        floor: added to the squared errors before their logarithm; None adds the best model's error in the median
+            block, so that noise is not compared.
     """
 
     squares: Mapping[Model, Array]
@@ -98,7 +98,7 @@ class HeldOutErrors(Generic[Model]):
         return before - error, _sum_deviation(its - own)
 
     def _influence(self, model: Model) -> tuple[float, Array]:
-        """Return the RMS error, and what each block, independent of the others, adds to its deviation."""
+        """Return the RMS error, and the contribution of each block, independent of the others, to its deviation."""
         squares = self.squares[model]
         rows = np.ones(squares.size) if self.rows is None else self.rows
         count = float(rows.sum())

@@ -1,4 +1,4 @@
-"""The friction torque of elements whose velocity is prescribed: the bristles follow, nothing else does."""
+"""The friction torque of elements with prescribed velocities: only the bristles are simulated."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import lane, load
 
 BRISTLE_STATE_DTYPE = np.dtype([("z", np.float64, (1,)), ("bristles", bristles_state_dtype(1))], align=True)
-"""Deflection, rad, of one element, and what its bristles remember beside it."""
+"""Deflection, rad, of one element, and the further state of its bristles."""
 
 
 def prescribed_torque(elements: Sequence[FrictionElement], velocity: Array, steps: Array) -> Array:
     """Return the friction torque of each element, the mean over each step, from undeflected bristles on, Nm.
 
     Args:
-        elements: e elements; of their parts only the bristles are seen, the rest is for the caller to refuse or to say.
+        elements: e elements; only their bristles are used, other parts are for the caller to refuse or to report.
         velocity: their input velocities, each held over its step, rad/s, shape (m, e).
         steps: s, shape (m,).
 
@@ -62,12 +62,12 @@ def _bristles(arrays: NDArray[np.void], velocity: Array, steps: Array, torque: A
 def follow_bristles(
     arrays: Any, constants: Any, states: Any, velocity: Array, steps: Array, torque: Array, deflection: Array
 ) -> None:
-    """Write what the bristles of one element, of whatever kind, do in each step of prescribed velocities.
+    """Write torque and deflection of one element with any bristles in each step of prescribed velocities.
 
     Args:
-        arrays: the element, shape (1,), as `element_arrays` has it.
+        arrays: the element, shape (1,), from `element_arrays`.
         constants: of its bristles, shape (1,), `bristles_dtype(1)`.
-        states: where they begin, shape (1,), BRISTLE_STATE_DTYPE; used up.
+        states: at the beginning, shape (1,), BRISTLE_STATE_DTYPE; overwritten.
         velocity: held over each step, rad/s, shape (m,).
         steps: s, shape (m,).
         torque: overwritten with the mean over each step, Nm, shape (m,).

@@ -1,4 +1,4 @@
-"""The message that kernels are being compiled; apart from the compiler, which takes most of a second to import."""
+"""The message that kernels are being compiled; separate from the compiler, whose import takes most of a second."""
 
 from __future__ import annotations
 
@@ -14,6 +14,6 @@ def announce_compilation(program: str) -> None:
 
 
 def compilation_begins() -> None:
-    """Print the announcement, if it was asked for and has not been printed."""
+    """Print the announcement, if it was requested and has not been printed."""
     if _programs:
         print(f"{_programs.pop()}: {_COMPILING}", file=sys.stderr, flush=True)

@@ -1,9 +1,9 @@
-"""Compiled kernels on disk: found by the sources alone, wherever these lie.
+"""Compiled kernels on disk: found by the sources alone, wherever these are.
 
-numba's own cache looks at the file of a compiled function alone: after a change in a kernel that it *calls* from
-another file, it would run the old code. The cache therefore lies in a folder named after the hash of all files
-that hold kernels and of what they import. In it a kernel is found by its module's name, not by its path: clones,
-wheels and installed copies of the same sources share what one of them has compiled.
+numba's own cache checks only the file of a compiled function: after a change in a kernel that it *calls* from
+another file, it would run the old code. This cache therefore has a folder named after the hash of all files
+with kernels and of their imports. In it a kernel is found by its module's name, not by its path: clones,
+wheels and installed copies of the same sources share compiled code.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from rx90_common.kernels import announcement
 
 _UNUSED_S = 28 * 24 * 3600.0  # after which the folder of other sources is removed
 _FOLDER = re.compile(r"[0-9a-f]{16}")
-_LONGEST_S = 120.0  # until a process compiles itself what another one never finishes
+_LONGEST_S = 120.0  # wait for another process, after which this one compiles itself
 _LOOK_S = 0.02
 
 
-class CompileTurn:
+class CompileLock:
     """The turn to compile one kernel, held by at most one process. It ends with the process, however that ends.
 
     Args:
@@ -94,7 +94,7 @@ def _kernels_hash() -> str:
 
 
 def cache_directory() -> Path:
-    """Return where compiled kernels of exactly these sources are kept (NUMBA_CACHE_DIR wins)."""
+    """Return the folder for compiled kernels of exactly these sources (NUMBA_CACHE_DIR wins)."""
     base = os.environ.get("NUMBA_CACHE_DIR")
     root = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     return root / "rx90_emulator" / _kernels_hash()
@@ -185,10 +185,10 @@ class KernelCache(caching.FunctionCache):
         super().__init__(function)  # type: ignore[no-untyped-call]  # numba has no types there
         place = self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp()
         self._cache_file = _CodeFiles(*place)  # type: ignore[no-untyped-call]  # numba has no types there
-        self._turn = CompileTurn(Path(self._cache_path) / f"{self._impl.filename_base}.lock")
+        self._turn = CompileLock(Path(self._cache_path) / f"{self._impl.filename_base}.lock")
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the code, also what another process is just compiling; with None it is this one's turn to compile."""
+        """Return the code, waiting for another process that compiles it; with None this process must compile."""
         found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]  # numba has no types there
         if found is None:
             self._turn.take()
@@ -198,7 +198,7 @@ class KernelCache(caching.FunctionCache):
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep compiled code, if the disk has room: it runs without being kept, too."""
+        """Store compiled code, if the disk has room: it runs without being stored, too."""
         try:
             with suppress(OSError):
                 super().save_overload(sig, data)  # type: ignore[no-untyped-call]  # numba has no types there

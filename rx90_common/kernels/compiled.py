@@ -33,7 +33,7 @@ class _Watch(Listener):
 
     def on_end(self, event: Event) -> None:
         cache = event.data["dispatcher"]._cache
-        if sys.exc_info()[0] is not None and isinstance(cache, KernelCache):  # of its failures the event tells nothing
+        if sys.exc_info()[0] is not None and isinstance(cache, KernelCache):  # the event reports no failure
             cache.give_up()
 
 
@@ -57,8 +57,8 @@ class _Inlined(CPUDispatcher):
 
 def inlined(function: _Function) -> _Function:
     """Compile `function` into each kernel that calls it; not to be called from Python."""
-    without = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    compiled: Any = _compiler(error_model="numpy", forceinline=True, **without)(function)
+    no_wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    compiled: Any = _compiler(error_model="numpy", forceinline=True, **no_wrappers)(function)
     compiled.__class__ = _Inlined
     return cast(_Function, compiled)
 
@@ -80,8 +80,8 @@ def by_type(choose: _Function) -> _Function:
 def c_function(signature: Any) -> Callable[[Callable[..., Any]], Callable[..., int]]:
     """Compile a function of integers and addresses when its module is imported, and keep the result on disk.
 
-    Called from Python it costs a fraction of a kernel, whose arguments numba examines one by one, and it holds the
-    interpreter's lock: giving it up and taking it back would cost more than what such a function mostly does.
+    Called from Python it takes a fraction of a kernel's time, whose arguments numba examines one by one. It keeps the
+    interpreter's lock: releasing and acquiring it would take longer than most such functions.
 
     Args:
         signature: the numba signature; every argument is an int64 or a voidptr, and so is the result.

@@ -92,10 +92,10 @@ _TWO_BY_PI = 0.6366197723675814
 # ln 2 and pi/2 in parts. Parts of 32 bits leave room for a factor of 20 bits: the products are exact.
 _LN2 = (0.6931471803691238, 1.9082149292705877e-10)
 _HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487111665e-21)
-_LEAST_EXPONENT = -708.0  # exp below this is smaller than every normal number
-_MOST_EXPONENT = 709.0  # exp beyond this comes near the largest number
-_LEAST_NORMAL = 2.0**-1022
-# For a = 0, atan(1/2) and atan(1): a, pi/2 - a, pi - a and pi/2 + a, each as a double and what that lacks.
+_MIN_EXPONENT = -708.0  # exp below this is smaller than every normal number
+_MAX_EXPONENT = 709.0  # exp beyond this comes near the largest number
+_MIN_NORMAL = 2.0**-1022
+# For a = 0, atan(1/2) and atan(1): a, pi/2 - a, pi - a and pi/2 + a, each as a double and its rounding error.
 _ARCS = (
     (0.0, 0.0),
     (1.5707963267948966, 6.123233995736765e-17),
@@ -167,11 +167,11 @@ _A = (
 @inlined
 def exponential(x: Number) -> Number:
     """Return exp(x) for x up to 708; below -708 it is 0."""
-    floored = select(x < _LEAST_EXPONENT, _LEAST_EXPONENT, x)
+    floored = select(x < _MIN_EXPONENT, _MIN_EXPONENT, x)
     whole = fma(floored, _LOG2_E, WHOLE)
     k = whole - WHOLE
     r = fma(k, -_LN2[1], fma(k, -_LN2[0], floored))
-    return select(x < _LEAST_EXPONENT, 0.0, times_power_of_two(1.0 + _grown(r), whole))
+    return select(x < _MIN_EXPONENT, 0.0, times_power_of_two(1.0 + _grown(r), whole))
 
 
 @inlined
@@ -242,12 +242,12 @@ def _general_power(base: Number, exponent: Number) -> Number:
     # ln(m) = ln((1 + s) / (1 - s)), with what is lost of s in the division.
     sum_ = m + 1.0
     s = (m - 1.0) / sum_
-    lost = (fma(-s, sum_, m - 1.0) - s * (m - (sum_ - 1.0))) / sum_
+    rounding = (fma(-s, sum_, m - 1.0) - s * (m - (sum_ - 1.0))) / sum_
     square = s * s
     fourth = square * square
     low = fma(fourth, fma(square, _L[3], _L[2]), fma(square, _L[1], _L[0]))
     high = fma(fourth, fma(square, _L[7], _L[6]), fma(square, _L[5], _L[4]))
-    tail = fma(s * square, fma(fourth * fourth, high, low), 2.0 * lost)
+    tail = fma(s * square, fma(fourth * fourth, high, low), 2.0 * rounding)
     leading = k * _LN2[0]
     most = leading + 2.0 * s
     rest = (2.0 * s - (most - leading)) + fma(k, _LN2[1], tail)
@@ -255,10 +255,10 @@ def _general_power(base: Number, exponent: Number) -> Number:
     rest = rest - (logarithm - most)
     product = exponent * logarithm
     rest = fma(exponent, rest, fma(exponent, logarithm, -product))
-    grown = exponential(select(product > _MOST_EXPONENT, _MOST_EXPONENT, product))
-    result = select(product > _MOST_EXPONENT, math.inf, fma(grown, rest, grown))
+    grown = exponential(select(product > _MAX_EXPONENT, _MAX_EXPONENT, product))
+    result = select(product > _MAX_EXPONENT, math.inf, fma(grown, rest, grown))
     # The exponent is that of normal numbers alone: smaller bases give 0, NaN gives NaN.
-    return select(base >= _LEAST_NORMAL, result, base * 0.0)
+    return select(base >= _MIN_NORMAL, result, base * 0.0)
 
 
 @inlined

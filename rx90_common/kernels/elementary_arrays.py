@@ -1,4 +1,4 @@
-"""The elementary functions for numbers and arrays of Python: for all that is computed before compiled code runs."""
+"""The elementary functions for numbers and arrays of Python, for computations before compiled code runs."""
 
 from __future__ import annotations
 

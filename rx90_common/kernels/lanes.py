@@ -1,10 +1,10 @@
-"""Lanes: several numbers side by side, in a formula that is written as if for one.
+"""Lanes: several numbers in parallel, in a formula that is written as if for one.
 
 The links of the arm go through the same formulas, and so do the friction elements. A value of n lanes is a vector
 in the processor's registers, so each operation works on all of them at once. Loops over arrays would leave it to the
 compiler whether that happens. docs/explanation/kernels.md explains how it works and how to write a kernel.
 
-Every operation rounds each lane by itself, as IEEE 754 says, in the order in which it is written. Results do not
+Every operation rounds each lane by itself, by IEEE 754, in the order in which it is written. Results do not
 depend on the processor, on alignment or on where a kernel is inlined. `fma` is a product and a sum rounded
 once; the compiler never inserts one.
 
@@ -67,8 +67,8 @@ Number = TypeVar("Number", float, Lanes)
 class LanesType(types.Type):
     """Type of `width` floats, or of `width` truth values.
 
-    Processors have registers of whole multiples of four floats, so the vector is `padded` to one. What the
-    lanes beyond `width` hold has no meaning and reaches neither memory nor a result.
+    Processors have registers of whole multiples of four floats, so the vector is `padded` to one. The content of
+    lanes beyond `width` has no meaning and reaches neither memory nor a result.
     """
 
     def __init__(self, width: int, *, is_mask: bool = False) -> None:
@@ -102,7 +102,7 @@ def _is_float_lanes(kind: Any) -> bool:
 
 
 def _common(*kinds: Any) -> Any:
-    """Return the type of what lanes and numbers give together; None, which numba refuses, if they do not fit."""
+    """Return the common type of lanes and numbers; None, which numba refuses, if they do not fit."""
     lanes = {kind for kind in kinds if isinstance(kind, LanesType)}
     numbers = all(_is_float_lanes(kind) or isinstance(kind, types.Number) for kind in kinds)
     if not numbers or len(lanes) > 1:
@@ -292,8 +292,8 @@ def append(_: Any, x: Any, value: Any) -> Any:
 
     def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         order = [min(i, x.padded - 1) for i in range(kind.padded)]
-        wide = _shuffle(builder, arguments[0], arguments[0], order)
-        return builder.insert_element(wide, arguments[1], _INDEX(x.width))
+        widened = _shuffle(builder, arguments[0], arguments[0], order)
+        return builder.insert_element(widened, arguments[1], _INDEX(x.width))
 
     return kind(x, value), emit
 

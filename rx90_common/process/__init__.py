@@ -1,1 +1,1 @@
-"""What a process needs: interrupts, standard output, files, child processes."""
+"""Functions for processes: interrupts, standard output, files, child processes."""

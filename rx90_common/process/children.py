@@ -1,4 +1,4 @@
-"""Child processes: start them, wait for what they say, leave none behind; see docs/explanation/processes.md."""
+"""Child processes: start them, wait for their output, leave none behind; see docs/explanation/processes.md."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from weakref import WeakSet
 
 from rx90_common.base.errors import ProcessError
 from rx90_common.base.share import PACKAGE
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 
 TIMEOUT = 120.0
 """Longest wait for a line or an end, s: generous, for a loaded machine with nothing compiled yet."""
 
-_LAST_LINES_S = 10.0  # the longest wait, after the end, for what had been printed: what it started may hold the stream
+_LAST_LINES_S = 10.0  # the longest wait for remaining output after the end: its own children may keep the stream open
 _WATCHES_STDIN = "RX90_CHILD_WATCHES_STDIN"  # in the environment of a child
 _ORPHAN_GRACE_S = 20.0  # from the interrupt of a child without a parent until it is killed
 
@@ -86,20 +86,20 @@ class ChildProcess:
 
     @property
     def lines(self) -> list[str]:
-        """Return what the process has printed so far."""
+        """Return the lines printed so far."""
         with self._changed:
             return list(self._lines)
 
     @property
     def output(self) -> str:
-        """Return what the process has printed so far as one text."""
+        """Return the output printed so far as one text."""
         return "\n".join(self.lines)
 
     def wait_for(self, pattern: str, timeout: float = TIMEOUT) -> re.Match[str]:
-        """Return the match of the first line, after those that earlier calls have looked at, with `pattern` in it.
+        """Return the match of the first line with `pattern` in it, after those checked by earlier calls.
 
         Raises:
-            ProcessError: if the process ends first, or says nothing like it within `timeout` seconds.
+            ProcessError: if the process ends first, or prints no such line within `timeout` seconds.
         """
         deadline = time.monotonic() + timeout
         with self._changed:
@@ -111,11 +111,11 @@ class ChildProcess:
                         return match
                 if not self._reader.is_alive():
                     raise ProcessError(f"the {self.name} ended early: {self._last_line()}")
-                left = deadline - time.monotonic()
-                if left <= 0:
-                    said = f"did not say '{pattern}' within {timeout:g} s"
-                    raise ProcessError(f"the {self.name} {said}: {self._last_line()}")
-                self._changed.wait(min(left, 0.2))
+                remaining = deadline - time.monotonic()
+                if remaining <= 0:
+                    reason = f"did not say '{pattern}' within {timeout:g} s"
+                    raise ProcessError(f"the {self.name} {reason}: {self._last_line()}")
+                self._changed.wait(min(remaining, 0.2))
 
     def wait(self, timeout: float = TIMEOUT) -> int:
         """Return the exit code.
@@ -167,7 +167,7 @@ class ProcessGroup:
         """Start a command as a member of the group."""
         log = None if self._folder is None else self._folder / f"{name}.log"
         # A process that was started but is not known yet could not be ended.
-        with interrupts_later():
+        with deferred_interrupts():
             member = ChildProcess(name, command, log)
             self._members.append(member)
         return member
@@ -177,28 +177,28 @@ class ProcessGroup:
 
     def __exit__(self, *_: object) -> None:
         # A second Ctrl-C must not leave the children behind.
-        with interrupts_later():
+        with deferred_interrupts():
             self.end()
 
     def end(self) -> list[ChildProcess]:
-        """End all, with what they have started; return those that did not end on SIGINT."""
+        """End all, with their own children; return those that did not end on SIGINT."""
         survivors: list[ChildProcess] = []
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            left = [member for member in reversed(self._members) if member.returncode is None]
-            for member in left:
-                # Not waited for yet: the id still is this group's. One that was stopped goes on, to end.
+            running = [member for member in reversed(self._members) if member.returncode is None]
+            for member in running:
+                # Not waited for yet: the id still is this group's. A stopped process is continued, so that it can end.
                 os.killpg(member.pid, number)
                 os.killpg(member.pid, signal.SIGCONT)
             deadline = time.monotonic() + self._grace
-            for member in left:
+            for member in running:
                 with suppress(ProcessError):
                     member.wait(max(0.0, deadline - time.monotonic()))
-            survivors += [member for member in left if member.returncode is None and member not in survivors]
+            survivors += [member for member in running if member.returncode is None and member not in survivors]
         return survivors
 
 
 def end_with_parent() -> None:
-    """In a child process: be interrupted once its parent is gone, be it killed, and killed where that does not help."""
+    """In a child process: be interrupted when the parent ends, even by a kill, and killed if that does not help."""
     if os.environ.pop(_WATCHES_STDIN, ""):
         threading.Thread(target=_end_with_stdin, name="parent", daemon=True).start()
 
@@ -208,11 +208,11 @@ def _end_with_stdin() -> None:
         pass
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(_ORPHAN_GRACE_S)
-    os.killpg(0, signal.SIGKILL)  # a session of its own: this process and what it has started
+    os.killpg(0, signal.SIGKILL)  # a session of its own: this process and its children
 
 
 def kill_all() -> None:
-    """Kill all child processes, with what they have started: before an end without clean-up."""
+    """Kill all child processes, with their own children: before an end without clean-up."""
     for child in tuple(_started):
         if child.returncode is None:
             os.killpg(child.pid, signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""What is written: files that appear whole, made beside their places; and standard output that cannot be written."""
+"""Output: files that appear complete, made beside their places; and standard output that cannot be written."""
 
 from __future__ import annotations
 
@@ -14,66 +14,66 @@ from pathlib import Path
 from typing import Any
 
 from rx90_common.base.errors import OutputError, write_error
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 
 _LONGEST_PREFIX = 50  # characters of a name, which may take four bytes each
 _MARK = ".rx90-"
 _RANDOM = "?" * 8  # of `mkdtemp`
-_READER_GONE = 141  # as a shell reports the end by SIGPIPE
+_BROKEN_PIPE_CODE = 141  # as a shell reports the end by SIGPIPE
 
 
 @contextmanager
-def hidden_beside(target: Path) -> Iterator[Path]:
-    """Yield a new hidden folder beside a file or folder that is being made; it goes with the block.
+def hidden_folder(target: Path) -> Iterator[Path]:
+    """Yield a new hidden folder beside a file or folder that is being made; it is removed at the end of the block.
 
-    Its process holds a lock on it, which a kill releases: folders that were left so are swept first.
+    Its process has a lock on it, which a kill releases: such abandoned folders are removed first.
 
     Raises:
         OSError: if none can be made.
     """
-    for left in target.parent.glob(f".*{_MARK}{_RANDOM}"):
+    for leftover in target.parent.glob(f".*{_MARK}{_RANDOM}"):
         with suppress(OSError):  # somebody else's
-            held = _lock(left, wait=False)
-            shutil.rmtree(left, ignore_errors=True)
-            os.close(held)
+            lock = _lock(leftover, wait=False)
+            shutil.rmtree(leftover, ignore_errors=True)
+            os.close(lock)
     while True:
         folder = Path(tempfile.mkdtemp(prefix=f".{target.name[:_LONGEST_PREFIX]}{_MARK}", dir=target.parent))
         with suppress(FileNotFoundError):  # swept between its making and its lock
-            held = _lock(folder, wait=True)
+            lock = _lock(folder, wait=True)
             break
     try:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        os.close(held)
+        os.close(lock)
 
 
 def _lock(folder: Path, *, wait: bool) -> int:
-    """Return a descriptor of a folder that holds its lock; on a file system without locks, with `wait`, it holds none.
+    """Return a descriptor of a folder with its lock; on a file system without locks, with `wait`, without one.
 
     Raises:
-        OSError: if the folder is gone; without `wait`, if another process has the lock.
+        OSError: if the folder does not exist; without `wait`, if another process has the lock.
     """
-    held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
         with suppress(*(OSError,) * wait):
-            fcntl.flock(held, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         folder.lstat()
     except OSError:
-        os.close(held)
+        os.close(descriptor)
         raise
-    return held
+    return descriptor
 
 
 @contextmanager
-def written_beside(*files: Path) -> Iterator[list[Path]]:
-    """Yield where to write the new contents of files; after the block all of these get their names, or none.
+def atomic_files(*files: Path) -> Iterator[list[Path]]:
+    """Yield paths for the new contents of files; after the block all of these get their names, or none.
 
-    Until then, and after an error, an interrupt or a kill, what stood under the names still does. Files that exist keep
-    their permissions, links stay links, and what is no file, such as a device, is written into as it is.
+    Until then, and after an error, an interrupt or a kill, the old files are unchanged. Files that exist keep
+    their permissions, links stay links, and other paths, such as devices, are written to directly.
 
     Raises:
-        Rx90Error: if that fails, as `write_error` says.
+        Rx90Error: if that fails, as from `write_error`.
     """
     current = files[0]
     try:
@@ -83,13 +83,13 @@ def written_beside(*files: Path) -> Iterator[list[Path]]:
                 place = target = current.resolve()
                 if current.is_file() or current.is_dir() or not current.exists():
                     if target.exists():
-                        with target.open("ab"):  # what may not be written may not be replaced either
+                        with target.open("ab"):  # a file that may not be written may not be replaced either
                             pass
-                    place = folders.enter_context(hidden_beside(target)) / target.name
+                    place = folders.enter_context(hidden_folder(target)) / target.name
                 places.append((place, target))
             yield [place for place, _ in places]
             # All names or none; an interrupt that comes so late has nothing left to stop.
-            with suppress(KeyboardInterrupt), interrupts_later():
+            with suppress(KeyboardInterrupt), deferred_interrupts():
                 for file, (place, target) in zip(files, places, strict=True):
                     current = file
                     if place != target:
@@ -111,7 +111,7 @@ def write_all(contents: Mapping[Path, bytes]) -> None:
     Raises:
         Rx90Error: if one cannot be written; every file that existed is as it was.
     """
-    with written_beside(*contents) as places:
+    with atomic_files(*contents) as places:
         for place, (file, content) in zip(places, contents.items(), strict=True):
             try:
                 place.write_bytes(content)
@@ -120,7 +120,7 @@ def write_all(contents: Mapping[Path, bytes]) -> None:
 
 
 class _Output(io.FileIO):
-    """Standard output; once it has failed, the rest goes nowhere, or Python would complain again at the end."""
+    """Standard output; once it has failed, further output is discarded, or Python would report an error at the end."""
 
     _failed = False
 
@@ -131,7 +131,7 @@ class _Output(io.FileIO):
             return super().write(data) or 0
         except BrokenPipeError:
             self._failed = True
-            raise SystemExit(_READER_GONE) from None
+            raise SystemExit(_BROKEN_PIPE_CODE) from None
         except OSError as error:
             self._failed = True
             raise OutputError(f"standard output cannot be written: {error.strerror}") from error

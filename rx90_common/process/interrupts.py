@@ -1,4 +1,4 @@
-"""Ctrl-C, requests to end and exit codes, where a program can take them; see docs/explanation/processes.md."""
+"""Ctrl-C, requests to end and exit codes, handled at safe points; see docs/explanation/processes.md."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ def terminations_as_interrupts() -> Iterator[None]:
 
 
 class StopRequest:
-    """Whether a program was asked to end; signal handlers may set it, one thread may wait for it.
+    """Whether the program is requested to end; signal handlers may set it, one thread may wait for it.
 
-    A handler runs on the main thread between two steps of what that does, so it must not want a lock of the wait that
-    it interrupts: with a threading.Event, both would then stand still for ever.
+    A handler runs on the main thread between two of its steps, so it must not need a lock of the wait that
+    it interrupts: with a threading.Event, both would then wait for ever.
     """
 
     def __init__(self) -> None:
@@ -76,11 +76,11 @@ class StopRequest:
         self._woken.put(None)
 
     def is_set(self) -> bool:
-        """Return whether it was asked."""
+        """Return whether it is set."""
         return self._is_set
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until it is asked, at most `timeout` seconds; return whether it was."""
+        """Wait until it is set, at most `timeout` seconds; return whether it is."""
         if not self._is_set:
             with suppress(Empty):
                 self._woken.get(timeout=timeout)
@@ -94,7 +94,7 @@ def stop_request() -> StopRequest:
     return stopped
 
 
-def leave_when_asked() -> None:
+def exit_on_signal() -> None:
     """From now on Ctrl-C, SIGTERM and SIGHUP end the process at once with 0, without any clean-up."""
     _take_over(lambda _number, _frame: os._exit(0))
 
@@ -116,7 +116,7 @@ def _take_over(handler: Callable[[int, FrameType | None], object] | signal.Handl
 
 
 @contextmanager
-def interrupts_later() -> Iterator[Callable[[], None]]:
+def deferred_interrupts() -> Iterator[Callable[[], None]]:
     """Hold interrupts back within the block; they are raised when the yielded function is called, or after the block.
 
     Raised in the middle of a constructor, KeyboardInterrupt leaves half an object behind: a child process that nobody
@@ -129,18 +129,19 @@ def interrupts_later() -> Iterator[Callable[[], None]]:
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
-    held: list[int] = []
+    pending: list[int] = []
 
     def check() -> None:
-        if held:
-            held.clear()
+        if pending:
+            pending.clear()
             raise KeyboardInterrupt
 
-    # Only what Python handles: an ignored signal stays ignored, and what ends the process at once still does. A
-    # handler, not a mask or SIG_IGN, because a child would inherit those.
+    # Only signals that Python handles: an ignored signal stays ignored, and one that ends the process at once still
+    # does.
+    # A handler, not a mask or SIG_IGN, because a child would inherit those.
     before = {number: handler for number in _INTERRUPTS if callable(handler := signal.getsignal(number))}
     for number in before:
-        signal.signal(number, lambda number, _frame: held.append(number))
+        signal.signal(number, lambda number, _frame: pending.append(number))
     try:
         yield check
     finally:
@@ -165,8 +166,8 @@ def ends_within(
 ) -> Iterator[Start]:
     """Have Ctrl-C, SIGTERM or SIGHUP end this process within a time, whatever it waits for.
 
-    KeyboardInterrupt is raised as ever, and cleans up; but where kernels are compiled, or something is waited for on
-    the way out, the main thread may be away for long. A thread hears of the signal at once, and waits no longer. After
+    KeyboardInterrupt is raised as usual, and cleans up; but while kernels are compiled, or during a wait on
+    the way out, the main thread may be busy for long. A thread receives the signal at once, and waits no longer. After
     `Start.over` its time counts to the end of the process, not of the block: libraries wait for threads there, too.
 
     Args:
@@ -206,10 +207,10 @@ def ends_within(
 
 
 def end_with(code: int) -> None:
-    """Let this process end with `code`, whatever it returns in the end; for code -n, of signal n, with 128 + n.
+    """Let this process end with `code`, whatever it returns later; for code -n, of signal n, with 128 + n.
 
-    For programs that start others, and where a library keeps the process from ending in order. The first code that is
-    not 0 counts: what ends later is what the launcher ends itself.
+    For programs that start others, and for libraries that keep the process from ending in order. The first code that is
+    not 0 counts: processes that end later are ended by the launcher itself.
     """
     if code and not _codes:
         _codes.append(code if code > 0 else 128 - code)
@@ -217,7 +218,7 @@ def end_with(code: int) -> None:
 
 
 def _leave() -> None:
-    # At the end of the process there is no other way to another exit code; what was registered earlier is not run.
+    # At the end of the process this is the only way to another exit code; functions registered earlier do not run.
     logging.shutdown()
     sys.stdout.flush()
     sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""The threads of this process: where they are, which processors they run on, how much they leave to others."""
+"""The threads of this process: their call stacks, their processors, and their priority."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from pathlib import Path, PurePath
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 
-_MOST_CPUS = 8192  # Linux has no more
+_MAX_CPUS = 8192  # Linux has no more
 NICEST = 19
-"""The largest niceness: what runs at it gives way to everything else."""
+"""The largest niceness: a thread with it yields to everything else."""
 
 
 def calls_of(thread: threading.Thread) -> list[traceback.FrameSummary]:
-    """Return the calls that a thread is in, the innermost last; none of one that has not begun or has ended."""
+    """Return the call stack of a thread, the innermost call last; empty before its start and after its end."""
     frame = sys._current_frames().get(thread.ident or 0)
     return [] if frame is None else list(traceback.extract_stack(frame))
 
@@ -28,7 +28,7 @@ def place_of(call: traceback.FrameSummary) -> str:
 
 
 def where_threads_are() -> list[str]:
-    """Return a line for each thread but the one that asks: its name, and the calls it is in, the innermost last."""
+    """Return a line for each thread but the calling one: its name, and its call stack, the innermost call last."""
     others = (thread for thread in threading.enumerate() if thread is not threading.current_thread())
     found = [(thread.name, calls) for thread in others if (calls := calls_of(thread))]
     return [f"{name}: " + " > ".join(f"{place_of(one)} {one.name}" for one in calls) for name, calls in found]
@@ -45,20 +45,20 @@ def run_on(cpus: str) -> None:
     """
     usable = os.sched_getaffinity(0)
     try:
-        wanted = {number for part in cpus.split(",") for number in _numbers(part)}
+        requested = {number for part in cpus.split(",") for number in _numbers(part)}
     except ValueError:
-        wanted = set()
-    if not wanted or not wanted <= usable:
+        requested = set()
+    if not requested or not requested <= usable:
         accepted = ", ".join(map(str, sorted(usable)))
         raise ConfigError(f"--cpus {quoted(cpus)}; accepted: numbers and ranges, as in 0,2-3, of {accepted}")
     for thread in _threads():
-        os.sched_setaffinity(thread, wanted)
+        os.sched_setaffinity(thread, requested)
 
 
 def _numbers(part: str) -> range:
     first, dash, last = part.partition("-")
     numbers = range(int(first), int(last if dash else first) + 1)
-    if not 0 < len(numbers) <= _MOST_CPUS:  # a range of millions would fill the memory
+    if not 0 < len(numbers) <= _MAX_CPUS:  # a range of millions would fill the memory
         raise ValueError(part)
     return numbers
 
@@ -82,5 +82,5 @@ def be_nice(niceness: int) -> None:
 
 
 def _threads() -> list[int]:
-    """Return the ids of this process's threads; those that begin later inherit what theirs has."""
+    """Return the ids of this process's threads; threads that begin later inherit the affinity of their parent."""
     return [int(task.name) for task in Path("/proc/self/task").iterdir()]

@@ -1,1 +1,1 @@
-"""What every HTML report of the suite shares: its page, and plots that are described once and drawn in one style."""
+"""Shared by all HTML reports of the suite: the page, and plots that are described once and drawn in one style."""

@@ -1,6 +1,6 @@
-"""The HTML page that every report is: one frame with the style, and plots in it, as pictures and to be zoomed.
+"""The HTML page of every report: one frame with the style, and plots in it, as pictures and for zooming.
 
-The page holds BokehJS and each plot as Bokeh's own JSON, which `page.html.j2` embeds when it comes near the window.
+The page contains BokehJS and each plot as Bokeh's own JSON, which `page.html.j2` embeds when it comes near the window.
 Without scripts, and on paper, the pictures are shown.
 """
 
@@ -43,11 +43,11 @@ from rx90_common.report.plot import (
 )
 
 _POINTS_TO_ZOOM, _POINTS_OF_PICTURES = 80_000, 40_000  # in all curves of a page: about 900 and 500 KB
-_POINTS_A_CURVE = 100  # what Bokeh writes about a curve takes as many bytes
-_FEWEST_POINTS = 40  # of a curve
-_MOST_POINTS = 8000  # of a curve
+_POINTS_A_CURVE = 100  # whose data have as many bytes as Bokeh's description of a curve
+_MIN_POINTS = 40  # of a curve
+_MAX_POINTS = 8000  # of a curve
 _DOTS_PER_INCH = 96
-_EXACT = 0.01  # of its size: what a curve varies by at least where single precision is enough to zoom in
+_EXACT = 0.01  # least variation of a curve, as a share of its size, for which single precision is enough to zoom in
 _PLACE = "<!--plot {}-->"  # text from outside is escaped, so that nobody else writes it
 _TERMS = "<!--terms-->"
 _PRINTF = "{%.6g}"
@@ -68,18 +68,18 @@ def _terms() -> Markup:
 
 
 def render_page(package: str, template: str, words: Callable[[str], str] = str, **values: object) -> str:
-    """Return a self-contained HTML page. In a template, `draw(plot)` puts a plot there: still, and to be zoomed.
+    """Return a self-contained HTML page. In a template, `draw(plot)` inserts a plot: as a picture, and for zooming.
 
     Args:
         package: the package whose folder `templates` holds the template.
         template: its file, which extends `page.html.j2` and fills the blocks title, summary and content.
         words: changes the page's text and the labels of its plots, such as their units.
-        values: what the template names; a name that is missing is an error.
+        values: for the names in the template; a missing name is an error.
     """
     plots: list[Plot] = []
 
     def draw(plot: Plot) -> Markup:
-        """Return what stands in a plot's place until all plots, which share the page's size, are known."""
+        """Return the placeholder of a plot until all plots, which share the page's size, are known."""
         plots.append(plot.worded(words))
         return Markup(_PLACE.format(len(plots) - 1))
 
@@ -118,9 +118,9 @@ def _share(lengths: Sequence[int], together: int) -> int:
     for k, size in enumerate(sizes):
         share = together // (len(sizes) - k)
         if size > share:
-            return min(max(share, _FEWEST_POINTS), _MOST_POINTS)
+            return min(max(share, _MIN_POINTS), _MAX_POINTS)
         together -= size
-    return _MOST_POINTS
+    return _MAX_POINTS
 
 
 def plot_json(plot: Plot) -> str:

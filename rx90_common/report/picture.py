@@ -33,7 +33,7 @@ from rx90_common.report.plot import (
 PICTURES: Final = (".png", ".svg", ".pdf")
 _WIDTH = 8.2  # inches
 _DPI = 160
-_MOST_POINTS = 8000  # of a curve: 2000 columns, more than the dots of a panel
+_MAX_POINTS = 8000  # of a curve: 2000 columns, more than the dots of a panel
 _LEGEND_ROW = 12.0  # points
 _CHARACTER, _HANDLE = 0.062, 0.42  # inches of a legend's entry: a character on average, the line before it
 _TITLE_CHARACTER = 0.072  # inches
@@ -72,7 +72,7 @@ def _styled() -> Iterator[None]:
         yield
 
 
-def as_svg(plot: Plot, most: int = _MOST_POINTS) -> str:
+def as_svg(plot: Plot, most: int = _MAX_POINTS) -> str:
     """Return the plot, up to about `most` points of a curve, as an <svg> element."""
 
     def shorter(found: re.Match[str]) -> str:
@@ -88,9 +88,9 @@ def as_svg(plot: Plot, most: int = _MOST_POINTS) -> str:
 
 
 def write_picture(plot: Plot, path: Path, title: str = "") -> None:
-    """Write the plot with a title as the file's suffix says, one of PICTURES.
+    """Write the plot with a title in the format of the file's suffix, one of PICTURES.
 
-    If that fails an old file stays as it was, and no new one.
+    If that fails an old file stays unchanged, and no new one is left.
 
     Raises:
         Rx90Error: if it cannot be written.
@@ -98,13 +98,13 @@ def write_picture(plot: Plot, path: Path, title: str = "") -> None:
     date = {".svg": "Date", ".pdf": "CreationDate"}.get(path.suffix.lower())
     buffer = io.BytesIO()  # in memory: of a full disk matplotlib makes other errors
     with _styled():
-        drawn(plot, _MOST_POINTS, title).savefig(
+        drawn(plot, _MAX_POINTS, title).savefig(
             buffer, format=path.suffix[1:].lower(), dpi=_DPI, metadata=None if date is None else {date: None}
         )
     write_all({path: buffer.getvalue()})
 
 
-def drawn(plot: Plot, most: int = _MOST_POINTS, title: str = "") -> Figure:
+def drawn(plot: Plot, most: int = _MAX_POINTS, title: str = "") -> Figure:
     """Return the plot, up to about `most` points of a curve, as Matplotlib's figure, below a title."""
     plot = with_fewer_points(plot, most)
     rows = -(-len(plot.panels) // plot.columns)
@@ -120,7 +120,7 @@ def drawn(plot: Plot, most: int = _MOST_POINTS, title: str = "") -> Figure:
         _draw_panel(axes, panel, plot.x_range if plot.share_x else panel.x_range, max(4, 10 - 2 * plot.columns))
         labels = tuple(dict.fromkeys(mark.label for mark in panel.marks if mark.label))
         rows_above = 0
-        if labels and labels not in shown:  # equal legends stand once
+        if labels and labels not in shown:  # equal legends are shown once
             shown.add(labels)
             rows_above = _draw_legend(axes, panel, labels, _WIDTH / plot.columns - 1.0)
         axes.set_title(panel.title, pad=4.0 + _LEGEND_ROW * rows_above)
@@ -171,17 +171,17 @@ def _draw_mark(axes: Axes, mark: Mark) -> None:
 
 
 def _draw_legend(axes: Axes, panel: Panel, labels: tuple[str, ...], width: float) -> int:
-    """Draw the legend above the panel, right of the title, and return how many rows of it the title stands above."""
+    """Draw the legend above the panel, right of the title, and return its number of rows below the title."""
     columns = max(1, min(len(labels), int(width / (_HANDLE + _CHARACTER * max(map(len, labels))))))
     handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     axes.legend(handles.values(), handles, loc="lower right", bbox_to_anchor=(1.0, 1.01), ncols=columns)
     used = sum(_HANDLE + _CHARACTER * len(label) for label in labels)
-    beside = columns == len(labels) and _TITLE_CHARACTER * len(panel.title) + used <= width
-    return 0 if beside or not panel.title else -(-len(labels) // columns)
+    fits_beside_title = columns == len(labels) and _TITLE_CHARACTER * len(panel.title) + used <= width
+    return 0 if fits_beside_title or not panel.title else -(-len(labels) // columns)
 
 
 def _draw_heat(axes: Axes, heat: Heat) -> None:
-    """Draw correlations as a square of colours with the names beside it, and what the colours mean."""
+    """Draw correlations as a square of colours with the names beside it, and the scale of the colours."""
     count = len(heat.names)
     image = axes.imshow(np.ma.masked_invalid(heat.values), cmap="RdBu_r", vmin=-1.0, vmax=1.0, interpolation="nearest")
     size = max(3.5, min(9.0, 330.0 / max(1, count)))

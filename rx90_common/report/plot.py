@@ -1,4 +1,4 @@
-"""What a plot shows: curves, points and bands in panels. `picture` draws it by Matplotlib, `page` by Bokeh.
+"""The description of a plot: curves, points and bands in panels. `picture` draws it by Matplotlib, `page` by Bokeh.
 
 Arrays are float64 of shape (n,); NaN leaves a gap. Labels carry the units.
 """
@@ -76,12 +76,12 @@ Mark: TypeAlias = Curve | Dots | Band | Level
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Axes with what is drawn in them.
+    """Axes with their marks.
 
     Attributes:
         marks: from back to front; equal labels have one entry in the legend.
         title: one line.
-        x_label: with unit; "" where the panel below says it.
+        x_label: with unit; "" if the panel below has it.
         y_label: with unit.
         x_scale: symlog is logarithmic on either side of 0.
         y_scale: linear or log.
@@ -100,7 +100,7 @@ class Panel:
 
     @property
     def x_range(self) -> tuple[float, float]:
-        """Return what the x axis shows."""
+        """Return the range of the x axis."""
         values = [mark.x for mark in self.marks if not isinstance(mark, Level)]
         values += [np.array([mark.at]) for mark in self.marks if isinstance(mark, Level) and mark.upright]
         if self.x_scale == "symlog":
@@ -111,7 +111,7 @@ class Panel:
 
     @property
     def y_range(self) -> tuple[float, float]:
-        """Return what the y axis shows."""
+        """Return the range of the y axis."""
         values = []
         for mark in self.marks:
             if isinstance(mark, Band):
@@ -140,7 +140,7 @@ class Plot:
 
     Attributes:
         panels: one at least.
-        columns: in which they stand; on a narrow screen below each other.
+        columns: of panels; on a narrow screen they are below each other.
         height: of a panel, inches.
         share_x: whether all panels show the same range of x.
     """
@@ -185,7 +185,7 @@ def symlog_ticks(low: float, high: float, smallest: float) -> list[float]:
 def with_fewer_points(plot: Plot, most: int) -> Plot:
     """Return a plot that looks the same, with about `most` points of a curve; curves with dots keep all of theirs.
 
-    Of the points in each of most / 4 columns of equal width the first, the least, the largest and the last are kept:
+    The first, the least, the largest and the last of the points in each of most / 4 columns of equal width are kept:
     lines through these cover the same dots as lines through all, on a canvas with as many columns (M4 of Jugel et al.,
     Proc. VLDB Endowment 7 (2014) 797). A curve that goes back in x keeps more.
     """
@@ -200,13 +200,13 @@ def _fewer(panel: Panel, mark: Mark, most: int) -> Mark:
     if not isinstance(mark, Curve) or mark.dots or len(mark.x) <= most:
         return mark
     x, y = mark.x, mark.y
-    with np.errstate(divide="ignore", invalid="ignore"):  # what a logarithmic axis does not have is no point
+    with np.errstate(divide="ignore", invalid="ignore"):  # values without a logarithm are no points
         x = np.log10(x) if panel.x_scale == "log" else symlog(x, panel.smallest) if panel.x_scale == "symlog" else x
         y = np.ascontiguousarray(np.log10(y) if panel.y_scale == "log" else y)
     known = np.isfinite(x) & np.isfinite(y)
     low, high = (x[known].min(), x[known].max()) if known.any() else (0.0, 0.0)
     place = np.where(known, x - low, 0.0) * ((most // 4) / (high - low) if high > low else 0.0)
-    column = np.where(known, place.astype(np.int32), -1)  # a gap is a column of its own, of which the ends are kept
+    column = np.where(known, place.astype(np.int32), -1)  # a gap is a column of its own, whose ends are kept
     starts = np.append(0, np.flatnonzero(np.diff(column)) + 1)
     lengths = np.diff(np.append(starts, len(x)))
     filled = starts[known[starts]]

@@ -49,7 +49,7 @@ class DriveFault(NamedTuple):
 
     @classmethod
     def of(cls, names: Sequence[str], laws: Record, states: Record, time: float) -> DriveFault:
-        """Return what is furthest beyond its limit after a position loop that found something there at `time`, s."""
+        """Return the largest violation after a position loop that found one at `time`, s."""
         law, state = laws[0], states[0]
         found = []
         for quantity, unit, motor, motor_limit in (
@@ -66,7 +66,7 @@ class DriveFault(NamedTuple):
         return max(found, key=lambda each: each[0])[1]
 
     def __str__(self) -> str:
-        """Return it as one line with the value and what is accepted."""
+        """Return it as one line with the value and the limit."""
         accepted = f"up to {self.limit:.4g} {self.unit}" if self.limit < np.inf else "finite torques"
         return f"{self.joint}: {self.quantity} {self.value:.4g} {self.unit} at {self.time:.6g} s; accepted: {accepted}"
 
@@ -82,8 +82,8 @@ class CS7B:
         state: compiled state, shape (1,), of `law_state_dtype`.
         command: motor torques of the last step, Nm, shape (n,); always the same view of the state.
         setpoint: that of the last position tick: position rad, velocity rad/s, acceleration rad/s^2, shape (3, n).
-        offset: of the position of the set-point by a correction, rad, shape (n,); None where none is played.
-        fault: what the supervision has found since the last reset, if anything; who drives motors switches them off.
+        offset: of the position set-point by a correction, rad, shape (n,); None without a correction.
+        fault: the violation that the supervision has found since the last reset, or None; the owner then switches off.
     """
 
     def __init__(self, robot: RobotModel, drives: DriveParameters, parameters: CS7BParameters, rates: Rates) -> None:
@@ -96,7 +96,7 @@ class CS7B:
         self.tick = 0
         # Set-points ahead, from a position tick on, of a revision of the generator.
         self._ahead, self._ahead_from, self._ahead_revision = np.zeros((0, 3, n)), 0, self.trajectory.revision
-        # Fixed memory: what is sent in every tick is read from there.
+        # Fixed memory: the messages of every tick are read from there.
         self._reference = np.zeros((3, n))
         self._error = np.zeros((3, n))
         self._details = np.zeros((3, n))
@@ -161,7 +161,7 @@ class CS7B:
         Args:
             position: motor positions by the encoders, rad, shape (n,).
             velocity: measured motor velocities, rad/s, shape (n,).
-            torque: what the drives report, Nm, shape (n,), if they do; for `details` alone.
+            torque: reported by the drives, Nm, shape (n,), if they report it; for `details` alone.
         """
         tick, slow = divmod(self.tick, self.rates.ratio)
         if slow == 0:
@@ -203,7 +203,7 @@ class CS7B:
     def measured(self) -> tuple[Array, Array]:
         """Return positions rad and velocities rad/s of the joints in the last position tick, new arrays of shape (n,).
 
-        To be called before what `step` was given is changed.
+        To be called before the arrays given to `step` change.
         """
         position, velocity = np.empty(self._joints), np.empty(self._joints)
         joints_of(self.law, self._measured[0], position)
@@ -224,8 +224,8 @@ class CS7B:
     def details(self) -> tuple[Array, Array, Array]:
         """Return set-point acceleration rad/s^2, joints; commanded and motor current A, motors; each shape (n,).
 
-        The motor current is what the drives report where their current sensors have errors, else the law's own.
-        Always the same arrays, brought up to date by this call: before what `step` was given is changed.
+        The motor current is the drives' report if their current sensors have errors, else the law's own.
+        Always the same arrays, updated by this call, which must come before the arrays given to `step` change.
         """
         acceleration, commanded, current = self._details
         commanded[:], reported = self.state["commanded"][0], self._measured[2] if self._currents_err else None

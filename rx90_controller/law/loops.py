@@ -42,7 +42,7 @@ def law_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
             ("integrator", np.float64, (n,)),
             ("position_torque", np.float64, (n,)),  # PI block, held between position ticks
             ("feed_forward", np.float64, (n,)),  # FF block, held between position ticks
-            ("commanded", np.float64, (n,)),  # current that the amplifier is asked for, within its limit, A
+            ("commanded", np.float64, (n,)),  # current commanded to the amplifier, within its limit, A
             ("current", np.float64, (n,)),
             ("command", np.float64, (n,)),  # torque constant times current
             ("limited", np.float64, (n,)),  # sign of the amplifier's saturation in the last tick, 0 if none
@@ -102,9 +102,9 @@ def velocity_servo(
     """
     damping = load(law.derivative, width) * (load(law.velocity_weight, width) * velocity_setpoint - velocity)
     peak, constant = load(law.peak_current, width), load(law.torque_constant, width)
-    wanted = (position_torque + feed_forward + damping) / constant
-    limited = select(wanted > peak, 1.0, select(wanted < -peak, -1.0, 0.0 * wanted))
-    commanded = clip(wanted, peak)
+    requested = (position_torque + feed_forward + damping) / constant
+    limited = select(requested > peak, 1.0, select(requested < -peak, -1.0, 0.0 * requested))
+    commanded = clip(requested, peak)
     change = current_gain * (commanded - current)
     current = current + clip(change, load(law.current_step, width))
     return commanded, current, constant * current, limited
@@ -144,7 +144,7 @@ def law_release(states: Record) -> None:
 
 @kernel
 def position_loop(laws: Record, states: Record, setpoint: Array, position: Array, velocity: Array) -> bool:
-    """Run PI, FF, with what a model of arm and friction adds to it, and the supervision for one position tick.
+    """Run PI, FF, with the torque of a model of arm and friction, and the supervision for one position tick.
 
     Args:
         laws: constants, shape (1,), of `controller_dtype`.
@@ -165,15 +165,15 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
     for k in range(3):
         to_motor(law.gear, setpoint[k], state.reference[k])
     n = size(state.error)
-    wanted = load(state.reference[0], n)
+    requested = load(state.reference[0], n)
     if setpoint.shape[0] > 3:
         to_motor(law.gear, setpoint[3], state.offset)
         offset = load(state.offset, n)
-        wanted = select(offset == 0.0, wanted, wanted + offset)  # none leaves the bits, also those of -0
+        requested = select(offset == 0.0, requested, requested + offset)  # none leaves the bits, also those of -0
     error, integrator, position_torque, feed_forward = position_servo(
         law,
         n,
-        wanted,
+        requested,
         load(state.reference[1], n),
         load(state.reference[2], n),
         load(position, n),

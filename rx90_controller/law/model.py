@@ -1,16 +1,16 @@
-"""What the controller knows of the arm and its friction, for the feed-forward by a model: files and compiled torque.
+"""The controller's model of the arm and its friction, for the feed-forward: files and compiled torque.
 
 Inverse dynamics, and bristles that follow the set-points, run at the position rate, as the paper's FF block does, and
-their torque is held for a period. They are evaluated at the set-point of the time at which it acts in the mean, `lead`
-later: half a period, because it is held, and the delay of the current loop. The set-points are driven on to there with
-their own accelerations: a trajectory that comes later may change what the generator has ahead, and the nodes would know
-less of it than the loop without ROS.
+their torque is held for a period. They are evaluated at the set-point of the time at which the torque acts in the mean,
+`lead` later: half a period, because it is held, and the delay of the current loop. The set-points are extrapolated to
+that time with their own accelerations, because a trajectory that arrives later may change the generator's future
+set-points, of which the nodes would know fewer than the loop without ROS.
 
 The friction model is the plant's with the velocity of the set-points as input, the bristles' state included. With
-LuGre's that is the observer of Canudas de Wit, Olsson, Astrom and Lischinsky (1995), without the correction by the
-error and driven by what is wanted instead of what is measured. Nothing measured enters, so it cannot make the loop
-oscillate, however wrong its parameters are. Each bristle takes its exact step over the period, and what is fed forward
-is the mean torque over it; at rest both stay as they are, to the last bit.
+LuGre's law that is the observer of Canudas de Wit, Olsson, Astrom and Lischinsky (1995), without the correction by the
+error and driven by the desired velocity instead of the measured one. It uses no measurement, so it cannot make the loop
+oscillate, however wrong its parameters are. Each bristle takes its exact step over the period, and the feed-forward
+is the mean torque over it; at rest both stay constant, to the last bit.
 
 Elements may have the parts of rx90_common/friction/parts, stepped by the same functions as the plant's and driven by
 the set-points alone, so that even load is no algebraic loop (docs/explanation/compensation.md).
@@ -54,7 +54,7 @@ from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, fma, load, size, store
 
 INVERSE_DYNAMICS, FRICTION = 1, 2
-"""Bits of `parts`: what is on."""
+"""Bits of `parts`: the parts that are on."""
 FRESH: Final = -1
 """`parts` of a state that has been through no position tick."""
 
@@ -82,7 +82,7 @@ def model_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
     friction = [
         ("z", np.float64, (e,)),  # deflections of the bristles, rad
         ("parts", parts_state_dtype(e)),
-        ("warm", np.int64),  # whether the temperatures are those of what has been, not those of the start
+        ("warm", np.int64),  # whether the temperatures have been computed, or are those of the start
         # Workspace.
         ("joint", np.float64, (n,)),
         ("motor", np.float64, (n,)),
@@ -91,7 +91,7 @@ def model_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
         [
             ("parts", np.int64),  # of the last position tick
             ("friction", np.dtype(friction, align=True)),
-            ("before", np.float64, (n,)),  # motor side, Nm: what was fed forward before the parts changed
+            ("before", np.float64, (n,)),  # motor side, Nm: the feed-forward before the parts changed
             # Workspace.
             ("body", body_dtype(n)),
             ("q", np.float64, (n,)),
@@ -158,10 +158,10 @@ class ModelFiles:
 
     @classmethod
     def of(cls, root: Section) -> ModelFiles:
-        """Return the files that a controller file names, or that lie beside it; only named ones must be there.
+        """Return the files that a controller file names, or that are in its folder; only named ones must exist.
 
         Raises:
-            ConfigError: for a named one that is not.
+            ConfigError: for a named one that does not exist.
         """
         named = root.section("model") if "model" in root else Section({}, root.file, "model")
         found: dict[str, Path | None] = {}
@@ -175,13 +175,13 @@ class ModelFiles:
                     accepted = "a path from this file's folder or from config/, or an absolute one"
                     named.refuse(role, name, f"a {DESCRIPTIONS[role]}: {accepted}")
             else:
-                beside = root.file.parent / FILES[role]
-                found[role] = None if role == "tool" and not beside.is_file() else beside
+                default_file = root.file.parent / FILES[role]
+                found[role] = None if role == "tool" and not default_file.is_file() else default_file
         return cls(**found)  # type: ignore[arg-type]  # None only for the tool
 
     @cached_property
     def constants(self) -> ArmModel:
-        """Return what they hold, read once.
+        """Return the contents, read once.
 
         Raises:
             ConfigError: naming file, key, value and what is accepted.
@@ -247,7 +247,7 @@ def _frictional(parts: int) -> bool:
 
 @kernel
 def begin_parts(state: Any) -> None:
-    """Keep what was fed forward before other parts are on; bristles that were off begin undeflected."""
+    """Store the feed-forward before other parts are switched on; bristles that were off begin undeflected."""
     own = state.model
     for i in range(size(own.before)):
         own.before[i] = state.feed_forward[i]
@@ -258,19 +258,19 @@ def begin_parts(state: Any) -> None:
 
 @kernel
 def hand_over(law: Any, state: Any) -> None:
-    """Let the integrators give, within their limits, what is no longer fed forward, and less where more is.
+    """Add to the integrators, within their limits, the feed-forward that was removed; subtract the one that was added.
 
-    Parts may be switched while the arm is held. The inverse dynamics then bring the weight, which the integrators have
-    held until now: without this the arm would jump. After a reset the integrators hold nothing.
+    Parts may be switched while the arm is held. The inverse dynamics then carry the weight, which the integrators have
+    carried until now: without this correction the arm would jump. After a reset the integrators are 0.
     """
     own = state.model
     if own.parts != FRESH:
         for i in range(size(own.before)):
             limit = law.integrator_limit[i]
-            wanted = state.integrator[i] + (own.before[i] - state.feed_forward[i])
-            given = min(max(wanted, -limit), limit)
-            state.position_torque[i] += given - state.integrator[i]
-            state.integrator[i] = given
+            unlimited = state.integrator[i] + (own.before[i] - state.feed_forward[i])
+            limited = min(max(unlimited, -limit), limit)
+            state.position_torque[i] += limited - state.integrator[i]
+            state.integrator[i] = limited
     own.parts = law.model.parts
 
 
@@ -278,8 +278,8 @@ def hand_over(law: Any, state: Any) -> None:
 def _parted_friction(law: Any, own: Any, begins: bool) -> None:
     """Write the torques of elements with parts, Nm, to `own.friction.parts.friction`, and advance their bristles.
 
-    `own.joint` is what the arm takes without friction, Nm. Where it `begins`, the bristles are undeflected, and the
-    load is at once what is transmitted.
+    `own.joint` is the arm's torque without friction, Nm. If the motion `begins`, the bristles are undeflected, and the
+    load is at once the transmitted one.
     """
     friction, state, period = law.model.friction, own.friction, law.model.period
     n = size(state.z)

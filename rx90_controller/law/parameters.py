@@ -45,7 +45,7 @@ def controller_dtype(arm: ArmSize) -> np.dtype[np.void]:
             ("viscous", np.float64, (n,)),  # motor side, Nm (s/rad)^exponent; 0 where the compensation is off
             ("torque_constant", np.float64, (n,)),
             ("peak_current", np.float64, (n,)),
-            ("current_step", np.float64, (n,)),  # what the amplifier can change in a tick, A
+            ("current_step", np.float64, (n,)),  # largest change of the amplifier's current in a tick, A
             ("current_gain", np.float64),  # of the current loop per tick
             ("following_error", np.float64, (n,)),  # supervised, motor side, rad
             ("over_speed", np.float64, (n,)),  # supervised, motor side, rad/s
@@ -67,7 +67,7 @@ _any_each, _any_positive_each, _any_positive = _each(""), _positive_each(""), _p
 
 @dataclass(frozen=True)
 class FeedForward(Declared):
-    """What the set-points add beside PI, each part by its own switch.
+    """Terms that the set-points add to PI, each with its own switch.
 
     The paper's D block has the measured velocity alone (section 5, figure 4): that is `velocity=False`.
     """
@@ -245,7 +245,7 @@ class CS7BParameters(Declared):
             model["parts"] = switch.model_parts
             self.model.constants.fill(model, rates.position_period)
             model["period"] = rates.position_period
-            # The current follows by (1 - gain) of what is missing, tick by tick: in the mean so many ticks later.
+            # The current follows by (1 - gain) of the difference, tick by tick: in the mean so many ticks later.
             late = rates.period * (1.0 - law["current_gain"]) / law["current_gain"]
             model["lead"] = 0.5 * rates.position_period + late
         return record
@@ -265,11 +265,11 @@ def load_controller(path: Path) -> CS7BParameters:
 
 
 def read_controller(root: Section, model: ModelFiles | None = None) -> CS7BParameters:
-    """Check and return what a controller file holds.
+    """Check and return the content of a controller file.
 
     Args:
         root: the file's content.
-        model: instead of what the file says of one.
+        model: replaces the file's entry for the model.
 
     Raises:
         ConfigError: naming file, key, value and accepted range.

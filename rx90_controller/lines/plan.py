@@ -102,10 +102,10 @@ def _follow(postures: Postures, distance: Array) -> tuple[Array, str]:
 def _joint_path(robot: RobotModel, task: TipTask, acceleration: Array | None) -> JointPath:
     """Find the joint path of a path of the tip and examine it from start to end.
 
-    A path that is not a line is travelled more slowly where a joint asks for it.
+    A path that is not a line is travelled more slowly where a joint's limits require it.
 
     Raises:
-        LineError: saying where on the path the arm cannot go, the joint or singularity, and what is accepted.
+        LineError: naming place, joint or singularity, value and limit.
     """
     distance = task.places(_EXAMINED_STEP, _MIN_EXAMINED)
     postures, faults = Postures.of(robot, task), dict[int, str]()  # the first reason, by the place
@@ -185,7 +185,7 @@ class LinePlan:
 
     @property
     def task(self) -> TipTask:
-        """Return what was asked for, with rests of at least half a set-point period and speeds the joints allow."""
+        """Return the task with rests of at least half a set-point period, and with speeds within the joints' limits."""
         return self.path.task
 
     @property
@@ -218,7 +218,7 @@ class LinePlan:
 
     @property
     def counted(self) -> tuple[float, float]:
-        """Return what of its trajectory counts for the path error, s."""
+        """Return the part of its trajectory that counts for the path error, s."""
         return self.task.counted
 
     def distance(self, tip: Array) -> Array:
@@ -226,7 +226,7 @@ class LinePlan:
         return self.task.error(tip).perpendicular
 
     def tip(self, times: Array) -> Array:
-        """Return the tool centre point (n, 3) that the profile asks for at `times`, s."""
+        """Return the tool centre point (n, 3) of the profile at `times`, s."""
         motion = self.task.profile().sample(times - self.task.rest_before)
         return self.task.poses(motion.distance).position
 
@@ -249,7 +249,7 @@ def plan_line(robot: RobotModel, task: TipTask, period: float = 1e-3, accelerati
         acceleration: limits of the joints, rad/s², for which a path that is not a line is slowed down; None for none.
 
     Raises:
-        LineError: saying where on the line the arm cannot go and why.
+        LineError: naming the place on the line that the arm cannot reach, and the reason.
     """
     rest = {name: max(getattr(task, name), period / 2.0) for name in ("rest_before", "rest_after")}
     path = _joint_path(robot, replace(task, **rest), acceleration)  # type: ignore[type-var]
@@ -306,11 +306,11 @@ def check_plan(plan: LinePlan, limits: JointLimits, period: float, start: Array,
         plan: the line.
         limits: the controller's.
         period: of its set-points, s.
-        start: where the arm stands, rad, shape (n,).
+        start: the arm's position, rad, shape (n,).
         delay: time of the move to the start of the line, s.
 
     Raises:
-        LineError: if the controller would refuse it, and why.
+        LineError: if the controller would refuse it, with the reason.
     """
     points = plan.points
     try:
@@ -349,14 +349,14 @@ class Approach:
 
 
 class ApproachedLine(NamedTuple):
-    """A plan with the move to its start, as it is sent.
+    """A plan with the move to its start, ready to be sent.
 
     Attributes:
         points: of the line; the first one comes after the time of the approach.
-        approach: that time, s; 0 where the arm stands at the start.
+        approach: that time, s; 0 if the arm is at the start.
         duration: of both, s.
-        farthest: the joint that has the longest way to the start.
-        way: its way, rad.
+        farthest: the joint with the longest way to the start.
+        way: the length of that way, rad.
     """
 
     points: TrajectoryPoints
@@ -373,13 +373,13 @@ def approached(
 
     Args:
         plan: the line.
-        here: where the arm stands, rad, shape (n,).
+        here: the arm's position, rad, shape (n,).
         limits: the controller's.
         period: of its set-points, s.
-        approach: the move, None where the arm has to stand there already.
+        approach: the move, None if the arm must be at the start already.
 
     Raises:
-        LineError: if the arm stands elsewhere without an approach, or the controller would refuse the approach.
+        LineError: if the arm is elsewhere and there is no approach, or if the controller would refuse the approach.
     """
     gap = np.abs(here - plan.start_pose)
     joint = int(np.argmax(gap))

@@ -1,13 +1,13 @@
 """Joint angles along a straight line or any other path, each posture from the one before.
 
-A spherical-wrist arm of six joints has its closed form. Any other one starts in a posture that Newton steps find, and
-goes on from there by Newton steps. An arm of five joints keeps place and direction of the tool; how the tool is turned
-about its own z axis is left to the arm, as if there were a sixth joint about that axis.
+A spherical-wrist arm of six joints has a closed form. The postures of any other arm are found by Newton steps, from a
+given posture and then from place to place. An arm of five joints keeps position and direction of the tool; the rotation
+about the tool's own z axis is free, as if there were a sixth joint about that axis.
 
 An arm of seven joints has a choice of postures at each place. Its joints move with the least speed that keeps the tool
 on the line, q' = J+ x' (Whitney 1969, "Resolved motion rate control of manipulators and human prostheses"): nothing
 moves in the null space of the Jacobian. This differential equation is integrated with Hermite's two-point formula of
-the fourth order, and each step is put right by Newton's, the shortest ones that lead back to the line.
+the fourth order, and each step is corrected by the shortest Newton steps back to the line.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class LeastSpeed:
         j = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
         try:
             weights = np.linalg.solve(j @ j.T, twist)
-        except np.linalg.LinAlgError:  # at a singularity, which the margins tell
+        except np.linalg.LinAlgError:  # at a singularity, which the margins report
             return np.full_like(q, np.nan), np.full_like(q, np.nan)
         slope = j.T @ weights
         pin.computeJointJacobiansTimeVariation(model, data, q, slope)
@@ -203,7 +203,7 @@ _OUT_OF_REACH = f"out of reach; {_REACHABLE}"
 
 
 def task_from(robot: RobotModel, posture: Sequence[float], end: Sequence[float]) -> LineTask:
-    """Return the line from where the tool of an arm is in a posture, rad, to a place, m, the tool turned as it is.
+    """Return the line from an arm's tool position in a posture, rad, to a place, m, with constant orientation.
 
     Raises:
         LineError: if these do not make a line.

@@ -1,4 +1,4 @@
-"""What a straight line is asked to be, from a file or from a command line."""
+"""The definition of a straight line, from a file or from a command line."""
 
 from __future__ import annotations
 
@@ -99,11 +99,11 @@ class Profile(Protocol):
 
 @dataclass(frozen=True)
 class TrapezoidalProfile:
-    """A motion from rest to rest; a triangle where the line is too short to reach the speed.
+    """A motion from rest to rest; a triangle if the line is too short to reach the speed.
 
     Attributes:
         length: m.
-        speed: the speed asked for, m/s.
+        speed: required speed, m/s.
         acceleration: of both ramps, m/s².
     """
 
@@ -178,7 +178,7 @@ class LineTask:
         end_rpy: the same at the end; the tool turns evenly with the distance, the shorter way.
         rest_before: s.
         rest_after: s.
-        branch: which solution of the inverse kinematics; of no meaning to an arm without a spherical wrist.
+        branch: the solution of the inverse kinematics; without meaning for an arm without a spherical wrist.
         singularity_margin: smallest accepted distance from a singularity, dimensionless (see
             `rx90_common.description.inverse.singularity_margins`).
         start_posture: joint angles, rad, near which the line starts, for an arm without a spherical wrist; None for the
@@ -262,17 +262,17 @@ class LineTask:
         return path_error(tip, np.array(self.start), np.array(self.end))
 
     def notes(self) -> list[str]:
-        """Return lines for a person beside length and speed; of a line there are none."""
+        """Return additional lines of text for a person; a straight line has none."""
         return []
 
     @property
     def counted(self) -> tuple[float, float]:
-        """Return what of its trajectory counts for the path error, s; see `counted_motion`."""
+        """Return the part of its trajectory that counts for the path error, s; see `counted_motion`."""
         return counted_motion(self)
 
 
 class TipTask(Protocol):
-    """What the tool centre point is asked to do: a line, or any other path."""
+    """The task of the tool centre point: a line, or any other path."""
 
     what: ClassVar[str]
 
@@ -317,9 +317,9 @@ def check_rests(task: TipTask) -> None:
 
 
 def counted_motion(task: TipTask) -> tuple[float, float]:
-    """Return what of a trajectory counts for the path error, s: the path's motion, until the arm has settled.
+    """Return the part of a trajectory that counts for the path error, s: the path's motion, until the arm has settled.
 
-    In the rest before, the controller may still take up the weight of the arm.
+    The rest before does not count: the controller may still be taking up the weight of the arm.
     """
     return task.rest_before, task.rest_before + task.profile().duration + min(SETTLING, task.rest_after)
 

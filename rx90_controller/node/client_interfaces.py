@@ -1,6 +1,6 @@
-"""What clients of joint_trajectory_controller meet: the action FollowJointTrajectory, topics and a service beside it.
+"""The interfaces of joint_trajectory_controller: the action FollowJointTrajectory, and its topics and service.
 
-To be imported where control_msgs is.
+To be imported only if control_msgs is installed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from rx90_controller.trajectory.request import Feedback, State, TrajectoryReques
 
 _WATCH_PERIOD = 0.5  # s between two looks for the simulation, while there is a goal
 _SIMULATION_TIMEOUT = 2.0  # s without one, after which the goal is given up
-_RESULT_KEPT = 60.0  # s for which results are kept for clients that ask late; a goal may be large
+_RESULT_TIMEOUT = 60.0  # s for which results are kept for clients that ask late; a goal may be large
 _RESULT_GRACE = 2.0  # s in which the client of the last goal may ask for its result
 _FLUSH_SPINS, _SPIN_TIMEOUT = 10, 0.01  # turns of the executor in which a result is sent, and s of each at the most
 _ENDS = "the controller ends"
@@ -56,7 +56,7 @@ class _Server(ActionServer):
     on_result_request: Callable[[bytes], object]
 
     async def execute(self, taken_data: dict[str, Any]) -> None:
-        """Serve requests, and note the goal whose result is asked for."""
+        """Serve requests, and note the goal whose result is requested."""
         await super().execute(taken_data)
         if "result" in taken_data:
             self.on_result_request(bytes(taken_data["result"][1].goal_id.uuid))
@@ -72,8 +72,8 @@ class _Server(ActionServer):
 class ClientInterfaces:
     """The action, speed scaling, state query and state topic of a controller.
 
-    Goals are checked and answered on the executor's thread, and followed by the one that ticks. What can be seen by a
-    goal itself, and what is sent to a controller that is not active, is rejected. What depends on where the arm then is
+    Goals are checked and answered on the executor's thread, and followed by the ticking one. A goal that is invalid by
+    itself, or sent to a controller that is not active, is rejected. A goal that the arm's position then rules out
     (start, limits) is accepted and aborted at once: a result has a text, a rejection has none.
 
     Args:
@@ -84,18 +84,18 @@ class ClientInterfaces:
         channel: to the simulation.
 
     Attributes:
-        publisher: of the state, to look at what it is matched with.
+        publisher: of the state, for the check of its matched subscribers.
     """
 
     def __init__(self, node: Node, loop: ServoLoop, cs7b: CS7B, state_ticks: int, channel: TickChannel) -> None:
         self._node, self._loop, self._cs7b, self._channel = node, loop, cs7b, channel
         self._names, self._tick_ns = list(cs7b.joint_names), cs7b.rates.period_ns * cs7b.rates.ratio
         self._goals: dict[bytes, TrajectoryRequest] = {}  # that may still be cancelled
-        self._asked: set[bytes] = set()  # goals whose client has asked for the result
+        self._result_requested: set[bytes] = set()  # goals whose client has asked for the result
         self._checked: TrajectoryRequest | None = None  # the goal that is accepted next
-        self._checking = threading.Lock()  # an executor of several threads goes on while the node ends
+        self._checking = threading.Lock()  # an executor of several threads continues while the node ends
         self._ending = False
-        self._seen = time.monotonic()  # when the simulation was there
+        self._simulation_seen = time.monotonic()  # when the simulation was there
         qos = REQUEST_QOS
         self._server = _Server(
             node,
@@ -108,7 +108,7 @@ class ClientInterfaces:
             goal_service_qos_profile=qos,
             result_service_qos_profile=qos,
             cancel_service_qos_profile=qos,
-            result_timeout=_RESULT_KEPT,
+            result_timeout=_RESULT_TIMEOUT,
         )
         self._server.on_result_request = self._on_result_request
         node.create_timer(_WATCH_PERIOD, self._watch_simulation)
@@ -128,10 +128,10 @@ class ClientInterfaces:
             self._loop.drop(_ENDS)
         self._loop.report()
         executor, until, spins = self._node.executor, time.monotonic() + _RESULT_GRACE, _FLUSH_SPINS
-        # A client that asked while another goal was checked has not been answered yet.
+        # A client that requested a result while another goal was checked has not been answered yet.
         while executor is not None and spins > 0:
             executor.spin_once(timeout_sec=_SPIN_TIMEOUT if ending else 0.0)
-            if (ending <= self._asked and not self._goals) or time.monotonic() > until:
+            if (ending <= self._result_requested and not self._goals) or time.monotonic() > until:
                 spins -= 1
 
     def close(self) -> None:
@@ -163,7 +163,7 @@ class ClientInterfaces:
 
     def _on_result_request(self, name: bytes) -> None:
         if name in self._goals or self._ending:
-            self._asked.add(name)
+            self._result_requested.add(name)
 
     def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
         """Cancel a goal; where its end is on the way already, its client gets that."""
@@ -173,15 +173,15 @@ class ClientInterfaces:
         return CancelResponse.ACCEPT
 
     def _watch_simulation(self) -> None:
-        """Give the goal up whose simulation is gone."""
+        """Abort the goal if its simulation no longer exists."""
         now = time.monotonic()
         if not self._loop.has_goal or self._channel.matches().publishers > 0:
-            self._seen = now
-        elif now - self._seen > _SIMULATION_TIMEOUT:
+            self._simulation_seen = now
+        elif now - self._simulation_seen > _SIMULATION_TIMEOUT:
             self._loop.drop(f"the simulation is gone, for more than {_SIMULATION_TIMEOUT:g} s", halt=True)
 
     def _on_scaling(self, message: SpeedScalingFactor) -> None:
-        """Follow trajectories at the share of their speed that is asked for, also while one runs."""
+        """Follow trajectories at the requested share of their speed, from now on."""
         try:
             with self._loop.between_ticks:
                 self._cs7b.trajectory.set_speed_scaling(message.factor, self._cs7b.position_tick)
@@ -195,7 +195,7 @@ class ClientInterfaces:
     def _on_query(
         self, request: QueryTrajectoryState.Request, response: QueryTrajectoryState.Response
     ) -> QueryTrajectoryState.Response:
-        """Answer what the set-point was, or will be, at a time of the running trajectory."""
+        """Answer with the set-point at a past or future time of the running trajectory."""
         trajectory, tick = self._cs7b.trajectory, message_time_ns(request.time) / self._tick_ns
         response.name = self._names
         with self._loop.between_ticks:
@@ -225,7 +225,7 @@ class ClientInterfaces:
         name = bytes(handle.goal_id.uuid)
         self._goals.pop(name)
         if not self._ending:
-            self._asked.discard(name)
+            self._result_requested.discard(name)
 
     def _send_feedback(self, handle: ServerGoalHandle, feedback: Feedback) -> None:
         message = FollowJointTrajectory.Feedback(
@@ -238,7 +238,7 @@ class ClientInterfaces:
         handle.publish_feedback(message)
 
     def publish_state(self, stamp_ns: int) -> None:
-        """Publish what the position loop has left, if it is time to and somebody listens."""
+        """Publish the results of the position loop, if it is time to and there is a subscriber."""
         if stamp_ns % self._state_ns or not self.publisher.get_subscription_count():
             return
         cs7b = self._cs7b

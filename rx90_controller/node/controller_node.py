@@ -76,13 +76,13 @@ _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
 class Control:
-    """What a configured controller consists of, and the `Outputs` of its loop; the torque is off until that is active.
+    """The parts of a configured controller, and the `Outputs` of its loop; the torque is off until that is active.
 
     Args:
         node: owner of topics, services and parameters.
         files: the robot's.
-        local: whether a simulation in this process says how time is kept, by `serving.follow`, and calls
-            `serving.answer`; else the topic says it.
+        local: whether a simulation in this process announces the time mode, by `serving.follow`, and calls
+            `serving.answer`; else the topic announces it.
 
     Raises:
         Rx90Error: for files and parameters that are refused, and a second controller.
@@ -91,8 +91,8 @@ class Control:
         loop: follows trajectories.
         serving: runs it tick by tick.
         publishers: of all that the ticking thread sends.
-        clients: where control_msgs is there.
-        ready: the line that says that the first states have come.
+        clients: None without control_msgs.
+        ready: the line for the log once the first states have arrived.
     """
 
     def __init__(self, node: ManagedNode, files: RobotFiles, *, local: bool) -> None:
@@ -113,9 +113,9 @@ class Control:
             max(1, round(rates.position_hz / hertz)) for hertz in (goals.action_monitor_rate, goals.state_publish_rate)
         )
         declare_joints(node, cs7b.joint_names)
-        if goals.without_use:
+        if goals.unused:
             self._log.warning(
-                f"not used, parameters of joint_trajectory_controller: {', '.join(goals.without_use)}; the law is the "
+                f"not used, parameters of joint_trajectory_controller: {', '.join(goals.unused)}; the law is the "
                 "CS7B's, set-points go on from set-points along splines, and whatever stops decelerates"
             )
         self.ready = (
@@ -201,7 +201,7 @@ class Control:
         wait_until_matched(self._node, self.publishers, _MATCH_ATTEMPTS, self.serving.is_stopped)
 
     def publish(self, stamp_ns: int) -> None:
-        """Publish what the position loop has left."""
+        """Publish the results of the position loop."""
         # What nobody listens to is not sent: a message costs the tick more than the law.
         for publisher, update, encode in self._every_tick:
             if publisher.get_subscription_count():
@@ -226,19 +226,19 @@ class Control:
         self._report.trigger()
 
     def accepted(self, trajectory: JointTrajectory, start_ns: int, source: str) -> None:
-        """Publish a trajectory as it came, stamped with its start; the frame says where from."""
+        """Publish a trajectory as received, stamped with its start; the frame names its source."""
         followed = JointTrajectory(joint_names=trajectory.joint_names, points=trajectory.points)
         followed.header.stamp, followed.header.frame_id = ros_time(start_ns), source
         self._accepted.publish(followed)
 
-    # rclpy takes a line of code for one severity only: it must not see who else calls these.
+    # rclpy accepts one severity for a line of code: the callers of these must remain hidden from it.
 
     def info(self, text: str) -> None:
-        """Print what happened."""
+        """Print an event."""
         self._log.info(one_line(text))
 
     def error(self, text: str) -> None:
-        """Print what went wrong."""
+        """Print a problem."""
         self._log.error(one_line(text))
 
     # Topics, services and diagnostics, on the executor's thread.
@@ -305,7 +305,7 @@ class Control:
 
 
 def import_optional(node: ManagedNode, name: str, what: str, missing: str | None) -> ModuleType | None:
-    """Return a module of this folder; where what it needs is missing say once how to get it, and return None."""
+    """Return a module of this folder; if its requirements are missing, say once how to get them, and return None."""
     if missing is None:
         return import_module(f"rx90_controller.node.{name}")
     node.get_logger().info(f"{what} off: {missing}")
@@ -313,7 +313,7 @@ def import_optional(node: ManagedNode, name: str, what: str, missing: str | None
 
 
 class ControllerNode:
-    """The node; what it is configured for is a `Control`.
+    """The node; while configured, it has a `Control`.
 
     Args:
         make_channel: makes the exchange with the simulation.
@@ -357,7 +357,7 @@ class ControllerNode:
             self._control.loop.activate(True)
 
     def deactivate(self) -> None:
-        """End the motion; torque off, brakes closed. Ticks are answered all the same, and time goes on."""
+        """End the motion; torque off, brakes closed. Ticks are still answered, and time goes on."""
         if self._control is not None:
             self._control.loop.activate(False)
             self._control.loop.report()
@@ -380,10 +380,10 @@ class ControllerNode:
         return () if self._control is None else self._control.publishers
 
     def follow(self, time_mode: TimeMode | None) -> None:
-        """Keep time as the simulation does; None: there is none.
+        """Use the simulation's time mode; None: there is no simulation.
 
         Raises:
-            ExchangeError: if its rates or its robot are not this one's.
+            ExchangeError: if its rates or its robot differ from the controller's.
         """
         self._time_mode = time_mode
         if self._control is not None and time_mode is not None:
@@ -406,7 +406,7 @@ class ControllerNode:
         self.node.ticking.loop()
 
     def stop(self) -> None:
-        """End `tick_loop` soon, and send what there is to say."""
+        """End `tick_loop` soon, and send the last messages."""
         self.node.ticking.stop()
         if self._control is not None:
             if self._control.clients is not None:

@@ -1,8 +1,8 @@
-"""What clients of a controller_manager meet: services that tell of this controller as of a joint_trajectory_controller.
+"""The services of a controller_manager, which describe this controller as a joint_trajectory_controller.
 
-The controller is the arm's drive: nothing can be loaded beside it or put in its place, and requests for that are
-answered so. Names, types and meaning are those of ros2_control's controller_manager (Jazzy). To be imported where
-controller_manager_msgs is.
+The controller is the arm's drive: no other controller can be loaded or replace it, and such requests are
+answered accordingly. Names, types and meaning are those of ros2_control's controller_manager (Jazzy). To be imported
+only if controller_manager_msgs is.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class ManagerServices:
     Args:
         node: whose services they are, and whose name is the controller's.
         manager: name of the manager, relative or absolute, below which they are.
-        loop: says whether the controller is active.
+        loop: reports whether the controller is active.
         joint_names: of the arm.
         robot: name of the arm, the hardware component.
         rates: of set-points and of the exchange with the arm, Hz.
@@ -64,7 +64,7 @@ class ManagerServices:
         self._name, self._loop, self._robot, self._rates = node.get_name(), loop, robot, rates
         self._command = [f"{joint}/{each}" for joint in joint_names for each in COMMAND_INTERFACES]
         self._states = [f"{joint}/{each}" for joint in joint_names for each in STATE_INTERFACES]
-        self._asked = ThrottledLog(lambda text: node.get_logger().info(text))
+        self._requests = ThrottledLog(lambda text: node.get_logger().info(text))
 
         def serve(kind: Any, name: str, answer: Callable[[Any, Any], Any]) -> None:
             node.create_service(kind, f"{manager}/{name}", answer, qos_profile=REQUEST_QOS)
@@ -154,7 +154,7 @@ class ManagerServices:
         else:
             others = f"; unknown: {', '.join(map(quoted, unknown))}" if unknown else ""
             response.message = f"{self._name} is {state}{others}; it {_FIXED}; accepted: {_ANOTHER_WAY}"
-            self._asked.say("switch_controller", f"switch_controller: {response.message}")
+            self._requests.say("switch_controller", f"switch_controller: {response.message}")
         return response
 
     def _set_component_state(
@@ -162,8 +162,8 @@ class ManagerServices:
     ) -> Any:
         """Answer the state that the arm is in; no other can be reached."""
         target = request.target_state
-        wanted = target.label == _ACTIVE.label if target.label else target.id == _ACTIVE.id
-        response.ok, response.state = request.name == self._robot and wanted, _ACTIVE
+        is_active = target.label == _ACTIVE.label if target.label else target.id == _ACTIVE.id
+        response.ok, response.state = request.name == self._robot and is_active, _ACTIVE
         if not response.ok:
             return self._refuse("set_hardware_component_state", request, response)
         return response
@@ -171,7 +171,7 @@ class ManagerServices:
     def _refuse(self, name: str, _: Any, response: Any) -> Any:
         """Answer no, which has no room for a reason; the log has."""
         response.ok = False
-        self._asked.say(name, f"{name}: {self._name} {_FIXED}; accepted: {_ANOTHER_WAY}")
+        self._requests.say(name, f"{name}: {self._name} {_FIXED}; accepted: {_ANOTHER_WAY}")
         return response
 
 

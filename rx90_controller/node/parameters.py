@@ -1,4 +1,4 @@
-"""Parameters of the node: files, of goals by the names of joint_trajectory_controller, of the law as in its file."""
+"""Parameters of the node: files; goals, named as in joint_trajectory_controller; the law, named as in its file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from rx90_controller.trajectory.stream import StreamOptions
 FILE_PARAMETERS: Final = ("urdf", "drives", "controller")
 """Files of the robot that the node can be given."""
 _LARGEST = 1e6  # rad, rad/s, s
-_WITHOUT_USE = re.compile(
+_UNUSED_PARAMETERS = re.compile(
     r"(command_joints|update_rate|is_async|speed_scaling\.(command|state)_interface|open_loop_control|cmd_timeout"
     r"|interpolate_from_desired_state|interpolation_method|allow_integration_in_goal_trajectories"
     r"|set_last_command_interface_value_as_state_on_activation|gains\..+"
@@ -53,20 +53,20 @@ def declare_own(node: Node) -> tuple[float, int]:
 
 @dataclass(frozen=True)
 class GoalParameters:
-    """What trajectories and goals are held to, and how often it is published how they go.
+    """Tolerances and options of trajectories and goals, and rates of their feedback.
 
     Attributes:
-        options: what else is accepted.
-        tolerances: of trajectories, and of goals that have none of their own.
-        streaming: how set-points become a stream.
-        without_use: parameters of joint_trajectory_controller that were given and have no counterpart here.
+        options: permitted exceptions from the checks.
+        tolerances: of trajectories, and of goals without tolerances of their own.
+        streaming: how streamed set-points are joined.
+        unused: parameters of joint_trajectory_controller that were given and have no counterpart here.
         scaling: `speed_scaling.initial_scaling_factor`.
     """
 
     options: GoalOptions
     tolerances: GoalTolerances
     streaming: StreamOptions
-    without_use: tuple[str, ...]
+    unused: tuple[str, ...]
     scaling: float
     action_monitor_rate: float = option(20.0, f"rate of the action's feedback, {_SIMULATED_RATE}", 0.1, 20000.0)
     state_publish_rate: float = option(50.0, f"rate of ~/controller_state, {_SIMULATED_RATE}", 0.1, 20000.0)
@@ -86,15 +86,15 @@ _OF_THE_ARM: Final = {
 }
 
 
-def has_no_use(name: str) -> bool:
-    """Return whether a parameter is joint_trajectory_controller's, taken so that its files serve, and not used."""
-    return name in _OF_THE_ARM or _WITHOUT_USE.fullmatch(name) is not None
+def is_unused(name: str) -> bool:
+    """Return whether a parameter of joint_trajectory_controller is accepted for its files' sake, and unused."""
+    return name in _OF_THE_ARM or _UNUSED_PARAMETERS.fullmatch(name) is not None
 
 
 def _take_out(node: Node, names: Sequence[str]) -> tuple[str, ...]:
-    """Take what has no use out of the parameters given to a node, and return it; refuse what another arm would have."""
+    """Remove unused parameters from those given to a node, and return them; refuse values that need another arm."""
     given = node._parameter_overrides
-    found = {name: given.pop(name).value for name in sorted(given) if has_no_use(name)}
+    found = {name: given.pop(name).value for name in sorted(given) if is_unused(name)}
     for name, own in zip(_OF_THE_ARM, (names, COMMAND_INTERFACES, STATE_INTERFACES), strict=True):
         value = found.pop(name, own)
         if not (isinstance(value, Sequence) and sorted(map(str, value)) == sorted(own)):
@@ -106,13 +106,13 @@ def _take_out(node: Node, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def declare_joints(node: Node, names: Sequence[str]) -> None:
-    """Declare joints and interfaces, which are the arm's and cannot be chosen, for who asks; until `forget_robot`."""
+    """Declare joints and interfaces, which are the arm's and read-only, until `forget_robot`."""
     for name, own in zip(_OF_THE_ARM, (names, COMMAND_INTERFACES, STATE_INTERFACES), strict=True):
         node.declare_parameter(name, list(own), ParameterDescriptor(description=_OF_THE_ARM[name]))
 
 
 def _difference(value: Any, own: Sequence[str]) -> str:
-    """Return in words what a list of names has too much or too little."""
+    """Return the superfluous and the missing names of a list, in words."""
     if isinstance(value, str) or not isinstance(value, Sequence):
         return "no list"
     names = [str(each) for each in value]
@@ -126,7 +126,7 @@ def _difference(value: Any, own: Sequence[str]) -> str:
 def declare_goal_parameters(node: Node, names: Sequence[str]) -> GoalParameters:
     """Declare the parameters and return them; `names` are those of the joints.
 
-    Files for joint_trajectory_controller serve, too: what has no counterpart here is taken out of what was given.
+    Files for joint_trajectory_controller are accepted, too: parameters without a counterpart here are removed.
 
     Raises:
         ConfigError: naming parameter, value and what is accepted.
@@ -145,7 +145,7 @@ def declare_goal_parameters(node: Node, names: Sequence[str]) -> GoalParameters:
 
 
 def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:
-    """Let what is accepted, and the tolerances, be changed for the next goals and trajectories."""
+    """Let options and tolerances be changed for the next goals and trajectories."""
 
     def setter(attribute: str) -> Callable[[Any, Effective], None]:
         def apply(value: Any, effective: Effective) -> None:
@@ -169,7 +169,7 @@ LAW_ENTRIES: Final = {
     if section in _CHANGEABLE and isinstance(group, Group)
     for key, shape in group.keys.items()
 }
-"""The keys of a controller file whose values may change while the loops run, as `section.key`; what they may be."""
+"""Keys of a controller file whose values may change while the loops run, as `section.key`, with their ranges."""
 
 
 def forget_robot(node: Node) -> None:
@@ -183,7 +183,7 @@ def declare_law(node: Node, path: Path) -> tuple[CS7BParameters, Callable[[Mappi
     """Declare a controller file's values as parameters of a node, checked as the file is.
 
     Returns:
-        The file's parameters, with what was given at the start in place of the file's, and a function that gives them
+        The file's parameters, overridden by those given at the start, and a function that returns them
         with other values of LAW_ENTRIES and raises ConfigError.
 
     Raises:

@@ -1,15 +1,16 @@
 """The controller's ticks: it answers the simulation's states, in lock-step or in free-running time.
 
-In lock-step the simulation waits for each command (rx90_common/exchange/lockstep.py). A controller that sees the same
-states again sends the same bytes again. The loops begin and hold the arm when the states do not follow the last ones:
-at the start, after a reset of the simulation, or after one of the two was away.
+In lock-step the simulation waits for each command (rx90_common/exchange/lockstep.py). A controller that receives the
+same states again sends the same bytes again. The loops begin and hold the arm when the states do not follow the last
+ones:
+at the start, after a reset of the simulation, or after an interruption of either process.
 
-In free-running time nobody holds the states back. The loops tick with them, one tick for each, as drives do that share
-a cycle with their controller: a set-point is compared with what was measured at its own time, however late either
-process is. A controller that is late computes all ticks whose states have come meanwhile, and sends the newest command
-alone. While the simulation is paused the loops rest and keep what they hold: the motion goes on with the next states.
+In free-running time the states do not wait. The loops tick with them, one tick for each, as drives do that share
+a cycle with their controller: a set-point is compared with the measurement of its own time, however late either
+process is. A late controller computes all ticks whose states have arrived meanwhile, and sends the newest command
+alone. While the simulation is paused the loops rest and keep their state: the motion continues with the next states.
 They begin anew when simulated time has gone back, and skip the time in which this process did not run, so that a motion
-comes later. A single message with a stamp from elsewhere does neither.
+comes later. A single message with a foreign stamp causes neither.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ from rx90_common.exchange.pacing import Pacer, ThrottledLog
 from rx90_common.exchange.topics import FREE_RUNNING, LOCK_STEP, TimeMode
 from rx90_controller.node.servo_loop import MotorStates, ServoLoop
 
-_WAIT_SLICE = 0.1  # s of a wait for states; in free-running time also at rest after which it is said
+_WAIT_SLICE = 0.1  # s of a wait for states; in free-running time also the time at rest after which it is reported
 _PATIENCE = 1.0  # s without a simulation, after which that is announced
-_MODE_PATIENCE = 5.0  # s with a simulation that does not say its mode
+_MODE_PATIENCE = 5.0  # s with a simulation that does not announce its mode
 _MAX_LAG = 0.005  # s; up to here missed ticks are computed one by one, beyond it time is skipped
 _PHASE_ADVANCE = 0.02  # of a period: by so much it wakes earlier each time, until it is there before the states
 _BACKWARD = 3  # jumps back within _BACKWARD_WINDOW that make two simulations; a reset makes one
@@ -40,23 +41,23 @@ _BACKWARD_WINDOW = 5.0  # s
 class Serving:
     """Runs the loops tick by tick: on a thread of its own, or in lock-step on that of a simulation in this process.
 
-    Messages without usable states are left out. Stamps that go back again and again are those of a second simulation;
+    Messages without usable states are ignored. If stamps go back again and again, there is a second simulation;
     while there are two, no command is sent.
 
     Args:
         channel: publishes commands, receives states.
         names: of the motors.
         rates: of the loops; states are stamped with multiples of the base tick.
-        loop: what runs in each tick.
+        loop: runs in each tick.
         pacer: the clock of free-running time; it sleeps from one state to the next, which takes less of the processor
             than a wait for a message.
-        robot: name of the robot, which has to be the simulation's.
+        robot: name of the robot, which must be the simulation's.
         announce: prints a line about what happened.
         complain: prints a line about a message that is ignored; called now and then only.
         local: whether a simulation in this process calls `answer` in each tick in lock-step; `run` then rests.
 
     Attributes:
-        mode: how the simulation keeps time, one of TIME_MODES; None until it is known.
+        mode: the simulation's time mode, one of TIME_MODES; None until it is known.
     """
 
     def __init__(
@@ -80,7 +81,7 @@ class Serving:
         commands = JointStateCodec(names)
         self._encode, self._encode_no_torque = commands.encoder(effort=loop.command), commands.encoder()
         self._complaints, self._log = ThrottledLog(complain), ThrottledLog(announce)
-        self._backward: deque[float] = deque(maxlen=_BACKWARD)  # when the stamps have gone back
+        self._backward: deque[float] = deque(maxlen=_BACKWARD)  # times at which the stamps have gone back
         self._two_simulations = False
         self.mode: str | None = None
         self._changed = threading.Event()  # the mode is known, or the end is near
@@ -91,7 +92,7 @@ class Serving:
         self._stamp: int | None = None
         self._state: bytes | None = None  # as received; an empty message must not pass for a repetition
         self._command = b""
-        self._heard = time.monotonic()
+        self._last_message = time.monotonic()
         # In free-running time.
         self._lag_ns = max(round(_MAX_LAG * NANOSECONDS), 2 * self._slow_ns)
         self._next: int | None = None  # the stamp of the next tick, once the loops have begun
@@ -101,11 +102,11 @@ class Serving:
     def run(self) -> None:
         """Answer the simulation until `stop`, on the ticking thread.
 
-        A simulation that does not say its mode within some seconds is taken for lock-step: loops that began in the
-        wrong mode would begin again in the right one, and drop the trajectory that they follow.
+        A simulation that does not announce its mode within some seconds is assumed to be in lock-step: loops that began
+        in the wrong mode would begin again in the right one, and drop the running trajectory.
 
         Raises:
-            ExchangeError: if the simulation's rates are not this one's.
+            ExchangeError: if the simulation's rates are not the controller's.
         """
         deadline = time.monotonic() + _MODE_PATIENCE
         while not self._stopped.is_set() and self.mode is None and time.monotonic() < deadline:
@@ -166,7 +167,7 @@ class Serving:
             loop.after_command(stamp)
         else:
             self._channel.publish(self._command)
-        self._heard = time.monotonic()
+        self._last_message = time.monotonic()
         assert self._stamp is not None
         self._wait.end(self._stamp)
 
@@ -186,7 +187,7 @@ class Serving:
                     self._announce(f"no fresh states on {self._topic}: the loops rest")
                 return
             self._pacer.shift(period)
-        batch = deque([raw], maxlen=self._lag_ns // self._period_ns)  # what came before them lies beyond the lag
+        batch = deque([raw], maxlen=self._lag_ns // self._period_ns)  # earlier ones are beyond the lag
         while (raw := channel.receive(0.0)) is not None:
             batch.append(raw)
         command = None
@@ -207,7 +208,7 @@ class Serving:
             channel.publish(command)
 
     def _follows(self, states: MotorStates) -> bool:
-        """Return whether these states go on from the last ones; begin, or skip time, where two in a row ask for it."""
+        """Return whether these states follow the last ones; begin, or skip time, if two in a row require it."""
         stamp, before = states.stamp_ns, self._elsewhere
         if stamp != self._next:
             if self._next is not None and (before is None or not 0 < stamp - before <= self._lag_ns):
@@ -263,7 +264,7 @@ class Serving:
         return MotorStates(stamp_ns, position, velocity, torque)
 
     def _note_backward(self) -> None:
-        """Note that a stamp has gone back; often enough, that comes of a second simulation."""
+        """Note that a stamp has gone back; if that happens often enough, there is a second simulation."""
         now = time.monotonic()
         self._backward.append(now)
         often = len(self._backward) == _BACKWARD and now - self._backward[0] < _BACKWARD_WINDOW
@@ -281,7 +282,7 @@ class Serving:
 
     def _announce_silence(self) -> None:
         """Say that there is no simulation, if there has been none for a while."""
-        if self._channel.matches().publishers == 0 and time.monotonic() - self._heard > _PATIENCE:
+        if self._channel.matches().publishers == 0 and time.monotonic() - self._last_message > _PATIENCE:
             self._wait.begin(f"waiting for a simulation on {self._topic}")
 
     # Any thread.

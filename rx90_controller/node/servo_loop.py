@@ -1,9 +1,9 @@
 """The CS7B in operation: it holds the arm, follows requests one at a time and can be switched off; needs no ROS.
 
-Requests come by topic or as goals of the action, one queue for all who send. One that is followed takes the place of
-the one before; one that is refused leaves that alone. One that succeeds leaves the arm at its last point; whatever else
-ends one leaves the set-points as they are, but for a cancel and a violated tolerance, where the arm stops along the
-path. To print may take longer than a tick: the thread that ticks only notes what is to be said.
+Requests arrive by topic or as goals of the action, in one queue for all senders. An accepted one replaces the
+running one; a refused one has no effect on it. One that succeeds leaves the arm at its last point; any other end
+leaves the set-points as they are, except that a cancel or a violated tolerance stops the arm along the
+path. Printing may take longer than a tick: the ticking thread only stores the messages.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from rx90_controller.trajectory.request import (
 from rx90_controller.trajectory.stream import SetPoints, Stream, StreamOptions, from_trajectory
 
 INACTIVE: Final = "the controller is inactive; accepted: in state active"
-_ATTEMPTS = 3  # to join a long trajectory beside the ticks, each with more time than the one before
+_ATTEMPTS = 3  # to join a long trajectory outside the ticks, each with more time than the one before
 
 
 class MotorStates(NamedTuple):
@@ -60,10 +60,10 @@ class MotorStates(NamedTuple):
 
 
 class Outputs(Protocol):
-    """Where set-points, tracking errors, accepted trajectories and lines for the user go.
+    """Receives set-points, tracking errors, accepted trajectories and lines for the user.
 
     Attributes:
-        ready: the line that says that the first states have come.
+        ready: the line for the log once the first states have arrived.
     """
 
     ready: str
@@ -72,7 +72,7 @@ class Outputs(Protocol):
         """Wait, not without end, until those who listen will get the first message."""
 
     def publish(self, stamp_ns: int) -> None:
-        """Publish what the position loop has left."""
+        """Publish the results of the position loop."""
 
     def wake(self) -> None:
         """Have `ServoLoop.report` called soon, by another thread than the one that ticks."""
@@ -81,10 +81,10 @@ class Outputs(Protocol):
         """Publish a trajectory that is followed, when it starts, ns, and OF_ACTION for one that was a goal."""
 
     def info(self, text: str) -> None:
-        """Print what happened."""
+        """Print an event."""
 
     def error(self, text: str) -> None:
-        """Print what went wrong."""
+        """Print a problem."""
 
 
 class ServoLoop:
@@ -92,21 +92,21 @@ class ServoLoop:
 
     Args:
         cs7b: the control law, warmed up.
-        outputs: get what it does, and what became of a request.
+        outputs: receive set-points and errors, and the results of requests.
         horizon: how far ahead of its own time, s, a request may start.
         monitor_ticks: position ticks from one feedback of a goal to the next.
 
     Attributes:
-        between_ticks: held by who wants no tick to run; no method of this class may be called then.
+        between_ticks: lock that keeps ticks from running; its holder may call no method of this class.
         command: see `CS7B`.
         active, enabled: whether the node is active, and whether the motors get torque.
-        fault: why the supervision has cut the power, until it is switched on again.
-        running: whether there have been states.
-        options: what else is accepted; may be changed for the next requests.
-        tolerances: of goals that have none of their own, and of trajectories; may be changed for the next ones.
-        streaming: how set-points become a stream.
+        fault: the reason why the supervision has cut the power, until it is switched on again.
+        running: whether states have been received.
+        options: permitted exceptions from the checks; may be changed for the next requests.
+        tolerances: of trajectories, and of goals without tolerances of their own; may be changed for the next ones.
+        streaming: how streamed set-points are joined.
         rejected: number of requests, and set-points of streams, that were refused.
-        last_rejection: which was the last of them, when and why; empty before the first.
+        last_rejection: the last of them, with time and reason; empty before the first.
     """
 
     def __init__(self, cs7b: CS7B, outputs: Outputs, horizon: float, monitor_ticks: int = 50) -> None:
@@ -178,7 +178,7 @@ class ServoLoop:
                 return True
             if fault.quantity == "torque":
                 self._unpublished = False  # torques that are no numbers
-            self._publish(stamp_ns)  # before the reset: what has led to the fault is to be seen
+            self._publish(stamp_ns)  # before the reset: the values that led to the fault must be visible
             self.enabled, self.fault = False, fault
             text = f"{fault}; torque off, brakes closed, trajectory dropped, until ~/enable is called with true"
             self._note(text, wrong=True)
@@ -187,7 +187,7 @@ class ServoLoop:
             return False
 
     def after_command(self, stamp_ns: int) -> None:
-        """Publish what the last step has left: after its command, for which the simulation waits."""
+        """Publish the results of the last step: after its command, for which the simulation waits."""
         with self.between_ticks:
             self._publish(stamp_ns)
 
@@ -248,7 +248,7 @@ class ServoLoop:
 
     @property
     def inactive(self) -> str:
-        """Return why nothing can be followed now, and what is accepted; empty if something can."""
+        """Return why no trajectory can be followed now, and the condition for it; empty if one can."""
         if not self.active:
             return INACTIVE
         if self.fault is not None:
@@ -260,15 +260,15 @@ class ServoLoop:
     # Requests, from the executor's thread.
 
     def receive(self, message: Any, goal: Any = None, missing: str = "") -> TrajectoryRequest | None:
-        """Return a trajectory, checked by itself, or None if it is refused: the log says why; or if it is of a stream.
+        """Return a trajectory, checked by itself; None if it is refused, which is logged, or if it is of a stream.
 
-        What takes long is not done between ticks. A trajectory of the topic is followed at once; a goal is left to
-        `offer`, and must have points that still lie ahead.
+        Long computations are not done between ticks. A trajectory of the topic is followed at once; a goal is left to
+        `offer`, and must have points in the future.
 
         Args:
             message: trajectory_msgs/JointTrajectory; of the topic, one without points is a stop.
-            goal: the goal of FollowJointTrajectory that it is of.
-            missing: why no goal can be followed now, beside `inactive`.
+            goal: the goal of FollowJointTrajectory that contains it.
+            missing: a further reason why no goal can be followed now, besides `inactive`.
         """
         kind = "trajectory" if goal is None else "goal"
         if goal is None and self._is_streamed(message):
@@ -292,7 +292,7 @@ class ServoLoop:
         return request
 
     def receive_correction(self, message: Any) -> None:
-        """Keep offsets for the trajectory whose identity their frame says, until that comes, or another correction.
+        """Keep offsets for the trajectory whose identity is in their frame, until it arrives, or another correction.
 
         Args:
             message: trajectory_msgs/JointTrajectory: a point with positions, the offsets in rad, for each set-point.
@@ -313,14 +313,14 @@ class ServoLoop:
         Raises:
             TrajectoryError: if it is not to run without one, and none waits for it.
         """
-        asked, points = request.message.header.frame_id == CORRECTED, request.points
-        if points is None or (self._correction is None and not asked):
+        requested, points = request.message.header.frame_id == CORRECTED, request.points
+        if points is None or (self._correction is None and not requested):
             return
         identity = trajectory_identity(points)
         waiting, self._correction = self._correction, None
         if waiting is not None and waiting[0] == identity:
             request.points = replace(points, correction=waiting[1])
-        elif asked:
+        elif requested:
             raise TrajectoryError("its correction has not come; accepted: after it on ~/commanded_correction")
         else:
             with self.between_ticks:
@@ -329,8 +329,8 @@ class ServoLoop:
     def offer(self, request: TrajectoryRequest) -> None:
         """Follow a request, at the latest once there are states, or refuse it.
 
-        A long one is joined to the motion beside the ticks; where the motion changes meanwhile, or the time was too
-        short, once more with more time. A short one, and one that was never in time, is joined between two ticks.
+        A long one is joined to the motion outside the ticks; if the motion changes meanwhile, or the time was too
+        short, again with more time. A short one, and one that never was in time, is joined between two ticks.
         """
         for attempt in range(_ATTEMPTS if request.long else 0):
             with self.between_ticks:
@@ -354,11 +354,11 @@ class ServoLoop:
             self._note(f"a {request.kind} waits for the {tick}{instead}")
 
     def receive_stream(self, read: Callable[[], SetPoints], source: str) -> None:
-        """Follow set-points of a stream, in place of what is followed, or refuse them: the log says why, now and then.
+        """Follow set-points of a stream in place of the running motion, or refuse them, which is logged now and then.
 
         Args:
             read: returns them, or raises TrajectoryError.
-            source: where they come from, in words.
+            source: name of the source, in words.
         """
         try:
             points = read()
@@ -392,7 +392,7 @@ class ServoLoop:
 
     @property
     def stream(self) -> str:
-        """Return what is streamed, in words; empty for nothing."""
+        """Return the streamed quantity, in words; empty without a stream."""
         stream = self._stream
         return "" if stream is None else f"{stream.interface}, {stream.count} set-points, {stream.late} late"
 
@@ -424,7 +424,7 @@ class ServoLoop:
                 self._cs7b.trajectory.halt(self._cs7b.position_tick)
 
     def report(self) -> None:
-        """Print and publish what there is to say; called after each `Outputs.wake`."""
+        """Print and publish the stored messages; called after each `Outputs.wake`."""
         while self._reports:
             self._reports.popleft()()
 
@@ -436,7 +436,7 @@ class ServoLoop:
             self._follow(waiting)
 
     def _follow(self, request: TrajectoryRequest, joined: JoinedAhead | None = None) -> None:
-        """Follow a request, which may be joined already, in place of what runs, or refuse it and let that go on."""
+        """Follow a request, perhaps joined already, in place of the running motion, or refuse it without effect."""
         now, trajectory, period, points = self._cs7b.position_tick, self._cs7b.trajectory, self._period, request.points
         try:
             if self.inactive:
@@ -486,7 +486,7 @@ class ServoLoop:
             self._stream = stream
             self._note(f"stream begins at {now * self._period:.3f} s: {points.interface} set-points from {source}")
         cs7b.trajectory.follow_stream(stream, points, now)
-        for line in stream.news(self.streaming.delay):
+        for line in stream.notes(self.streaming.delay):
             self._note(f"stream: {line}", wrong=True)
 
     def _end_stream(self, what: str) -> None:
@@ -497,7 +497,7 @@ class ServoLoop:
             self._note(f"stream ended at {now:.3f} s after {stream.count} set-points{late}; {what}")
 
     def _drop(self, reason: str, *, wanted: bool = False) -> None:
-        """End the stream, and the goal, if there is one, with -1 and a reason; `wanted`, so nothing went wrong."""
+        """End the stream, and the goal, if there is one, with -1 and a reason; `wanted`: the end is no failure."""
         self._end_stream(reason)
         when = f", at {self._cs7b.position_tick * self._period:.6g} s"
         waiting, goal, self._followed = self._waiting, self._followed, None
@@ -517,7 +517,7 @@ class ServoLoop:
             self._note(f"trajectory aborted: {request.reason}; stopping and holding", wrong=True)
 
     def _refused(self, kind: str, error: TrajectoryError, *, quiet: bool = False) -> None:
-        """Count a goal or a trajectory that was refused, and note why, unless its result says so."""
+        """Count a goal or a trajectory that was refused, and store the reason, unless its result contains it."""
         self.rejected += 1
         self.last_rejection = f"{kind} at {self._cs7b.position_tick * self._period:.3f} s: {error}"
         if not quiet:
@@ -533,7 +533,7 @@ class ServoLoop:
         self._post(partial(self._outputs.error if wrong else self._outputs.info, text))
 
     def _post(self, call: Callable[[], None]) -> None:
-        """Have something done by `report`, after what was noted before."""
+        """Let `report` call a function, after the messages stored before."""
         self._reports.append(call)
         self._outputs.wake()
 

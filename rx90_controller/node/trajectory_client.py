@@ -1,4 +1,4 @@
-"""Send trajectories to the controller node: they have arrived before the program ends."""
+"""Send trajectories to the controller node, and wait until they have arrived."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _NEXT_SAMPLE = 1.5  # s; at the slowest real_time_factor the samples of a simula
 
 
 class NewestPositions:
-    """The newest positions of some joints on a JointState topic; `ClientNode.spin` brings them up to date.
+    """The newest positions of some joints on a JointState topic, updated by `ClientNode.spin`.
 
     Messages in which a joint is missing are left out.
 
@@ -43,7 +43,7 @@ class NewestPositions:
         position: rad, in the order of the names; None before the first message.
         time: its stamp, s.
         count: number of messages.
-        standing: whether the newest has the stamp of the one before it: time stands still.
+        standing: whether the newest message has the stamp of the one before: time stands still.
     """
 
     def __init__(self, client: ClientNode, topic: str, names: Sequence[str]) -> None:
@@ -66,7 +66,7 @@ class NewestPositions:
 
 
 class TrajectoryClient:
-    """Sends trajectories to one controller node, and listens to its set-points and to the arm beside it.
+    """Sends trajectories to one controller node, and receives its set-points and the arm's states.
 
     Args:
         client: the node to do it with.
@@ -85,10 +85,10 @@ class TrajectoryClient:
         self._arm: NewestPositions | None = None
 
     def wait_for_controller(self, starting: float = 0.0) -> None:
-        """Wait until the controller will get what is sent.
+        """Wait until the controller will receive messages.
 
         Args:
-            starting: how much longer to wait, s, for a node that is there and still without its topics.
+            starting: additional time to wait, s, for a node that exists and still lacks its topics.
 
         Raises:
             ExchangeError: if there is no controller within the client's timeout.
@@ -112,10 +112,10 @@ class TrajectoryClient:
         self._client.wait(matched, f"a controller on {self.topic}", more)
 
     def _settle(self) -> None:
-        """Wait until all that the graph shows to listen, a recorder for example, are matched, and no more come.
+        """Wait until all subscribers that the graph shows, a recorder for example, are matched, and no more appear.
 
-        The graph learns of its members one by one. Who asks for another quality of service is not waited for, who
-        cannot be matched no longer than the client's timeout.
+        The graph discovers its members one by one. Subscribers with another quality of service are not waited for, and
+        those that cannot be matched no longer than the client's timeout.
         """
         publisher = self._publisher
         before, since = -1, time.monotonic()
@@ -131,7 +131,7 @@ class TrajectoryClient:
             self._client.spin()
 
     def joint_positions(self, names: Sequence[str]) -> Array:
-        """Return where the arm stands that the controller moves, rad, shape (n,).
+        """Return the present position of the controller's arm, rad, shape (n,).
 
         Raises:
             ExchangeError: if no joint states come within the client's timeout.
@@ -142,7 +142,7 @@ class TrajectoryClient:
         return self._arm.position
 
     def standing_time(self) -> float | None:
-        """Return the time at which the simulation stands still, s; None if it runs or `joint_positions` was not asked.
+        """Return the time at which the simulation stands still, s; None if it runs, or before `joint_positions`.
 
         While time stands still the simulation repeats its newest sample a few times a second.
         """
@@ -155,7 +155,7 @@ class TrajectoryClient:
         return arm.time if arm.standing else None
 
     def set_points(self, names: Sequence[str]) -> NewestPositions:
-        """Return the controller's set-points, the first of which have come.
+        """Return the subscription to the controller's set-points, after the first of them.
 
         Raises:
             ExchangeError: if there are none within the client's timeout.
@@ -230,16 +230,16 @@ def trajectory_message(names: Sequence[str], points: TrajectoryPoints, start_tim
 
 @dataclass(frozen=True)
 class Delivery:
-    """How a plan is handed over.
+    """Options for sending a plan.
 
     Attributes:
         controller: name of the controller node.
         start_time: time at which the trajectory starts, s; 0 means now.
         limits: the controller's.
         set_point_period: the controller's, s.
-        approach: the move to the start of the line, None where the arm already stands there.
+        approach: the move to the start of the line, None if the arm must be there already.
         correction: of the line, None for none.
-        starting: how much longer than the timeout a controller that is just being started is waited for, s.
+        starting: time beyond the timeout that a starting controller is waited for, s.
     """
 
     controller: str
@@ -256,12 +256,12 @@ class Delivery:
 
 
 def deliver(client: ClientNode, plan: LinePlan, delivery: Delivery) -> None:
-    """Wait for the controller, send it the line, and say what was sent.
+    """Wait for the controller, send it the line, and print what was sent.
 
     Raises:
-        ConfigError: if the controller cannot be called that.
-        ExchangeError: if the controller or the joint states do not show up within the timeout.
-        LineError: if the arm stands elsewhere without an approach, or the controller would refuse the approach.
+        ConfigError: if that cannot be a controller's name.
+        ExchangeError: if the controller or the joint states do not appear within the timeout.
+        LineError: if the arm is elsewhere and there is no approach, or if the controller would refuse the approach.
     """
     trajectory = TrajectoryClient(client, delivery.controller)
     trajectory.wait_for_controller(delivery.starting)

@@ -1,1 +1,1 @@
-"""Paths of the tool centre point: geometry, profiles, path files, and drawings that they are read from."""
+"""Paths of the tool centre point: geometry, profiles, path files, and drawings as their source."""

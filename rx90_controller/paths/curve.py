@@ -1,7 +1,7 @@
 """Curves in space as functions of their length: lines, arcs, cubic splines and blends, one after the other.
 
 A spline and a blend are polynomials of a parameter that is not their length. Their length is integrated by Gauss and
-Legendre's formula over short cells, and turned round by Newton's steps, to rounding.
+Legendre's formula over short cells, and inverted by Newton's steps, to rounding.
 
 A blend is a polynomial of the fifth degree that has place, tangent and curvature of its neighbours at both ends: the
 acceleration of what travels it does not jump.
@@ -29,7 +29,7 @@ _COLLINEAR = 1e-9  # sine between the chords of three points
 _ROUNDED = 2e-5  # m: by how much ends of an arc may be unequally far from its centre, as drawings print them
 _SHARPEST = -0.98  # cosine of the turn at a corner that a blend rounds
 KINK = 1e-3
-"""A corner up to this angle, rad, is travelled without a stop: set-points one period apart round it."""
+"""A corner up to this angle, rad, is travelled without a stop, by set-points one period apart."""
 
 
 class Piece(Protocol):
@@ -70,8 +70,8 @@ class Circular:
     def at(self, distance: Array, order: int) -> Array:
         """Return a derivative."""
         angle = distance / self.radius + 0.5 * math.pi * order
-        turned = np.cos(angle)[:, None] * self.outward + np.sin(angle)[:, None] * self.onward
-        return np.asarray(self.radius ** (1 - order) * turned + (self.center if order == 0 else 0.0))
+        radial = np.cos(angle)[:, None] * self.outward + np.sin(angle)[:, None] * self.onward
+        return np.asarray(self.radius ** (1 - order) * radial + (self.center if order == 0 else 0.0))
 
 
 class Polynomial:
@@ -98,10 +98,10 @@ class Polynomial:
     def _parameter(self, distance: Array) -> Array:
         cell = np.clip(np.searchsorted(self._lengths, distance, side="right") - 1, 0, len(self._cells) - 2)
         first, last = self._cells[cell], self._cells[cell + 1]
-        wanted, whole = distance - self._lengths[cell], self._lengths[cell + 1] - self._lengths[cell]
-        u = first + (last - first) * wanted / whole
+        way, whole = distance - self._lengths[cell], self._lengths[cell + 1] - self._lengths[cell]
+        u = first + (last - first) * way / whole
         for _ in range(_NEWTON):
-            u = np.clip(u - (self._way(first, u) - wanted) / length(self._orders[1](u)), first, last)
+            u = np.clip(u - (self._way(first, u) - way) / length(self._orders[1](u)), first, last)
         return np.asarray(u)
 
     def at(self, distance: Array, order: int) -> Array:
@@ -126,7 +126,7 @@ class Polynomial:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """A piece without what a blend has taken from its ends."""
+    """A piece without the parts at its ends that blends replace."""
 
     of: Piece
     begin: float
@@ -254,15 +254,15 @@ class Curve:
 
     def __init__(self, pieces: list[Piece], zones: list[float]) -> None:
         self._pieces: list[Piece] = []
-        joints, at, taken = [0.0], 0.0, 0.0
+        joints, at, blended = [0.0], 0.0, 0.0
         for i, piece in enumerate(pieces):
             zone = zones[i] if i < len(zones) else 0.0
             if zone > 0.0:
                 self._check_zone(i, piece, pieces[i + 1], zone)
-            rest = piece.length - taken - zone
-            if rest > 1e-9:
-                self._pieces.append(piece if rest == piece.length else _Part(piece, taken, rest))
-                at += rest
+            straight = piece.length - blended - zone
+            if straight > 1e-9:
+                self._pieces.append(piece if straight == piece.length else _Part(piece, blended, straight))
+                at += straight
             if zone > 0.0:
                 blend = _blend(piece, pieces[i + 1], zone)
                 self._pieces.append(blend)
@@ -270,7 +270,7 @@ class Curve:
                 at += blend.length
             else:
                 joints.append(at)
-            taken = zone
+            blended = zone
         self.joints = np.array(joints)
         self.starts = np.concatenate([[0.0], np.cumsum([piece.length for piece in self._pieces])])
         self.length = float(self.starts[-1])
@@ -327,11 +327,11 @@ class Curve:
         return distance, self.at(distance)
 
     def error(self, points: Array, near: Array | None = None) -> PathError:
-        """Return how far points (n, 3) m are from the curve; beyond its ends it goes on along its tangents.
+        """Return the distance of points (n, 3) m from the curve; beyond its ends it continues along its tangents.
 
         Args:
             points: m.
-            near: distances (n,) m from which on the nearest place is looked for: a path may cross itself.
+            near: distances (n,) m along the curve, near which the nearest place is searched: a path may cross itself.
         """
         points = np.asarray(points, dtype=np.float64)
         distance, places = self._samples
@@ -340,13 +340,13 @@ class Curve:
         along, across = np.full(len(points), np.nan), np.full(len(points), np.inf)
         for cell in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(distance) - 2)):
             at = self._in_cell(points, distance[cell], distance[cell + 1])
-            away = length(self.at(at) - points)
-            along, across = np.where(away < across, at, along), np.minimum(away, across)
+            distances = length(self.at(at) - points)
+            along, across = np.where(distances < across, at, along), np.minimum(distances, across)
         for end, sign, last in ((0.0, -1.0, 0), (self.length, 1.0, len(distance) - 1)):
             tangent = self.at(np.array([min(end, self.length - 1e-12)]), 1)[0]
-            past, beside = decompose(points - places[last], tangent)
+            past, lateral = decompose(points - places[last], tangent)
             rows: Mask = (nearest == last) & (sign * past > 0.0)
-            along[rows], across[rows] = (end + past)[rows], length(beside)[rows]
+            along[rows], across[rows] = (end + past)[rows], length(lateral)[rows]
         return PathError(along, across)
 
     def _in_cell(self, points: Array, low: Array, high: Array) -> Array:

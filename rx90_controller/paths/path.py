@@ -1,4 +1,4 @@
-"""What a path is asked to be, and how fast an arm can travel it."""
+"""The definition of a path, and the speeds at which an arm can travel it."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
 
 FIXED, TANGENT, INTERPOLATED = ORIENTATIONS = ("fixed", "tangent", "interpolated")
 _FARTHEST = 1e3  # m
-_SHORTEST_PATH = 1e-6  # m: far below what an arm resolves; phases of less vanish in rounding
+_SHORTEST_PATH = 1e-6  # m: far below the arm's resolution; shorter phases vanish in rounding
 _TURN = 0.02  # rad of the path between two places at which it is examined
-_MOST_PARTS = 50
+_MAX_PARTS = 50
 _JUMP = 1e-3  # rad/m: a smaller change of the tool's turn by the distance is rounding
 _BLOCK = 5e-3  # m of the path that have one lowered speed, at least
 _BLOCKS = 40  # in a stretch of one speed, at most
@@ -107,8 +107,8 @@ class Path:
         branch: as LineTask's; singularity_margin and start_posture likewise.
         singularity_margin: 1.
         start_posture: rad.
-        lowered: speeds and accelerations below those asked for, as an arm's joints need; `within_limits` finds them.
-        remarks: what was lowered, in words.
+        lowered: speeds and accelerations below the required ones, because of the joints' limits; see `within_limits`.
+        remarks: the lowered values, in words.
 
     Raises:
         LineError: naming the segment, the value and what is accepted.
@@ -179,7 +179,7 @@ class Path:
 
     @cached_property
     def _limits(self) -> tuple[SpeedLimit, ...]:
-        """Return the speeds that are asked for."""
+        """Return the required speeds."""
         joints = self.curve.joints.tolist()
         return tuple(
             SpeedLimit(begin, end, self.speed if segment.speed is None else segment.speed)
@@ -203,9 +203,11 @@ class Path:
                 "orientation"
             )
         grid = np.linspace(0.0, self.length, 400)
-        flat = np.linalg.norm(rotated(transposed(rpy_rotation(self.start_rpy)), self.curve.at(grid, 1))[:, :2], axis=1)
-        if flat.min() < 0.05:
-            at = float(grid[int(np.argmin(flat))])
+        horizontal = np.linalg.norm(
+            rotated(transposed(rpy_rotation(self.start_rpy)), self.curve.at(grid, 1))[:, :2], axis=1
+        )
+        if horizontal.min() < 0.05:
+            at = float(grid[int(np.argmin(horizontal))])
             raise LineError(
                 f"the tool turns with the path, which runs along the tool's z axis at {at:.6g} m; accepted: a path "
                 "across it, or another orientation"
@@ -237,7 +239,7 @@ class Path:
         """Return distances at which the path is examined, m: as of a line, and closer where it bends."""
         distance = np.linspace(0.0, self.length, max(least, math.ceil(self.length / step)) + 1)
         turn = np.linalg.norm(self.curve.at(distance, 2), axis=1) * (distance[1] - distance[0])
-        parts = np.minimum(np.ceil(np.maximum(turn[1:], turn[:-1]) / _TURN).astype(int), _MOST_PARTS)
+        parts = np.minimum(np.ceil(np.maximum(turn[1:], turn[:-1]) / _TURN).astype(int), _MAX_PARTS)
         inner = [np.linspace(distance[k], distance[k + 1], parts[k] + 1)[1:-1] for k in np.flatnonzero(parts > 1)]
         return np.unique(np.concatenate([distance, *inner]))
 
@@ -259,7 +261,7 @@ class Path:
         return Pose(position, rotation)
 
     def _turns(self, distance: Array) -> list[tuple[Index, tuple[float, ...], Array, tuple[Array, Array, Array]]]:
-        """Return for each segment its rows, orientation at its start, turn, and what share of it has been made.
+        """Return for each segment its rows, orientation at its start, turn, and the completed share of the turn.
 
         The share comes with its first and second derivative by the distance.
         """
@@ -292,9 +294,9 @@ class Path:
             (x, y), (dx, dy), (ddx, ddy) = (
                 rotated(transposed(tool), self.curve.at(distance, k)).T[:2] for k in (1, 2, 3)
             )
-            flat = x * x + y * y
-            rate = (x * dy - y * dx) / flat
-            change = (x * ddy - y * ddx) / flat - 2.0 * rate * (x * dx + y * dy) / flat
+            horizontal = x * x + y * y
+            rate = (x * dy - y * dx) / horizontal
+            change = (x * ddy - y * ddx) / horizontal - 2.0 * rate * (x * dx + y * dy) / horizontal
             first[:, 3:], second[:, 3:] = rate[:, None] * tool[:, 2], change[:, None] * tool[:, 2]
         if self.orientation == INTERPOLATED:
             for rows, _, turn, share in self._turns(distance):
@@ -302,21 +304,21 @@ class Path:
         return first, second
 
     def error(self, tip: Array, near: Array | None = None) -> PathError:
-        """Return how far positions (n, 3) m of the tool centre point are from the path.
+        """Return the distance of positions (n, 3) m of the tool centre point from the path.
 
-        `near`, distances (n,) m, says around which places alone it is looked for.
+        `near`, distances (n,) m along the path, limits the search to their neighbourhood.
         """
         return self.curve.error(tip, near)
 
     def notes(self) -> list[str]:
-        """Return lines for a person: where the tool stops, and what was lowered."""
+        """Return lines of text for a person: where the tool stops, and lowered values."""
         inner = [f"{at:.3f}" for at in self.stops[1:-1]]
         stops = [f"stops     {len(inner)}, at {', '.join(inner[:6])}{', ...' * (len(inner) > 6)} m"] if inner else []
         return [*stops, *(f"lowered   {remark}" for remark in self.remarks)]
 
     @property
     def counted(self) -> tuple[float, float]:
-        """Return what of its trajectory counts for the path error, s; see `counted_motion`."""
+        """Return the part of its trajectory that counts for the path error, s; see `counted_motion`."""
         return counted_motion(self)
 
     def within_limits(
@@ -335,12 +337,12 @@ class Path:
             most: limits of the acceleration, rad/s², shape (n,); infinite for none.
         """
         slope, bend = np.abs(slope), np.abs(bend)
-        asked = np.full(len(distance), np.inf)
+        requested = np.full(len(distance), np.inf)
         for one in self._limits:
             within = (distance >= one.begin) & (distance <= one.end)
-            asked[within] = np.minimum(asked[within], one.speed)
+            requested[within] = np.minimum(requested[within], one.speed)
         velocity, most = _SPEED_RESERVE * velocity, _RESERVE * most
-        short = slope * self.acceleration + bend * asked[:, None] ** 2 > most
+        short = slope * self.acceleration + bend * requested[:, None] ** 2 > most
         with np.errstate(divide="ignore", invalid="ignore"):
             allowed = np.where(short & (slope > 0.0), _ACCELERATION_SHARE * most / slope, np.inf)
             acceleration = np.minimum(allowed.min(axis=1), self.acceleration)

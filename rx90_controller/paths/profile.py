@@ -1,13 +1,13 @@
 """The motion along a path within limits of the speed, place by place: trapezoids, rounded where the jerk is limited.
 
-Between two stops the square of the speed is the largest that no limit forbids and that the acceleration allows from
-both sides; it is piecewise linear in the distance, found forwards and backwards over the places at which a limit
-changes.
+Between two stops the square of the speed is the largest function within all limits whose slope the acceleration
+allows in both directions; it is piecewise linear in the distance, and computed forwards and backwards over the places
+at which a limit changes.
 
-A limited jerk takes the mean of that motion over a time tau (Biagiotti and Melchiorri 2012, "FIR filters for online
+A limited jerk replaces that motion by its mean over a time tau (Biagiotti and Melchiorri 2012, "FIR filters for online
 trajectory planning with time- and frequency-domain specifications"): steps of the acceleration become ramps over tau,
-speed and acceleration grow nowhere. The mean looks back, so each limit is first widened by half of tau's way on both
-sides, and each stop lasts tau.
+speed and acceleration grow nowhere. The mean looks back, so each limit is first widened by half of the distance
+travelled in tau on both sides, and each stop lasts tau.
 """
 
 from __future__ import annotations
@@ -84,15 +84,15 @@ class LimitedProfile:
 
     def _between(self, begin: float, end: float, mean: float) -> list[tuple[float, float, float, float]]:
         """Return the phases from one stop to the next."""
-        wide = []
+        widened = []
         for one in self.limits:
             if one.begin < end and one.end > begin:
                 way = 0.5 * mean * one.speed
-                wide.append(one._replace(begin=max(begin, one.begin - way), end=min(end, one.end + way)))
-        edges = np.unique([begin, end, *(place for one in wide for place in one[:2])])
+                widened.append(one._replace(begin=max(begin, one.begin - way), end=min(end, one.end + way)))
+        edges = np.unique([begin, end, *(place for one in widened for place in one[:2])])
         middles = 0.5 * (edges[1:] + edges[:-1])
         most, most_acceleration = np.full(len(middles), np.inf), np.full(len(middles), self._steepest)
-        for one in wide:
+        for one in widened:
             rows = (middles > one.begin) & (middles < one.end)
             most[rows] = np.minimum(most[rows], one.speed**2)
             most_acceleration[rows] = np.minimum(most_acceleration[rows], one.acceleration)
@@ -131,9 +131,9 @@ class LimitedProfile:
         """Return the times at which the acceleration jumps, or its slope, s."""
         motion, mean = self._built
         times = motion.x if mean == 0.0 else np.sort(np.concatenate([motion.x, motion.x + mean]))
-        kept = np.concatenate([[True], np.diff(times) > 1e-6])
-        kept[-1] = True
-        return tuple(times[kept].tolist())
+        distinct = np.concatenate([[True], np.diff(times) > 1e-6])
+        distinct[-1] = True
+        return tuple(times[distinct].tolist())
 
     def sample(self, times: Array) -> PathMotion:
         """Return the motion at `times`, s, shape (n,): at rest before 0 and after the duration."""

@@ -1,9 +1,9 @@
-"""Corrections: offsets of the position set-points, beside the trajectory, played from its first set-point on.
+"""Corrections: offsets of the position set-points in addition to the trajectory, from its first set-point on.
 
-A correction is no trajectory. It goes into the position error alone: neither velocity and acceleration feed-forward nor
-the compensation of friction see it, because a small offset that turns back and forth would there switch the Coulomb
-torque. It is played once, tick by tick, faded in at the trajectory's begin and out behind its end. Whatever else the
-arm is told meanwhile, a stop, another trajectory, another speed, lets it fade out from there.
+A correction is no trajectory. It is added to the position error alone: neither velocity and acceleration feed-forward
+nor the friction compensation contain it, because there the changes of sign of a small offset would switch the Coulomb
+torque. It is played once, tick by tick, faded in at the trajectory's beginning and out after its end. Any other
+request meanwhile, a stop, another trajectory, another speed, makes it fade out from there.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ long that even the largest one changes more slowly than FASTEST."""
 LARGEST = 0.01
 """The largest offset, rad: beyond the sag of elastic gears, far below the supervised following error."""
 FASTEST = 0.5
-"""The fastest change of an offset, rad/s: more than ten times what corrections of the shipped tasks need, a tenth of
-what the joints can turn."""
+"""The fastest change of an offset, rad/s: more than ten times that of the corrections of the shipped tasks, a tenth of
+the joints' speed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,8 @@ class Correction:
         period: of the set-points, s.
 
     Raises:
-        TrajectoryError: for another shape, what is no number, and offsets beyond LARGEST or faster than FASTEST.
+        TrajectoryError: for another shape, values that are no numbers, and offsets beyond LARGEST or faster than
+            FASTEST.
     """
 
     offsets: Array
@@ -66,12 +67,12 @@ class Correction:
 
 @dataclass(frozen=True, eq=False)
 class PlayedCorrection:
-    """A correction that is played from a position tick on.
+    """A correction that starts at a position tick.
 
     Attributes:
-        correction: what is played.
+        correction: the correction.
         begin: its first tick.
-        cut: the tick from which on it fades out.
+        cut: the tick at which its fade-out starts.
     """
 
     correction: Correction
@@ -100,20 +101,20 @@ class PlayedCorrection:
     def at(self, ticks: NDArray[np.int64]) -> Array:
         """Return the offsets at ticks, shape (n, j), rad; 0 before and after.
 
-        Each row takes the same operations, whatever ticks are asked for with it: nodes and loop have the same bits.
+        Each row takes the same operations, whatever the other ticks: nodes and loop have the same bits.
         """
         row = np.clip(np.minimum(ticks, self.cut - 1) - self.begin, 0, len(self.correction.offsets) - 1)
         share = np.clip((row + 1.0) / self.fade, 0.0, 1.0)
-        left = np.clip((self.over - ticks) / self.fade, 0.0, 1.0)
-        weight = share * share * (3.0 - 2.0 * share) * (left * left * (3.0 - 2.0 * left))
+        fading_out = np.clip((self.over - ticks) / self.fade, 0.0, 1.0)
+        weight = share * share * (3.0 - 2.0 * share) * (fading_out * fading_out * (3.0 - 2.0 * fading_out))
         weight = np.where(ticks < self.begin, 0.0, weight)
         return np.asarray(self.correction.offsets[row] * weight[:, None])
 
 
 def cut_at(played: list[PlayedCorrection], now: int, begin: int) -> list[PlayedCorrection]:
-    """Return what is left of corrections where another motion takes over at tick `begin`, known at tick `now`.
+    """Return the remaining corrections if another motion takes over at tick `begin`, known at tick `now`.
 
-    What had not begun by then is dropped; what fades out already goes on doing so.
+    One that had not begun by then is dropped; one that fades out already continues to do so.
     """
     return [
         replace(one, cut=one.cut if one.cut <= now else min(one.begin + len(one.correction.offsets), begin))

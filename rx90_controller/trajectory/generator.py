@@ -50,7 +50,7 @@ class TrajectoryGenerator:
 
     Attributes:
         revision: changes whenever set-points that were sampled in advance may be out of date.
-        factor: what `set_speed_scaling` was given last, 1 in the beginning.
+        factor: the last argument of `set_speed_scaling`, 1 in the beginning.
     """
 
     def __init__(self, limits: JointLimits, period: float, hold: Array) -> None:
@@ -58,7 +58,7 @@ class TrajectoryGenerator:
         self.period = period
         self.revision = 0
         self.factor = 1.0
-        self._origin: tuple[int, int | None] = (0, None)  # of a fork: revision and start of what waited
+        self._origin: tuple[int, int | None] = (0, None)  # of a fork: revision, and start of the waiting motion
         self.reset(hold)
 
     def warm_up(self) -> None:
@@ -141,7 +141,7 @@ class TrajectoryGenerator:
     def state(self, tick: float) -> Array:
         """Return the set-point of the running trajectory at a time in position ticks, whole or not, shape (3, j).
 
-        In the past as far as the running trajectory goes back, in the future as it is with the present scaling.
+        Past times as far as the running trajectory goes back, future times with the present scaling.
 
         Raises:
             TrajectoryError: for a time before that.
@@ -157,7 +157,7 @@ class TrajectoryGenerator:
         return state
 
     def progress(self, tick: int) -> tuple[float, float]:
-        """Return times on the path from the begin of the trajectory taken last, s: now, below 0 before, and its end."""
+        """Return times on the path from the beginning of the newest trajectory, s: now, below 0 before, and its end."""
         motion = self._next or self._current
         return motion.at(tick)[0] - motion.path.begin, motion.path.last - motion.path.begin
 
@@ -168,7 +168,7 @@ class TrajectoryGenerator:
         finer._next = self._next and self._next.refined(ratio)
         return finer
 
-    # At what speed.
+    # Speed scaling.
 
     def speed_scaling(self, tick: int) -> float:
         """Return the speed along the path at a position tick, as a share of the trajectory's own; at rest `factor`."""
@@ -179,8 +179,8 @@ class TrajectoryGenerator:
         """Follow trajectories at `factor` of their speed, in [0, 1], from position tick `now` on; 0 holds on the path.
 
         Also while one runs: the time on its path then runs slower or faster, as quickly as the accelerations allow.
-        What waits behind a running motion comes later by as much as that one is slowed down; what waits at rest keeps
-        its start. A stop that begins at once is not slowed down. It stays over `reset`.
+        A motion that waits behind a running one comes later by as much as that one is slowed down; one that waits at
+        rest keeps its start. A stop that begins at once is not slowed down. The factor survives `reset`.
 
         Raises:
             TrajectoryError: if the factor is not a number in [0, 1].
@@ -195,7 +195,8 @@ class TrajectoryGenerator:
         motion, waiting = self._effective(now), self._next
         if motion.runs(now) and not motion.fixed:
             if waiting is not None and motion is not waiting:
-                # One path, which goes over to the other where it will, by its present rate, be at the start of that.
+                # One path, which changes over to the other at the point that it will have reached, at its present rate,
+                # by its start.
                 at, (spline, _, last, stops) = motion.at(waiting.start)[0], waiting.path
                 path = Path(joined(motion.path.spline, at, spline), at, at + last, stops)
                 self._current, self._next = motion.on(path, motion.path), None
@@ -238,17 +239,17 @@ class TrajectoryGenerator:
             PastError: if all its points lie in the past.
             TrajectoryError: if it starts elsewhere than the arm is, or breaks a limit.
         """
-        begin, late, left = points_left(points, now, start, self.period)
+        begin, late, remaining = points_left(points, now, start, self.period)
         self._promote(now)
         if late > 0.0 and points.correction is not None:
             raise TrajectoryError(f"a correction begins {late:.6g} s late; accepted: with its trajectory's first point")
         if late == 0.0 and points.times[0] == 0.0 and not anywhere:
-            held = self._base(now).entry(begin)
-            first = points.held_at(held[0])
-            self.limits.check_near(first, held)
+            reference = self._base(now).entry(begin)
+            first = points.held_at(reference[0])
+            self.limits.check_near(first, reference)
             if first.velocity is not None and (first.degrees is None or first.degrees[0] > 1):
-                self.limits.check_start(held, first.velocity[0], self.period)
-        return self._take(left, now, begin, follow=anywhere)
+                self.limits.check_start(reference, first.velocity[0], self.period)
+        return self._take(remaining, now, begin, follow=anywhere)
 
     def follow_stream(self, stream: Stream, points: SetPoints, now: int) -> None:
         """Follow set-points of a stream from position tick `now` on, in place of whatever runs or waits.
@@ -258,9 +259,9 @@ class TrajectoryGenerator:
         self._promote(now)
         base = self._base(now)
         rate = self._rate(base, now)
-        held = base.setpoints(now, 1)[0] if rate == 0.0 else base.entry(now)
-        if stream.take(points, now, held):
-            spline = stream.motion(now, held)
+        reference = base.setpoints(now, 1)[0] if rate == 0.0 else base.entry(now)
+        if stream.take(points, now, reference):
+            spline = stream.motion(now, reference)
             self._follow(base, Path(spline, 0.0, spline.duration), now, now, rate or self.factor)
             assert self._next is not None
             self._next.announced = True
@@ -273,7 +274,8 @@ class TrajectoryGenerator:
         """
         begin = self._begin(now, start)
         base = self._base(now)
-        # At once from what the arm does; later along the path, whose speed may have changed by then.
+        # A stop at once begins from the present motion; a later one along the path, whose speed may have changed by
+        # then.
         position, velocity, _ = base.setpoints(now, 1)[0] if begin == now else base.entry(begin)
         spline = stop(position, velocity, self.limits.acceleration)
         rate = None if begin == now else self._rate(base, begin)
@@ -282,8 +284,8 @@ class TrajectoryGenerator:
     def halt(self, now: int) -> Schedule:
         """Come to rest on the path, within the accelerations, from position tick `now` on, and hold.
 
-        Where the path leaves so little room that this would take more than three times as long as `stop`, it is
-        `stop`. What waits for its start is dropped. Return when the stop begins and ends.
+        If the path leaves so little room that this would take more than three times as long as `stop`, it is
+        `stop`. A waiting motion is dropped. Return when the stop begins and ends.
         """
         self._promote(now)
         base, acceleration = self._base(now), self.limits.acceleration
@@ -299,20 +301,20 @@ class TrajectoryGenerator:
             spline = stop(position, velocity, acceleration)
         return self._follow(base, Path(spline, 0.0, spline.duration, stop=True), now, now, None)
 
-    # New motions that are computed beside the ticks.
+    # New motions that are computed outside the ticks.
 
     def fork(self, now: int) -> TrajectoryGenerator | None:
-        """Return a generator that goes on as this one does from tick `now` on, for another thread to `join` to.
+        """Return a generator that continues as this one does from tick `now` on, for another thread to `join` to.
 
-        What waits for its start is not in it: what is joined replaces that. None where the scaling has changed while
-        something waited: what runs until then would depend on that.
+        It does not contain the waiting motion, which a joined one replaces. None if the scaling has changed while
+        a motion waited: the set-points until then would depend on that.
         """
         self._promote(now)
         if self._current.before is not None:
             return None
         fork = copy.copy(self)
         fork._origin = (self.revision, None if self._next is None else self._next.start)
-        laws = [copy.copy(law) for law in self._current.laws]  # what a fork computes is not this one's
+        laws = [copy.copy(law) for law in self._current.laws]  # a fork must not change this generator's laws
         fork._current, fork._next = replace(self._current, laws=laws), None
         return fork
 
@@ -322,7 +324,7 @@ class TrajectoryGenerator:
         return self.revision == revision and (waited is None or waited >= now)
 
     def adopt(self, fork: TrajectoryGenerator, late: int) -> None:
-        """Go on as a fork that this one `continues` does; what was joined to it comes `late` ticks later."""
+        """Continue as a fork that this one `continues` does; the motion joined to it comes `late` ticks later."""
         if fork._next is not None:
             begin = fork._next.start
             fork._next.delay(late)
@@ -351,7 +353,7 @@ class TrajectoryGenerator:
         return begin
 
     def _base(self, now: int) -> FollowedPath:
-        """Return the running motion without what waits for its start."""
+        """Return the running motion without the waiting one."""
         motion = self._current
         if motion.before is None or motion.at(now)[0] >= motion.path.begin:
             return motion
@@ -368,22 +370,24 @@ class TrajectoryGenerator:
         limits, base, partial = self.limits, self._base(now), not points.named.all()
         rate = self._rate(base, begin)
         # Held on the path, the arm rests, and may go elsewhere from there.
-        rests = begin == now and rate == 0.0 and not (follow and partial)
-        held = base.setpoints(begin, 1)[0] if rests else base.entry(begin)
-        outside = limits.outside(held[0])
+        stands_still = begin == now and rate == 0.0 and not (follow and partial)
+        reference = base.setpoints(begin, 1)[0] if stands_still else base.entry(begin)
+        outside = limits.outside(reference[0])
         # An arm that was pushed beyond a limit may come back: from there on only inwards.
         allowed = np.where(outside > 0.0, outside + limits.start_tolerance, 0.0)
-        points = points.held_at(held[0])
+        points = points.held_at(reference[0])
         limits.check_points(points, allowed)
-        spline = connect(points, np.where(points.named, held, [held[0], 0.0 * held[1], 0.0 * held[2]]), limits)
+        spline = connect(
+            points, np.where(points.named, reference, [reference[0], 0.0 * reference[1], 0.0 * reference[2]]), limits
+        )
         last = spline.duration
         if points.velocity is not None and points.velocity[-1].any():
             spline = joined(spline, last, stop(spline.final, points.velocity[-1], limits.acceleration))
         if partial and follow:
             spline = merged(spline, remainder(base.path.spline, base.at(begin)[0]), ~points.named)
         elif partial:
-            spline = merged(spline, stop(held[0], held[1], limits.acceleration), ~points.named)
-        limits.check_start(held, spline.sample(np.zeros(1))[0, 1], self.period, points.first)
+            spline = merged(spline, stop(reference[0], reference[1], limits.acceleration), ~points.named)
+        limits.check_start(reference, spline.sample(np.zeros(1))[0, 1], self.period, points.first)
         try:
             limits.check_motion(spline, self.period, points, allowed)
         except TrajectoryError as error:
@@ -393,7 +397,7 @@ class TrajectoryGenerator:
         correction = points.correction
         if correction is not None:
             self._check_correction(correction, spline)
-        schedule = self._follow(base, Path(spline, 0.0, last), now, begin, self.factor if rests else rate)
+        schedule = self._follow(base, Path(spline, 0.0, last), now, begin, self.factor if stands_still else rate)
         if correction is not None:
             self._played = [*self._played, PlayedCorrection.started(correction, begin)]
         return schedule
@@ -419,7 +423,7 @@ class TrajectoryGenerator:
             )
 
     def _follow(self, base: FollowedPath, path: Path, now: int, begin: int, rate: float | None) -> Schedule:
-        """Follow a path from a tick on, behind `base`, from a rate on; None for full speed whatever the scaling is."""
+        """Follow a path from a tick on, after `base`, from a rate on; None for full speed whatever the scaling is."""
         self.revision += 1
         self._played = cut_at(self._played, now, begin)
         self._current, self._next = base, self._followed(begin, path, fixed=rate is None)
@@ -440,11 +444,11 @@ def points_left(
     begin = now if start is None else max(start, now)
     late = 0.0 if start is None else (begin - start) * period
     # Nothing but the start: whoever is there already has reached it.
-    left = points if late == 0.0 and len(points.times) == 1 else points.after(late)
-    if not len(left.times):
+    remaining = points if late == 0.0 and len(points.times) == 1 else points.after(late)
+    if not len(remaining.times):
         ended = (begin * period - late) + points.times[-1]
         raise PastError(
             f"the last point is at {ended:.6g} s, the controller's time is {now * period:.6g} s; accepted: points "
             "later than that"
         )
-    return begin, late, left
+    return begin, late, remaining

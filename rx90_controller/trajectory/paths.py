@@ -1,7 +1,7 @@
-"""The limits that set-points keep, and paths within them through the points of a trajectory: splines, lines, stops.
+"""The limits of set-points, and paths within them through the points of a trajectory: splines, lines, stops.
 
-A line from point to point would change its velocity in no time. An arm that is to do so lags, and passes the point by
-about v^2/(2 a). Each change of velocity therefore becomes a ramp of constant acceleration, as short as the limits
+A straight line from point to point would need jumps of the velocity. An arm would lag behind them, and pass the point
+by about v^2/(2 a). Each change of velocity therefore becomes a ramp of constant acceleration, as short as the limits
 allow and of the same duration in all joints, so that the motion stays straight: linear segments with parabolic blends
 (Craig 2005, section 7.3).
 """
@@ -109,7 +109,7 @@ class JointLimits:
         `period` is that of the position loop, s, `number` that of the first point.
 
         Raises:
-            TrajectoryError: naming the joint whose velocity would jump, both velocities and what is accepted.
+            TrajectoryError: naming the joint whose velocity would jump, both velocities and the accepted range.
         """
         allowed = self.acceleration * period
         found = _Quantity("", "", held[1] - allowed, held[1] + allowed).first_outside(velocity[None])
@@ -141,8 +141,9 @@ class JointLimits:
     def check_motion(self, spline: Spline, period: float, points: TrajectoryPoints, allowed: Array) -> None:
         """Check a motion: its set-points, and the accelerations between them.
 
-        What passes is within the accelerations wherever it is, so that it can be travelled at every lower speed too.
-        It ends within the position limits, and could therefore, wherever it is, be braked to rest before it reaches
+        The accelerations hold at every time of an accepted motion, so that it can be travelled at every lower speed,
+        too.
+        It ends within the position limits, and can therefore be braked to rest at any time before it reaches
         them.
 
         Args:
@@ -155,7 +156,7 @@ class JointLimits:
         Raises:
             TrajectoryError: naming joint, point, time, amount and limit.
         """
-        if not allowed.any() and self._surely_kept(spline):
+        if not allowed.any() and self._certainly_within(spline):
             return
         last = int(np.ceil(spline.duration / period - 1e-6))
         for first in range(0, last, _CHECKED_AT_ONCE):
@@ -175,7 +176,7 @@ class JointLimits:
             allowed = reach[-1]
         self._check_between(spline, points)
 
-    def _surely_kept(self, spline: Spline) -> bool:
+    def _certainly_within(self, spline: Spline) -> bool:
         """Return whether bounds of the spline, and so its set-points and the steps between them, are within limits."""
         quantities, extremes = self._quantities(self.lower, self.upper), np.stack(spline.bounds(), axis=1)
         return all(each.first_outside(pair) is None for each, pair in zip(quantities, extremes, strict=True))

@@ -42,9 +42,9 @@ class TrajectoryPoints:
         position: rad, shape (n, j).
         velocity: rad/s, shape (n, j), or None if no point carries velocities.
         acceleration: rad/s^2, shape (n, j), or None if no point carries accelerations.
-        named: which joints the points are of, shape (j,), all where it is left out; the values of the others are 0 and
-            mean nothing.
-        first: number of the first point in the trajectory that was sent.
+        named: the joints that the points are for, shape (j,), all by default; the values of the others are 0 and
+            without meaning.
+        first: number of the first point in the received trajectory.
         way: None; kept for programs that name it.
         smooth: whether only the velocities at both ends count, see `smoothed`.
         degrees: of the way to each point, shape (n,): 1, a straight line, where one of its two ends has no velocities,
@@ -134,7 +134,7 @@ class TrajectoryPoints:
     def smoothed(self) -> TrajectoryPoints:
         """Return them for the smooth spline through their positions, with their velocities at both ends.
 
-        Points without velocities stay as they are: what they ask for is straight lines.
+        Points without velocities stay as they are: they mean straight lines.
         """
         if self.velocity is None:
             return self
@@ -146,16 +146,16 @@ class TrajectoryPoints:
 
     def after(self, time: float) -> TrajectoryPoints:
         """Return the points later than a time, s, with times from there on."""
-        kept = self.times > time + _SHORTEST_STEP
-        velocity, acceleration = (None if rows is None else rows[kept] for rows in (self.velocity, self.acceleration))
+        later = self.times > time + _SHORTEST_STEP
+        velocity, acceleration = (None if rows is None else rows[later] for rows in (self.velocity, self.acceleration))
         return replace(
             self,
-            times=self.times[kept] - time,
-            position=self.position[kept],
+            times=self.times[later] - time,
+            position=self.position[later],
             velocity=velocity,
             acceleration=acceleration,
-            first=self.first + int(np.count_nonzero(~kept)),
-            degrees=None if self.degrees is None else self.degrees[kept],
+            first=self.first + int(np.count_nonzero(~later)),
+            degrees=None if self.degrees is None else self.degrees[later],
         )
 
     def held_at(self, position: Array) -> TrajectoryPoints:
@@ -209,12 +209,12 @@ def joint_table(
     """Return rows of values in the columns of their joints, shape (n, j), 0 elsewhere; None if all rows are empty.
 
     Args:
-        what: the values are, for messages.
+        what: name of the values, for messages.
         rows: values, or none.
         columns: of the joints in the robot's order, one for each value.
         robot_joints: names of the joints.
-        where: a row is, for messages, by its number.
-        whole: whether no row may be empty where others are not.
+        where: name of a row, for messages, formatted with its number.
+        whole: whether no row may be empty if others are not.
 
     Raises:
         TrajectoryError: naming row, joint, value and what is accepted.
@@ -235,11 +235,11 @@ def joint_table(
 
 
 def _degrees(velocity: Sequence[Sequence[float]], acceleration: Sequence[Sequence[float]]) -> NDArray[np.intp] | None:
-    """Return the degrees of the ways to n points by what these carry, shape (n,); None if all points are alike."""
+    """Return the degrees of the ways to n points from their given values, shape (n,); None if all points are alike."""
     given = np.array([[len(row) > 0 for row in rows] for rows in (velocity, acceleration)])
-    without = np.flatnonzero(given[1] & ~given[0])
-    if without.size:
-        raise TrajectoryError(f"point {without[0]}: accelerations without velocities; accepted: velocities too")
+    lacking = np.flatnonzero(given[1] & ~given[0])
+    if lacking.size:
+        raise TrajectoryError(f"point {lacking[0]}: accelerations without velocities; accepted: velocities too")
     if (given == given[:, :1]).all():
         return None
     # The way to the first point comes from the set-point, which has all.
@@ -355,6 +355,6 @@ def correction_from_points(points: TrajectoryPoints, period: float) -> Correctio
 
 
 def trajectory_identity(points: TrajectoryPoints) -> str:
-    """Return what tells a trajectory from others: a digest of its times, in ns, and of its values."""
+    """Return the identity of a trajectory: a digest of its times, in ns, and of its values."""
     times = np.round(points.times * NANOSECONDS).astype(np.int64)
     return array_digest(times, points.position, points.velocity, points.acceleration)

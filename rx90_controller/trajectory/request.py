@@ -1,8 +1,8 @@
-"""One trajectory request: what a client sends, by topic or as a goal of FollowJointTrajectory, from check to end.
+"""One trajectory request, received by topic or as a goal of FollowJointTrajectory, from check to end.
 
-A request is checked by itself, by the thread that received it; joined to the motion, beside the ticks where that may
-take long; followed, and held to its tolerances tick by tick; and ended, with a result code and a reason. The rules are
-those of ros2_controllers' joint_trajectory_controller (docs/howto/action.md). No call reads a clock.
+A request is checked by itself, on the thread that received it; joined to the motion, outside the ticks if that may
+take long; followed, and compared with its tolerances tick by tick; and ended, with a result code and a reason. The
+rules are those of ros2_controllers' joint_trajectory_controller (docs/howto/action.md). No call reads a clock.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class GoalTolerances:
 
     @classmethod
     def of_parameters(cls, names: Sequence[str], values: Mapping[str, float] | None = None) -> GoalTolerances:
-        """Return the tolerances that some of `constraint_parameters` stand for, with the defaults of the others."""
+        """Return the tolerances given by some of `constraint_parameters`, with the defaults of the others."""
         known = {name: default for name, (default, _) in constraint_parameters(names).items()} | dict(values or {})
         limits = {name.removeprefix("constraints."): value or math.inf for name, value in known.items()}
         path, goal = np.full((3, len(names)), np.inf), np.full((3, len(names)), np.inf)
@@ -140,7 +140,7 @@ class GoalTolerances:
         return GoalTolerances(self.names, tables[0], tables[1], most)
 
     def worst(self, error: Array, limit: Array) -> str | None:
-        """Return what is furthest beyond its tolerance, relatively, in words; None if nothing is; shape (3, j) each."""
+        """Return the relatively largest violation of a tolerance, in words; None without one; shape (3, j) each."""
         beyond = ~(np.abs(error) <= limit) & np.isfinite(limit)
         if not beyond.any():
             return None
@@ -154,7 +154,7 @@ class GoalTolerances:
 
 
 def _resolved(what: str, unit: str, value: float, default: float) -> float:
-    """Return what a goal's tolerance stands for."""
+    """Return the meaning of a goal's tolerance value."""
     if value == 0.0:
         return default
     if value == -1.0:
@@ -178,13 +178,13 @@ class State(Enum):
 
 
 class Feedback(NamedTuple):
-    """How a request goes at a position tick.
+    """The progress of a request at a position tick.
 
     Attributes:
         tick: position tick.
         desired: set-point: position rad, velocity rad/s, acceleration rad/s^2, shape (3, j).
         actual: measured, shape (3, j); the acceleration is the difference of the velocities over a tick.
-        desired_time: time on the trajectory, s from its start; slower than `actual_time` where speed is scaled.
+        desired_time: time on the trajectory, s from its start; slower than `actual_time` if speed is scaled.
         actual_time: time since its start, s.
     """
 
@@ -197,22 +197,22 @@ class Feedback(NamedTuple):
 
 @dataclass(eq=False)
 class TrajectoryRequest:
-    """A trajectory that somebody sent, with what has become of it.
+    """A received trajectory, with its state.
 
     Attributes:
-        message: trajectory_msgs/JointTrajectory, as it came.
+        message: trajectory_msgs/JointTrajectory, as received.
         points: times from the stamp on. None stops the arm.
         start: its stamp in position ticks; None for now.
-        tolerances: that hold for it.
-        options: what else was accepted when it came.
-        is_goal: whether it came as a goal: the way then leads to its points from where the path is. A point of the
-            topic's at the start is followed to the bit, unless the start is over.
+        tolerances: that apply to it.
+        options: permitted exceptions at its arrival.
+        is_goal: whether it was received as a goal: the way to its points then starts on the running path. A point at
+            the start of a topic's trajectory is followed to the bit, unless the start is past.
         on_feedback: of a goal, called by the executor's thread now and then while it is followed.
         on_result: likewise, called once it has ended.
-        state: where it is; once it has ended SUCCEEDED, ABORTED or CANCELED.
+        state: of the request; once it has ended SUCCEEDED, ABORTED or CANCELED.
         code: of the result, once it has ended.
-        reason: how it has ended, one line, error_string of the result; empty before.
-        feedback: how it went in the last step; None before the first.
+        reason: of the end, one line, error_string of the result; empty before.
+        feedback: of the last step; None before the first.
     """
 
     message: Any
@@ -296,16 +296,17 @@ class TrajectoryRequest:
 def check_request(
     message: Any, defaults: GoalTolerances, options: GoalOptions, position_hz: int, goal: Any = None
 ) -> TrajectoryRequest:
-    """Check a trajectory as it came; one of the topic without points stops the arm.
+    """Check a received trajectory; one of the topic without points stops the arm.
 
     Needs no state of the controller and may run in any thread.
 
     Args:
         message: trajectory_msgs/JointTrajectory.
-        defaults: tolerances where a goal has none of its own, with the names of the robot's joints.
-        options: what else is accepted.
+        defaults: tolerances for a goal without its own, with the names of the robot's joints.
+        options: permitted exceptions from the checks.
         position_hz: rate of the position loop, Hz.
-        goal: control_msgs/action/FollowJointTrajectory goal that the trajectory is of, or anything with its attributes.
+        goal: control_msgs/action/FollowJointTrajectory goal that contains the trajectory, or anything with its
+            attributes.
 
     Raises:
         TrajectoryError: naming joint, index of the point or field, and reason.
@@ -334,13 +335,14 @@ def check_request(
 class JoinedAhead:
     """A request that is joined to a fork of the generator, while that goes on.
 
-    To be made between two ticks; then `compute`, beside the ticks; then, between two ticks again, `adopt` if it `fits`.
-    A trajectory whose start does not lie ahead begins some ticks later, when it should be there, at each attempt with
-    more time; from rest, where it begins makes no difference, as soon as it is there.
+    To be made between two ticks; then `compute`, outside the ticks; then, between two ticks again, `adopt` if it
+    `fits`.
+    A trajectory whose start is not in the future begins some ticks later, when it should have been joined, at each
+    attempt with more time; from rest the beginning makes no difference, and it begins as soon as it has been joined.
 
     Args:
         request: with points.
-        generator: that is to follow it.
+        generator: that will follow it.
         now: its first tick that may still be changed.
         attempt: from 0 on.
     """
@@ -359,7 +361,7 @@ class JoinedAhead:
         self._error: TrajectoryError | None = None
 
     def compute(self) -> None:
-        """Compute what the generator would."""
+        """Compute the motion, as the generator would."""
         try:
             if self._fork is not None:
                 self._schedule = self._request.enter(self._fork, self._earliest)

@@ -1,8 +1,8 @@
-"""Piecewise polynomials, and how they are followed on the ticks of the position loop: speed scaling and stops.
+"""Piecewise polynomials, and the motion along them on the ticks of the position loop: speed scaling and stops.
 
 Along a path q(s) that is travelled at the rate r = ds/dt, the velocities are q' r and the accelerations
-q'' r^2 + q' dr/dt (Bobrow, Dubowsky and Gibson 1985). A path that keeps to the accelerations at full speed keeps to
-them at every constant rate below; what is left of them changes the rate.
+q'' r^2 + q' dr/dt (Bobrow, Dubowsky and Gibson 1985). A path within the acceleration limits at full speed is within
+them at every lower constant rate; the reserve is used to change the rate.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rx90_common.kernels.compiled import inlined, kernel
 _BLOCK = 64  # ticks that are computed at once, at least
 _HALVINGS = 20
 _SLACK = 1e-3  # of the limit, as accelerations between two set-points of a path have it
-_KEPT = 64  # changes of the rate that questions about the past may go back to
+_MAX_PAST_LAWS = 64  # changes of the rate that questions about the past may go back to
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Spline:
         return setpoints
 
     def bounds(self) -> tuple[Array, Array]:
-        """Return what positions, velocities and accelerations lie between, shape (3, j) each; infinite for no numbers.
+        """Return bounds of positions, velocities and accelerations, shape (3, j) each; infinite for no numbers.
 
         Between its ends a polynomial lies within its control points as a Bezier curve (Farin 2002, chapter 5).
         """
@@ -195,13 +195,13 @@ def joined(first: Spline, at: float, second: Spline) -> Spline:
 
 
 def remainder(spline: Spline, at: float) -> Spline:
-    """Return what is left of a spline at a time, s, with times from there on."""
+    """Return the remainder of a spline from a time, s, on, with times counted from there."""
     knots = np.concatenate([[at], spline.times[spline.times > at]])
     return Spline(knots - at, _expanded(spline, knots[:-1]), spline.final)
 
 
 def merged(spline: Spline, other: Spline, joints: Mask) -> Spline:
-    """Return a spline with some joints, shape (j,), taken from another one."""
+    """Return a spline whose joints in a mask of shape (j,) are those of another one."""
     knots = np.union1d(spline.times, other.times)
     coefficients = np.where(joints, _expanded(other, knots[:-1]), _expanded(spline, knots[:-1]))
     return Spline(knots, coefficients, np.where(joints, other.final, spline.final), spline.blend_error)
@@ -228,7 +228,7 @@ def _expanded(spline: Spline, knots: Array) -> Array:
 
 
 class _Law:
-    """Time and rate on a path from a tick on: the rate goes to a wanted one, within accelerations, and stays there."""
+    """Time and rate on a path from a tick on: the rate approaches a target, within accelerations, and stays there."""
 
     def __init__(self, motion: FollowedPath, tick: int, time: float, rate: float, wanted: float) -> None:
         self.tick = tick
@@ -257,15 +257,15 @@ class _Law:
         return time + (since - row) * self._period * rate, rate
 
     def settles(self, within: int) -> int | None:
-        """Return after how many ticks the wanted rate, or the end of the path, is reached; None if they are more."""
+        """Return the ticks until the target rate, or the end of the path, is reached; None if they are more."""
         self._extend(within + 2)
         last = self._series.shape[1] - 1
         return last if self._settled and last <= within else None
 
     def _extend(self, count: int) -> None:
-        """Compute `count` ticks, or as many as there are until the wanted rate is reached."""
+        """Compute `count` ticks, or as many as there are until the target rate is reached."""
         while not self._settled and self._series.shape[1] < count:
-            # As many as there are: so that what is copied does not grow with the square of a long change.
+            # No more than that: otherwise the copied data would grow with the square of a long change's duration.
             block = max(_BLOCK, self._series.shape[1])
             series = np.empty((2, block + 1))
             series[:, 0] = self._series[:, -1]
@@ -291,31 +291,31 @@ def _advance(
         sample_spline(knots, coefficients, final, at, here)
         bound = _bound(here[0], rate, wanted, limit, period)
         # The rate may always stay; how far it may change is searched for between that and the bound.
-        kept, beyond, tried = rate, bound, bound
+        reachable, beyond, tried = rate, bound, bound
         for _ in range(_HALVINGS):
             at[0] = time + 0.5 * period * (rate + tried)
             sample_spline(knots, coefficients, final, at, there)
             if _follows(here[0], rate, there[0], tried, limit, period):
-                kept = tried
+                reachable = tried
                 if tried == bound:
                     break
             else:
                 beyond = tried
-            tried = 0.5 * (kept + beyond)
-        series[0, k + 1], series[1, k + 1] = time + 0.5 * period * (rate + kept), kept
+            tried = 0.5 * (reachable + beyond)
+        series[0, k + 1], series[1, k + 1] = time + 0.5 * period * (rate + reachable), reachable
     return count
 
 
 @inlined
 def _bound(here: Array, rate: float, wanted: float, limit: Array, period: float) -> float:
-    """Return how far the rate may go towards the wanted one by the accelerations q'' r^2 + q' dr/dt at its begin."""
+    """Return how far the rate may approach its target with the accelerations q'' r^2 + q' dr/dt at its beginning."""
     change = (wanted - rate) / period
     for j in range(limit.size):
         slope, bend = here[1, j], here[2, j] * rate * rate
-        asked = slope * change
-        room = max(limit[j] - bend if asked > 0.0 else limit[j] + bend, 0.0)
-        if abs(asked) > room:
-            change *= room / abs(asked)
+        acceleration_change = slope * change
+        room = max(limit[j] - bend if acceleration_change > 0.0 else limit[j] + bend, 0.0)
+        if abs(acceleration_change) > room:
+            change *= room / abs(acceleration_change)
     if change == (wanted - rate) / period:
         return wanted
     return rate + change * period
@@ -325,7 +325,7 @@ def _bound(here: Array, rate: float, wanted: float, limit: Array, period: float)
 def _follows(before: Array, rate: float, after: Array, then: float, limit: Array, period: float) -> bool:
     """Return whether velocities q' r change by no more than the limits, and the tick ends within the accelerations.
 
-    Without the second one the path's own acceleration could grow within the tick to what the change leaves no room for.
+    Without the second condition the path's own acceleration could grow within the tick beyond the reserve.
     """
     follows, change = True, (then - rate) / period
     for j in range(limit.size):
@@ -336,10 +336,10 @@ def _follows(before: Array, rate: float, after: Array, then: float, limit: Array
 
 
 class Path(NamedTuple):
-    """A spline, and the part of it that the trajectory taken last has.
+    """A spline, and the part of it that belongs to the newest trajectory.
 
     Attributes:
-        spline: set-points at full speed, which keep to the accelerations.
+        spline: set-points at full speed, within the accelerations.
         begin: time at which that trajectory begins, s.
         last: time of its last point, s.
         stop: whether it is a stop.
@@ -362,8 +362,8 @@ class FollowedPath:
         limit: accelerations of the joints, rad/s^2, shape (j,).
         fixed: whether it runs at full speed whatever the scaling is, as stops do.
         announced: whether its end has been announced.
-        laws: how the time on the path runs, each from its tick on; at full speed before the first.
-        before: the path without the trajectory that has been joined to it for later, if that is so.
+        laws: of the time on the path, each from its tick on; at full speed before the first.
+        before: the path without a trajectory that has been joined to it for later; None without one.
         oldest: the first tick for which `laws` are complete; None for `start`.
     """
 
@@ -393,12 +393,12 @@ class FollowedPath:
             return self.path.spline.sample((ticks - self.start) * self.period)
         times = (ticks - self.start) * self.period
         rates, changes = np.ones(len(times)), np.zeros(len(times))
-        left = np.ones(len(times), dtype=bool)
+        pending = np.ones(len(times), dtype=bool)
         for law in reversed(self.laws):
-            rows = left & (ticks >= law.tick)
+            rows = pending & (ticks >= law.tick)
             times[rows], rates[rows], changes[rows] = law.at(ticks[rows])
-            left &= ~rows
-            if not left.any():
+            pending &= ~rows
+            if not pending.any():
                 break
         setpoints = self.path.spline.sample(times)
         slope, rate = setpoints[:, 1].copy(), rates[:, None]
@@ -428,7 +428,7 @@ class FollowedPath:
         return not self.runs(tick) if self.laws else tick >= self.end
 
     def halted(self, tick: int, most: int) -> Spline | None:
-        """Return the motion to rest on the path from a tick on; None if that takes more than `most` ticks."""
+        """Return the motion to rest on the path from a tick on; None if it takes more than `most` ticks."""
         law = _Law(self, tick, *self.at(tick), 0.0)
         count = law.settles(most) if self.runs(tick) else 0
         if count is None:
@@ -452,14 +452,14 @@ class FollowedPath:
             law.tick += count
 
     def go_at(self, wanted: float, tick: int, rate: float | None = None) -> None:
-        """Let the rate go from `rate`, None for the present one, to a wanted one from a tick, or its start, on."""
+        """Let the rate approach a target from `rate`, None for the present one, from a tick, or its start, on."""
         begin = max(tick, self.start)
         time, present = self.at(begin)
         rate = present if rate is None else rate
         self.laws = [law for law in self.laws if law.tick < begin]
         if self.laws or not rate == wanted == 1.0:
             self.laws.append(_Law(self, begin, time, rate, wanted))
-        if len(self.laws) > _KEPT:
+        if len(self.laws) > _MAX_PAST_LAWS:
             self.oldest = self.laws[1].tick
             del self.laws[0]
 

@@ -1,12 +1,12 @@
-"""Streamed set-points: from positions or velocities, sent one after the other, to a motion within the limits.
+"""Streamed set-points: from positions or velocities, received one after another, to a motion within the limits.
 
-Each set-point is due at a time. Between them the reference is a cubic through the positions, whose slopes are what was
-sent, or those of parabolas through neighbours (Bessel's interpolation: de Boor 2001, chapter IV); velocities are joined
-by lines. The reference may ask for anything: the motion follows it as fast as velocities and accelerations allow,
-without overshoot where it rests (the discrete filter of Zanasi, Guarino Lo Bianco and Tonielli 2000, Automatica 36),
-and from every point of it the arm can brake before its position limits. Each set-point gives a whole motion, which ends
-at rest: at the newest position, or, when velocities cease to come, after `StreamOptions.timeout`. So nothing has to
-notice that a stream has ended for the arm to stop.
+Each set-point is due at a time. Between them the reference is a cubic through the positions, whose slopes are the
+received velocities, or those of parabolas through neighbours (Bessel's interpolation: de Boor 2001, chapter IV);
+velocities are joined by lines. The reference may exceed all limits: the motion follows it as fast as velocities and
+accelerations allow, without overshoot where it rests (the discrete filter of Zanasi, Guarino Lo Bianco and Tonielli
+2000, Automatica 36), and from every point of it the arm can brake before its position limits. Each set-point gives a
+whole motion, which ends at rest: at the newest position, or, when velocities cease to come, after
+`StreamOptions.timeout`. So the arm stops without any detection of the stream's end.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ POSITION, VELOCITY = "position", "velocity"
 INTERFACES: Final = (POSITION, VELOCITY)
 """What a stream may consist of."""
 _OTHER_CLOCK = 1.0  # s: a stamp further from the controller's time than this comes from another clock
-_MARGIN = 64  # ticks that a motion is expected to need at the most beyond what its limits tell
-_AT_REST, _SLOW = 1e-9, 1e-6  # rad, rad/s: what the end of a motion may round away
+_MARGIN = 64  # ticks that a motion is expected to need at most beyond the bound from its limits
+_AT_REST, _SLOW = 1e-9, 1e-6  # rad, rad/s: position and velocity that are rounded to rest at the end of a motion
 
 
 @dataclass(frozen=True)
@@ -78,11 +78,11 @@ class SetPoints(NamedTuple):
 
     Attributes:
         interface: one of INTERFACES.
-        stamp_ns: what `times` count from, ns; None for the time of arrival.
-        times: when each is due, s from there, shape (n,), increasing.
+        stamp_ns: origin of `times`, ns; None for the time of arrival.
+        times: due times, s from there, shape (n,), increasing.
         values: rad or rad/s, shape (n, j).
         slopes: their derivatives by time, NaN where none are given, shape (n, j).
-        named: which joints they are of, shape (j,); the others brake and hold.
+        named: the joints that they are for, shape (j,); the others brake and hold.
     """
 
     interface: str
@@ -148,24 +148,24 @@ def from_trajectory(points: TrajectoryPoints, stamp_ns: int | None) -> SetPoints
 
 
 class Stream:
-    """What has been sent of a stream, and the motion that comes of it. Times are counted in position ticks.
+    """The received set-points of a stream, and the resulting motion. Times are counted in position ticks.
 
     Args:
         interface: one of INTERFACES.
-        named: which joints it is of, shape (j,).
-        limits: that the motion keeps.
+        named: its joints, shape (j,).
+        limits: that the motion respects.
         period: of the position loop, s.
         timeout: `StreamOptions.timeout`, s.
 
     Attributes:
         interface, named: see above.
-        count: number of set-points that have come.
+        count: number of received set-points.
         late: how many of them were due already.
-        latest: by how much the latest of them was, s.
+        latest: the largest delay, s.
         own_clock: whether it is stamped by another clock than the controller's time.
-        beyond: what was asked for beyond the limits first, in words; empty for nothing.
-        said: which of `news` have been told.
-        expires: tick after which it has ended unless there are more.
+        beyond: the first violation of a limit, in words; empty for none.
+        reported: the kinds of `notes` that have been reported.
+        expires: tick at which the stream ends unless there are more set-points.
     """
 
     def __init__(self, interface: str, named: Mask, limits: JointLimits, period: float, timeout: float) -> None:
@@ -175,7 +175,7 @@ class Stream:
         self.latest = 0.0
         self.own_clock, self._offset = False, 0  # ns, from the stamps of another clock to the controller's time
         self.beyond = ""
-        self.said: set[str] = set()
+        self.reported: set[str] = set()
         self._times = np.zeros(0)
         self._values = self._slopes = np.zeros((0, len(named)))
 
@@ -198,12 +198,12 @@ class Stream:
             self._note_beyond(points.values - values, points.values, "position", "rad")
             slopes[values != points.values] = 0.0
             if not slopes[-1].any():
-                slopes[-1] = np.nan  # a single point that rests is what senders are used to; the next one is to come
+                slopes[-1] = np.nan  # senders usually let a single point rest; the next one is still to come
         if not len(self._times):
             self._times, self._values = np.array([float(now)]), held[None, 0 if self.interface == POSITION else 1]
             self._slopes = held[None, 1] if self.interface == POSITION else np.zeros((1, len(self.named)))
         elif self._times[-1] >= now:
-            # What the motion already goes by stays: a slope that changed on the way there would be a jump.
+            # The slope that the motion already uses stays: a change on the way there would be a jump.
             used = int(np.searchsorted(self._times, now)) + 1
             self._slopes[:used] = self._bessel()[:used]
         else:  # the reference has been held since
@@ -237,20 +237,20 @@ class Stream:
             self.own_clock = abs(ahead) > _OTHER_CLOCK * NANOSECONDS
             self._offset = -ahead if self.own_clock else 0
         elif self.own_clock and not 0.0 <= (ahead + self._offset) / tick_ns + times[-1] <= 2.0 * times[-1]:
-            self._offset = -ahead  # the clocks have run apart, or the stream has paused
+            self._offset = -ahead  # the clocks have drifted, or the stream has paused
         return np.asarray(now + (ahead + self._offset) / tick_ns + times)
 
-    def news(self, delay: float) -> list[str]:
-        """Return what is wrong with the stream and has not been said yet, a line for each kind; `delay` is in s."""
-        news = {
+    def notes(self, delay: float) -> list[str]:
+        """Return the problems of the stream that have not been reported yet, a line for each kind; `delay` is in s."""
+        notes = {
             "late": f"a set-point came {self.latest:.3g} s after it was due: the last one was held; accepted: within "
             f"stream.delay, {delay:g} s, of its stamp, or time_from_start ahead" if self.late else "",
             "clock": "stamps are of another clock than the controller's time: set-points count from when they come; "
             "accepted: simulated time (use_sim_time), or no stamps" if self.own_clock else "",
             "beyond": f"{self.beyond}; followed within the limits" if self.beyond else "",
         }  # fmt: skip
-        fresh = {kind: line for kind, line in news.items() if line and kind not in self.said}
-        self.said |= fresh.keys()
+        fresh = {kind: line for kind, line in notes.items() if line and kind not in self.reported}
+        self.reported |= fresh.keys()
         return list(fresh.values())
 
     @property
@@ -263,7 +263,7 @@ class Stream:
     def motion(self, now: int, held: Array) -> Spline:
         """Return the motion from tick `now` on, at the set-point `held`, shape (3, j), to rest; times in s from there.
 
-        What is asked for beyond the limits is followed within them, and `beyond` says so.
+        Where the reference exceeds the limits, it is followed within them, and `beyond` says so.
         """
         free = ~self.named if self.interface == POSITION else np.ones_like(self.named)
         times, values = self._times, self._values
@@ -344,7 +344,7 @@ def _follow(
     states: Array,
     behind: Array,
 ) -> int:
-    """Follow a reference; return after how many ticks all joints rest, or more than there is room for.
+    """Follow a reference; return the ticks until all joints rest, or more than there is room for.
 
     Args:
         times: of the knots in ticks from now, shape (n,).
@@ -373,10 +373,10 @@ def _follow(
                 k += 1
             after = i >= times[last]
             if free[j]:
-                wanted = _line(times, values, j, i + 1.0)
+                desired = _line(times, values, j, i + 1.0)
                 if i < times[last] - 1.0:
                     behind[j] = max(behind[j], abs(v - _line(times, values, j, float(i))))
-                change = wanted - v
+                change = desired - v
                 done = after and v == 0.0
             else:
                 r, w = _cubic(times, values, slopes, j, k, float(i))

@@ -141,19 +141,19 @@ def _trials(learner: Learner, options: argparse.Namespace) -> LearnedCorrection:
     count = 4 if options.trials is None else options.trials
     with progress_bar("trials") as progress:
 
-        def told(_: TrialRecord) -> None:
+        def on_trial(_: TrialRecord) -> None:
             progress(len(learner.trials), count + 1)
 
         if not options.on_nodes:
             setup, asked = learner.setup, learner.nominal
-            return learn(learner, lambda played: run_corrected(setup, asked, played)[1], count, ENGINE, told)
+            return learn(learner, lambda played: run_corrected(setup, asked, played)[1], count, ENGINE, on_trial)
         from rx90_common.exchange.ros_start import prepare
 
         prepare()
         from rx90_emulator.correction.nodes import node_trials
 
         with node_trials(learner, node_of(options), options.timeout or _TIMEOUT, options.tip_topic) as play:
-            return learn(learner, play, count, NODES, told)
+            return learn(learner, play, count, NODES, on_trial)
 
 
 def _path(name: str, setup: Setup) -> CorrectablePath:
@@ -190,8 +190,8 @@ def _show(options: argparse.Namespace) -> None:
     print(f"robot {plain(head['robot'])}, {head['payload']['mass']:.4g} kg on the last joint")
     print(f"path of {head['path']['duration']:.3f} s, up to {head['path']['speed'] * 1e3:.4g} mm/s")
     print(f"learned by {plain(found.method)}")
-    for number, (seen, worst) in enumerate(zip(found.seen, found.worst, strict=True)):
-        print(f"trial {number}, {seen}: worst {worst * 1e3:.4f} mm")
+    for number, (how, worst) in enumerate(zip(found.measurements, found.worst, strict=True)):
+        print(f"trial {number}, {how}: worst {worst * 1e3:.4f} mm")
     rate = float(np.abs(np.diff(offsets, axis=0)).max(initial=0.0)) / period
     print(f"largest offset {float(np.abs(offsets).max()):.3g} rad, fastest change {rate:.3g} rad/s")
     if options.plot is not None:
@@ -209,11 +209,11 @@ def _plot(found: CorrectionFile) -> Any:
     from rx90_common.report.plot import COLOURS, GREY, Curve, Panel, Plot
 
     period, offsets, left = found.correction.period, found.correction.offsets, found.distance * 1e3
-    worst, first = np.array(found.worst), len(found.worst) - len(found.last_seen(found.seen[-1]))
+    worst, first = np.array(found.worst), len(found.worst) - len(found.last_worst(found.measurements[-1]))
     trials = [
-        Curve((at := np.flatnonzero([each == seen for each in found.seen])).astype(np.float64), worst[at] * 1e3, seen,
-              COLOURS[k], dots=True)
-        for k, seen in enumerate(dict.fromkeys(found.seen))
+        Curve((at := np.flatnonzero([each == how for each in found.measurements])).astype(np.float64), worst[at] * 1e3,
+              how, COLOURS[k], dots=True)
+        for k, how in enumerate(dict.fromkeys(found.measurements))
     ]  # fmt: skip
     shown = [(first, GREY, f"trial {first}")]
     if (best := first + int(np.argmin(worst[first:]))) > first:

@@ -21,9 +21,9 @@ from rx90_common.kernels.announcement import announce_compilation
 from rx90_common.process.children import end_with_parent
 from rx90_common.process.files import check_output
 from rx90_common.process.interrupts import (
+    exit_on_signal,
     install_deferred_sigint,
     keep_exit_code,
-    leave_when_asked,
     terminations_as_interrupts,
 )
 from rx90_emulator.cli.node import NODES
@@ -81,7 +81,7 @@ def execute(program: str, words: Sequence[str] | None = None) -> int:
     """Run an executable as this process's only task, by default with the process's arguments; return its exit code."""
     words = sys.argv[1:] if words is None else words
     if program in NODES and not (words and words[0].isalpha()):  # a node's verb is a command
-        leave_when_asked()
+        exit_on_signal()
     else:
         install_deferred_sigint()
     keep_exit_code()

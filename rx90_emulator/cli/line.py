@@ -162,8 +162,11 @@ def _correction(plan: LinePlan, files: RobotFiles, options: argparse.Namespace) 
 
     found = load_correction(options.correction)
     correction = found.fitting(Setup.load(files), plan)
-    worst = min(found.last_seen(found.seen[-1]))
-    _say(f"correction of {options.correction}: path error {worst * 1e3:.4f} mm when it was learned ({found.seen[-1]})")
+    worst = min(found.last_worst(found.measurements[-1]))
+    _say(
+        f"correction of {options.correction}: path error {worst * 1e3:.4f} mm when it was learned "
+        f"({found.measurements[-1]})"
+    )
     return correction
 
 

@@ -31,7 +31,7 @@ from rx90_controller.node.parameters import (
     declare_goal_parameters,
     declare_law,
     declare_own,
-    has_no_use,
+    is_unused,
 )
 from rx90_emulator.configuration.kinds import NODE_PARAMETERS, FileKind
 from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, ShownValue, rig_values, setup_values, steps_value
@@ -205,7 +205,7 @@ def _check_section(node: str, section: Section) -> None:
         entries[name].take(names, name)
 
     for name in given:
-        if not (name in OF_ROS or name.startswith(PREFIX) or (node == "rx90_controller" and has_no_use(name))):
+        if not (name in OF_ROS or name.startswith(PREFIX) or (node == "rx90_controller" and is_unused(name))):
             names.attempt(check, name)
     if not faults:
         try:

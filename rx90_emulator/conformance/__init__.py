@@ -1,1 +1,1 @@
-"""Conformance: a battery of runs that any controller of the arm goes through, side by side with the CS7B."""
+"""Conformance: a battery of runs for any controller of the arm, in comparison with the CS7B."""

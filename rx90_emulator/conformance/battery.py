@@ -1,6 +1,6 @@
-"""The battery: what the arm is in each case, what is asked of the controller, what happens to its commands, and runs.
+"""The battery: for each case the arm, its trajectory and disturbances of the commands; and their runs.
 
-A run keeps what goes over the wire; that of the CS7B is on the compiled loop.
+A run records the messages between controller and arm; that of the CS7B is on the compiled loop.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.setup import Setup
 
 START = 0.5
-"""When the trajectory of each case starts, s: before it the controller takes up the weight of the arm."""
+"""Start of the trajectory of each case, s: before it the controller takes over the weight of the arm."""
 SETTLED = 1.0
-"""How long the arm is watched after a trajectory's end, s."""
+"""Time of observation after a trajectory's end, s."""
 
 _STEP = math.radians(2.0)
 _STEP_ACCELERATION = 0.8  # times the least of the joints' largest accelerations
 _REST_SPEED = 0.02  # rad/s
 _WATCHED_REST = 6.0  # s
-_DERATED = 0.8  # of what the CS7B needs
-_LOST, _TWICE = 0.02, 0.01  # of the ticks
+_DERATED = 0.8  # of the torque that the CS7B needs
+_LOSS_RATE, _DUPLICATE_RATE = 0.02, 0.01  # of the ticks
 _LINE_REST = 0.3  # s, before and after a line
 
 _SLIDING = 0.06  # of the nominal speeds: all joints slide in one direction while the torques are swept
 _SWEEP_PERIOD = 1.0  # s, of all sines together
-_SWEEP_PERIODS = 3  # the first of which is left out
+_SWEEP_PERIODS = 3  # the first is discarded
 _SINES = 12  # for each motor
 _SLOWEST, _FASTEST = 6.0, 480.0  # Hz
 _SINE_TORQUE = 0.01  # of the peak torque, each sine
 
 
 class TorqueSines(NamedTuple):
-    """Torques that are added to the commands, one after the other sine's frequency another motor's.
+    """Torques that are added to the commands, each sine's frequency for another motor in turn.
 
     Attributes:
         begin: s; from then on, for `_SWEEP_PERIODS` periods of 1 s.
@@ -63,7 +63,7 @@ class TorqueSines(NamedTuple):
 
     @property
     def measured(self) -> tuple[float, float]:
-        """Return from when until when the response is periodic, s."""
+        """Return begin and end of the periodic response, s."""
         return self.begin + _SWEEP_PERIOD, self.begin + _SWEEP_PERIODS * _SWEEP_PERIOD
 
     def torques(self, times: Array) -> Array:
@@ -82,13 +82,13 @@ class Case:
     Attributes:
         name: of the case.
         about: in words.
-        setup: the arm that is driven, read from its files; the controller knows the nominal one.
+        setup: the simulated arm, read from its files; the controller is designed for the nominal one.
         points: the trajectory, which starts at START.
         duration: of the run, s.
-        task: the line that the tool follows, if it does.
+        task: the line that the tool follows, if any.
         sines: torques that are added to the commands, if any.
-        lost: ticks whose commands are lost on their way, shape (ticks,); the drives hold the command before.
-        twice: ticks whose states are sent twice, as lock-step does when it asks again.
+        lost: ticks whose commands are lost, shape (ticks,); the drives keep the previous command.
+        twice: ticks whose states are sent twice, as lock-step does when it repeats a request.
     """
 
     name: str
@@ -118,12 +118,12 @@ class Case:
 
 
 class Nominal(NamedTuple):
-    """What the cases are made of.
+    """The basis of the cases.
 
     Attributes:
         setup: the nominal arm and the CS7B.
-        folder: for the files of arms that differ from it.
-        needed: the largest torques of the motors, Nm, shape (n,), with which the CS7B does a case.
+        folder: for the files of modified arms.
+        needed: largest torques of the motors, Nm, shape (n,), in the CS7B's run of a case.
     """
 
     setup: Setup
@@ -137,7 +137,7 @@ class Nominal(NamedTuple):
 
     @property
     def pose(self) -> Array:
-        """Return where the line begins, rad, shape (n,)."""
+        """Return the beginning of the line, rad, shape (n,)."""
         return np.array(plan_line(self.setup, self.task).points.position[0])
 
     def scaled(self, role: str, keys: Sequence[str], factor: float | Array) -> Setup:
@@ -191,9 +191,9 @@ def _sweep(nominal: Nominal, name: str) -> Case:
     motion.sweep(speed, 1.0, plateau, float(setup.controller.max_acceleration.min()))
     ramp = float(motion.points(setup.robot.joint_names).times[1])
     joints = len(pose)
-    wanted = np.geomspace(_SLOWEST, _FASTEST, joints * _SINES)
+    targets = np.geomspace(_SLOWEST, _FASTEST, joints * _SINES)
     whole: list[int] = []
-    for frequency in wanted:  # no number twice: the next one then
+    for frequency in targets:  # no number twice: the next one then
         whole.append(max(round(frequency), whole[-1] + 1 if whole else 0))
     frequency = np.array(whole, dtype=np.float64).reshape(_SINES, joints).T
     phase = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, frequency.shape)
@@ -233,9 +233,11 @@ def _saturation(nominal: Nominal, name: str) -> Case:
 
 
 def _dropped(nominal: Nominal, name: str) -> Case:
-    case = _line(nominal, name, f"{_LOST:.0%} of the commands are lost, {_TWICE:.0%} of the states come twice")
+    case = _line(
+        nominal, name, f"{_LOSS_RATE:.0%} of the commands are lost, {_DUPLICATE_RATE:.0%} of the states come twice"
+    )
     chance = np.random.default_rng(1)
-    lost, twice = chance.random(case.ticks) < _LOST, chance.random(case.ticks) < _TWICE
+    lost, twice = chance.random(case.ticks) < _LOSS_RATE, chance.random(case.ticks) < _DUPLICATE_RATE
     lost[: case.setup.rates.ticks_of(START)] = False
     return replace(case, lost=lost, twice=twice)
 
@@ -269,7 +271,7 @@ def make_case(name: str, nominal: Nominal) -> Case:
 
 
 class Record:
-    """A run of a case, command by command, as far as it came: what the drives get of the commands, and what is kept.
+    """A run of a case, command by command: the torques that the drives receive, and the recorded values.
 
     Args:
         case: what is run.
@@ -296,11 +298,11 @@ class Record:
         self.fault: str | None = None
 
     def note_states(self, tick: int, position: Array) -> None:
-        """Keep the measured positions of a tick, rad, shape (n,), on the controller's side."""
+        """Record the measured positions of a tick, rad, shape (n,), on the controller's side."""
         self._states[tick // self.ticks] = position
 
     def carry(self, tick: int, command: Array | None) -> Array | None:
-        """Return what the drives get of a command, Nm, shape (n,), None for no torque; the same when it comes again."""
+        """Return the torques of the drives for a command, Nm, shape (n,), None for no torque; repeats do not count."""
         row, case = tick // self.ticks, self.case
         if command is not None:
             self._sent[row] = command
@@ -327,7 +329,7 @@ class Record:
 
     @property
     def torque(self) -> Array:
-        """Return the same at the joints."""
+        """Return the commanded torques at the joints, Nm, shape (t, n)."""
         drives = self.case.setup.drives
         return self.sent if self.at_joints else self.sent * drives.gear @ drives.turning.turns
 
@@ -339,7 +341,7 @@ class Record:
 
 
 def run_cs7b(case: Case, nominal: Setup) -> Record:
-    """Run a case with the CS7B of the nominal arm, without ROS: the numbers that its node gives, bit for bit."""
+    """Run a case with the CS7B of the nominal arm, without ROS; the numbers equal those of its node bit for bit."""
     plant, law, record = case.setup.plant(), nominal.cs7b(), Record(case)
     plant.reset(case.points.position[0])
     states = plant.motor_states()
@@ -358,7 +360,7 @@ def run_cs7b(case: Case, nominal: Setup) -> Record:
 def set_points(case: Case, nominal: Setup) -> Array:
     """Return position, velocity and acceleration of the set-points, one in each tick of the position loop, (m, 3, n).
 
-    Before the trajectory the arm is to stay where it is, after it at its end.
+    Before the trajectory the set-point is its start, after it its end.
     """
     law, rates = nominal.cs7b(), case.setup.rates
     law.trajectory.reset(np.array(case.points.position[0]))

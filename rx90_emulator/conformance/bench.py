@@ -1,7 +1,7 @@
 """A controller on the simulation's topics: each case has a simulation of its own, in this process and in lock-step.
 
-The simulation is the node `rx90_sim` as users run it. What it sends and receives goes through a channel that keeps a
-record, lets the trajectory start at the same tick in each run, and does to commands what the case says.
+The simulation is the node `rx90_sim` as users run it. Its messages pass a channel that records them, starts the
+trajectory at the same tick in each run, and disturbs commands as the case requires.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from rx90_common.exchange.ros_start import controller_topic
 from rx90_common.exchange.topics import TRAJECTORY_ACCEPTED, motor_names
 from rx90_common.process.children import ChildProcess, ProcessGroup
 from rx90_common.process.files import write_text
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 from rx90_controller.node.trajectory_client import trajectory_message
 from rx90_emulator.conformance.battery import START, Case, Record, files_of
 from rx90_sim.node.simulation import Simulation
 
 LEAD = 0.02
-"""How much earlier than its stamp a set-point is published, s."""
+"""Time before its stamp at which a set-point is published, s."""
 _SLICE = 0.02  # s
-_HANDED_OVER = 0.5  # s on the wall clock, for a controller that does not say that it has taken what it was sent
+_HANDED_OVER = 0.5  # s on the wall clock, for a controller that does not acknowledge a message
 _GRACE = 10.0  # s, for a controller to end
 
 
@@ -45,11 +45,11 @@ class Candidate:
     """The controller that is checked.
 
     Attributes:
-        command: that starts it, anew for each case; empty for a node that runs.
+        command: that starts it, once for each case; empty for a running node.
         node: its name.
-        reference: topic on which it gets set-points as JointState, one in each tick of the position loop; None where it
+        reference: topic for set-points as JointState, one in each tick of the position loop; None for a controller that
             takes a trajectory on `<node>/joint_trajectory`.
-        at_joints, ticks: what it commands, and how often, as `Record` has them.
+        at_joints, ticks: kind and period of its commands, as in `Record`.
         timeout: longest wait for it, s of the wall clock.
     """
 
@@ -61,12 +61,12 @@ class Candidate:
     timeout: float
 
 
-class _Stopped(Exception):  # noqa: N818 - no error: whoever asked for it knows
+class _Stopped(Exception):  # noqa: N818 - no error: the caller has requested it
     """The run is to end while its channel waits."""
 
 
 class _Run:
-    """One case on the topics: the simulation node, and what its ticking thread does beside its ticks.
+    """One case on the topics: the simulation node, and further work of its ticking thread.
 
     Attributes:
         check_interrupt: raises the interrupt that came before the node took them over.
@@ -82,12 +82,12 @@ class _Run:
         self.record = Record(case, candidate.at_joints, candidate.ticks)
         self._set_points, self._sent = set_points, 0
         self._gate = case.setup.rates.ticks_of(START / 2.0)
-        self._stopped = self._told = self._accepted = False
-        self._heard = time.monotonic()
+        self._stopped = self._trajectory_sent = self._accepted = False
+        self._last_activity = time.monotonic()
         self._channel: Channel | None = None
 
     def make(self) -> list[_Run]:
-        """Make the simulation, with this as what `lifecycle` runs."""
+        """Make the simulation, with this object as the one that `lifecycle` runs."""
         self._simulation = Simulation(partial(_CheckedChannel, run=self))
         self.node: Any = self._simulation.node
         if self.candidate.reference is None:
@@ -115,27 +115,27 @@ class _Run:
     # The ticking thread.
 
     def channel_made(self, channel: Channel) -> None:
-        """Make what publishes set-points; keep the channel, which locks its topics until it is closed."""
+        """Make the publisher of set-points; keep the channel, which locks its topics until it is closed."""
         self._channel = channel
         if self.candidate.reference is not None:
             joint_state = channel.publisher.msg_type
             self._publisher = self.node.create_publisher(joint_state, self.candidate.reference, STATE_QOS)
 
     def close(self) -> None:
-        """Let the next simulation take this one's place."""
+        """Release the topics for the next simulation."""
         if self._channel is not None:
             self._channel.close()
 
     def before(self, tick: int) -> None:
-        """Do what is due before the states of a tick are published."""
+        """Do the work that is due before the states of a tick are published."""
         self.check_interrupt()
         self._progress(tick)
         if self.candidate.reference is not None:
             self._publish_set_points(tick)
-        elif tick >= self._gate and not self._told:
-            self._told = True
+        elif tick >= self._gate and not self._trajectory_sent:
+            self._trajectory_sent = True
             self._send_trajectory()
-        self.heard()
+        self.note_activity()
 
     def _publish_set_points(self, tick: int) -> None:
         if tick == 0:
@@ -150,7 +150,7 @@ class _Run:
             self._hand_over()
 
     def _send_trajectory(self) -> None:
-        """Send the trajectory while time stands still; go on when the controller has it."""
+        """Send the trajectory while time stands still; continue when the controller has it."""
         self._wait(self._publisher.get_subscription_count, "subscribes to it")
         self._publisher.publish(self._trajectory)
         if self.node.count_publishers(self._accepts):
@@ -159,40 +159,42 @@ class _Run:
             self._hand_over()
 
     def _hand_over(self) -> None:
-        """Let a controller read what it has got, while time stands still."""
+        """Let a controller process its messages while time stands still."""
         wait_until_received([self._publisher])
         handed_over = time.monotonic() + _HANDED_OVER
         self._wait(lambda: time.monotonic() > handed_over, "has it")
 
     def _note_accepted(self, _message: object) -> None:
-        self._accepted = self._told  # what is latched of a case before does not count
+        self._accepted = self._trajectory_sent  # a latched message of the previous case does not count
 
     def _wait(self, ready: Callable[[], object], what: str) -> None:
-        self.heard()
+        self.note_activity()
         while not ready():
             self.look(f"nobody {what}, on {self._publisher.topic_name},")
             time.sleep(_SLICE)
 
-    def heard(self) -> None:
-        """Note that the controller is there."""
-        self._heard = time.monotonic()
+    def note_activity(self) -> None:
+        """Note the time of the controller's last activity."""
+        self._last_activity = time.monotonic()
 
     def look(self, wrong: str = "the controller sent no command that the simulation takes") -> None:
-        """Give up a controller that has ended, or is silent for too long, with what is wrong then."""
+        """Raise an error for a controller that has ended, or is silent for too long, with `wrong` as the reason."""
         self.check_interrupt()
         if self._stopped:
             raise _Stopped
         name, timeout, child = self.case.name, self.candidate.timeout, self._child
         log = "" if child is None else f"; see {child.log}"
         if child is not None and child.returncode is not None:
-            said = child.lines[-1] if child.lines else "it printed nothing"
-            raise ExchangeError(f"case {name}: the controller has ended with exit code {child.returncode}: {said}{log}")
-        if time.monotonic() - self._heard > timeout:
+            last_line = child.lines[-1] if child.lines else "it printed nothing"
+            raise ExchangeError(
+                f"case {name}: the controller has ended with exit code {child.returncode}: {last_line}{log}"
+            )
+        if time.monotonic() - self._last_activity > timeout:
             raise ExchangeError(f"case {name}: {wrong} within {timeout:g} s{log}")
 
 
 class _CheckedChannel(Channel):
-    """The simulation's end of the exchange, with what a case does to it."""
+    """The simulation's end of the exchange, with the disturbances of a case."""
 
     def __init__(self, *arguments: Any, run: _Run) -> None:
         super().__init__(*arguments)
@@ -204,7 +206,7 @@ class _CheckedChannel(Channel):
         self._period_ns, self._stamp, self._before = case.setup.rates.period_ns, -1, -1
 
     def publish(self, raw: bytes) -> None:
-        """Publish states, after what is due before them, twice where the case says so."""
+        """Publish states, after the work that is due before them; twice if the case requires it."""
         stamp, position, _, _ = self._states.decode(raw)
         tick = stamp // self._period_ns
         if stamp != self._stamp:
@@ -217,14 +219,14 @@ class _CheckedChannel(Channel):
             super().publish(raw)
 
     def receive(self, timeout_s: float) -> bytes | None:
-        """Return the next command as the drives get it."""
+        """Return the next command as the drives receive it."""
         raw = super().receive(timeout_s)
-        while raw is not None and cdr_stamp_ns(raw) == self._before:  # the second answer to states that came twice
+        while raw is not None and cdr_stamp_ns(raw) == self._before:  # the second answer to repeated states
             raw = super().receive(timeout_s)
         if raw is None:
             self._run.look()
         elif cdr_stamp_ns(raw) == self._stamp:
-            self._run.heard()
+            self._run.note_activity()
             try:
                 effort = self._commands.decode(raw)[3]
             except ExchangeError:  # the simulation says what is wrong with it
@@ -237,17 +239,17 @@ class _CheckedChannel(Channel):
 def run_on_topics(
     case: Case, set_points: Array, candidate: Candidate, folder: Path, progress: Callable[[int], None]
 ) -> Record:
-    """Run a case with the controller that is checked, from the start of its process to its end.
+    """Run a case with the checked controller, from the start of its process to its end.
 
     Args:
         case: the case.
         set_points: one for each tick of the position loop, shape (m, 3, n).
         candidate: the controller.
         folder: for the controller's log, and parameters.
-        progress: gets the number of the tick that begins.
+        progress: called with the number of each tick.
 
     Raises:
-        ExchangeError: for a controller that is not there, ends, or does not answer.
+        ExchangeError: for a controller that does not appear, ends, or does not answer.
         KeyboardInterrupt: after Ctrl-C.
     """
     parameters = folder / f"{case.name}.yaml"
@@ -259,7 +261,7 @@ def run_on_topics(
         child = group.start(case.name, candidate.command) if candidate.command else None
         run = _Run(case, set_points, candidate, child, progress)
         try:
-            with interrupts_later() as run.check_interrupt:  # which puts back the handlers that the nodes set
+            with deferred_interrupts() as run.check_interrupt:  # which puts back the handlers that the nodes set
                 lifecycle.spin(run.make, arguments)
         except DivergenceError as error:
             run.record.fault = str(error)

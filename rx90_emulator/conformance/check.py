@@ -1,4 +1,4 @@
-"""The check of a controller: each case with it and with the CS7B, and what is found, as text, JSON and a page."""
+"""The check of a controller: each case with it and with the CS7B, and the findings as text, JSON and a page."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class CaseResult:
 
     @property
     def nearest(self) -> list[Finding]:
-        """Return of each quantity the joint that is nearest to its limit, or furthest beyond."""
+        """Return for each quantity the joint nearest to its limit, or furthest beyond."""
         found: dict[str, Finding] = {}
         for one in self.findings:
             before = found.get(one.quantity)
@@ -69,11 +69,11 @@ class CaseResult:
         runs = ((self.record, "controller", COLOURS[1]), (self.of_cs7b, "CS7B", COLOURS[0]))
         names, panels = [one.joint for one in self.findings if one.quantity == "gain_margin"], []
         if self.case.sines is not None and names:
-            opened = [(loops(record), label, colour) for record, label, colour in runs]
+            open_loops = [(loops(record), label, colour) for record, label, colour in runs]
             for level, y_label in ((0.0, "gain, dB"), (-180.0, "phase, deg")):
                 for j, name in enumerate(names):
                     marks = [Curve(own[j].frequency, own[j].bode[y_label], label, colour, dots=True)
-                             for own, label, colour in opened]  # fmt: skip
+                             for own, label, colour in open_loops]  # fmt: skip
                     title, x_label = (name, "") if level == 0.0 else ("", "frequency, Hz")
                     panels.append(Panel([Level(level, "", GREY), *marks], title, x_label, y_label, "log"))
             return Plot(panels, columns=3, height=1.8)
@@ -87,7 +87,7 @@ class CaseResult:
 
 
 def _share(one: Finding) -> float:
-    """Return how much of its limit a value takes, for the order alone."""
+    """Return the share of its limit that a value takes, for sorting only."""
     if math.isnan(one.value):
         return -math.inf
     if math.isnan(one.limit):
@@ -101,10 +101,10 @@ class CheckResult:
     """A check.
 
     Attributes:
-        controller: what was checked, in words.
-        nominal: the arm, and the CS7B beside it.
-        limits: what was accepted.
-        cases: what was found.
+        controller: the checked controller, in words.
+        nominal: the arm, and the CS7B for comparison.
+        limits: of the quantities.
+        cases: the results.
     """
 
     controller: str
@@ -114,17 +114,17 @@ class CheckResult:
 
     @cached_property
     def deciding(self) -> list[Finding]:
-        """Return what is beyond its limit: of each case and quantity the joint that is furthest beyond."""
+        """Return the exceeded limits: for each case and quantity the joint furthest beyond."""
         return [one for result in self.cases for one in result.nearest if not one.passed]
 
     @property
     def passed(self) -> bool:
-        """Return whether all keeps its limits."""
+        """Return whether all limits are kept."""
         return not self.deciding
 
     @property
     def text(self) -> str:
-        """Return a table: of each case and quantity the joint nearest to its limit."""
+        """Return a table: for each case and quantity the joint nearest to its limit."""
         lines = [f"{'case':<14}{'quantity':<21}{'joint':<9}{'value':>11}{'CS7B':>11}{'limit':>11}  unit"]
         for result in self.cases:
             for one in result.nearest:
@@ -140,7 +140,7 @@ class CheckResult:
 
     @property
     def json(self) -> str:
-        """Return all of it as JSON; null where there is no value."""
+        """Return the result as JSON; null for missing values."""
         content = {
             "controller": self.controller,
             "passed": self.passed,
@@ -188,14 +188,14 @@ def check_controller(
 
     Args:
         candidate: the controller.
-        nominal: the arm that it knows, and the CS7B beside it.
+        nominal: the arm that it was designed for, and the CS7B for comparison.
         names: of the cases.
-        limits: what is accepted.
-        folder: for the controller's logs, and the files of other arms.
-        progress: gets how many ticks are done, and how many there are.
+        limits: of the quantities.
+        folder: for the controller's logs, and the files of modified arms.
+        progress: called with the number of finished ticks, and their total.
 
     Raises:
-        ExchangeError: for a controller that is not there, ends, or does not answer.
+        ExchangeError: for a controller that does not appear, ends, or does not answer.
         ConfigError: for a case that the arm cannot do.
     """
     arms = folder / "arms"

@@ -1,4 +1,4 @@
-"""What is measured in a run, and the limits that decide: of the run by itself, or over what the CS7B does."""
+"""The measured quantities of a run, and their limits: absolute, or relative to the CS7B."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from rx90_emulator.loop.line import path_accuracy
 _SETTLED_SHARE = 0.02  # of the way of a step
 _RIPPLE_WINDOW = 0.02  # s
 _HUNTED = 5.0  # s at the end of a run
-_COUNTS = 3  # of the encoder, that are no motion
+_COUNTS = 3  # of the encoder, up to which there is no motion
 _AT_REST = 0.1  # s at the end of a run
-_WITHIN_NYQUIST = 0.96
+_NYQUIST_SHARE = 0.96
 
 
 def _factor(what: str) -> Number:
@@ -36,7 +36,7 @@ def _factor(what: str) -> Number:
 
 @dataclass(frozen=True)
 class CheckLimits(Declared):
-    """Limits of what is measured; those with a factor are over what the CS7B has in the same case."""
+    """Limits of the quantities; those with a factor are relative to the CS7B's value in the same case."""
 
     name = "limits"
     about = "Limits of the controller check: of a quantity by itself, or a factor over the CS7B and an allowance."
@@ -58,7 +58,7 @@ class CheckLimits(Declared):
 
     @classmethod
     def load(cls, path: Path | None) -> CheckLimits:
-        """Read a file of limits; what it leaves out, and None for no file, is the default.
+        """Read a file of limits; missing values, and None for no file, are the defaults.
 
         Raises:
             ConfigError: naming file, key, value and accepted range.
@@ -67,18 +67,18 @@ class CheckLimits(Declared):
 
 
 CHECK_LIMITS = CheckLimits.group()
-"""What a file of limits may hold."""
+"""The contents of a file of limits."""
 
 
 class Quantity(NamedTuple):
-    """A quantity: its unit, what it is in words, and how it is limited.
+    """A quantity: its unit, its meaning in words, and its limit.
 
     Attributes:
         unit: of its values.
         about: in words.
         limit: name of the field of CheckLimits with the limit; "" for none. With `factor` its name without `_factor`.
-        least: whether the limit is the least that is accepted, not the most.
-        factor: whether it is a factor over what the CS7B has, with an allowance.
+        least: whether the limit is a minimum.
+        factor: whether it is a factor on the CS7B's value, with an allowance.
     """
 
     unit: str
@@ -106,23 +106,23 @@ QUANTITIES: Final[Mapping[str, Quantity]] = {
     "modulus_margin": Quantity("1", "least distance of the loop from -1", "modulus_margin", least=True),
     "crossover": Quantity("Hz", "frequency at which the loop's gain is 1"),
 }
-"""All that is measured, in the order of the report."""
+"""All quantities, in the order of the report."""
 
 Values = dict[tuple[str, str], float]
-"""What was measured in a run, by quantity and joint."""
+"""Measured values of a run, by quantity and joint."""
 
 
 class Finding(NamedTuple):
-    """One value, side by side with the CS7B's.
+    """One value, with the CS7B's.
 
     Attributes:
         case: its name.
         quantity: of QUANTITIES.
         joint: its name, of a motor for margins at motors, or "tool", or "all".
-        value: NaN where there is none, such as a margin beyond the frequencies of the sweep.
-        of_cs7b: the same of the CS7B.
+        value: NaN if there is none, such as a margin beyond the frequencies of the sweep.
+        of_cs7b: the CS7B's value.
         limit: NaN for none.
-        passed: whether it keeps its limit.
+        passed: whether the limit is kept.
     """
 
     case: str
@@ -135,7 +135,7 @@ class Finding(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Return what decides, in one line."""
+        """Return value and limit in one line."""
         one = QUANTITIES[self.quantity]
         return (
             f"{self.case}: {self.quantity} of {self.joint} is {self.value:.4g} {one.unit}; accepted: "
@@ -144,13 +144,13 @@ class Finding(NamedTuple):
 
 
 def judge(case: Case, values: Values, of_cs7b: Values, limits: CheckLimits) -> list[Finding]:
-    """Return the findings of a case, of which each has its limit.
+    """Return the findings of a case, each with its limit.
 
     Args:
         case: the case.
         values: of the controller.
         of_cs7b: of the CS7B.
-        limits: what is accepted.
+        limits: of the quantities.
     """
     findings = []
     for (name, joint), value in values.items():
@@ -167,12 +167,12 @@ def judge(case: Case, values: Values, of_cs7b: Values, limits: CheckLimits) -> l
 
 
 def measure(record: Record, set_points: Array, at_joints: bool | None = None) -> Values:
-    """Return what is measured in a run.
+    """Return the measured values of a run.
 
     Args:
         record: of the run.
         set_points: one for each tick of the position loop, shape (m, 3, n).
-        at_joints: whether loops have the names of joints, not of motors; as they were commanded for None.
+        at_joints: whether loops are named after joints, not motors; None for the kind of the commands.
     """
     case, joints = record.case, record.case.setup.robot.joint_names
     at_joints = record.at_joints if at_joints is None else at_joints
@@ -191,8 +191,8 @@ def measure(record: Record, set_points: Array, at_joints: bool | None = None) ->
             values |= {(quantity, name): value for quantity, value in loop.margins().items()}
         return values
     for j, name in enumerate(joints):
-        own, asked = error[moving, j], np.nan_to_num(torque[moving, j])
-        ripple = asked - uniform_filter1d(asked, max(1, round(_RIPPLE_WINDOW / record.period)))
+        own, requested = error[moving, j], np.nan_to_num(torque[moving, j])
+        ripple = requested - uniform_filter1d(requested, max(1, round(_RIPPLE_WINDOW / record.period)))
         values |= {
             ("tracking_error_peak", name): float(np.abs(own).max()),
             ("tracking_error_rms", name): _rms(own),
@@ -225,7 +225,7 @@ def tracking_error(record: Record, set_points: Array) -> Array:
     ticks = np.arange(len(position)) * record.ticks
     rows = ticks // ratio
     held: Array = set_points[rows, 0]
-    if record.ticks < ratio:  # between two of them the set-point goes on
+    if record.ticks < ratio:  # between two of them the set-point moves on
         after = set_points[np.minimum(rows + 1, len(set_points) - 1), 0]
         held = held + (ticks % ratio / ratio)[:, None] * (after - held)
     return held - position
@@ -236,14 +236,14 @@ def _rms(values: Array) -> float:
 
 
 def oscillation(position: Array, period: float, still: float) -> tuple[float, float]:
-    """Return the size of a motion from peak to peak, and its period, s; NaN for one that does not turn twice.
+    """Return the peak-to-peak size of a motion, and its period, s; NaN if it does not turn twice.
 
-    A turn is a peak that is as prominent as half of the whole size: single slips, and what dies away, have no period.
+    A turn is a peak with a prominence of half of the whole size: single slips, and decaying motions, have no period.
 
     Args:
         position: rad, shape (n,).
         period: of the samples, s.
-        still: a size up to which it is at rest, rad.
+        still: size up to which it is at rest, rad.
     """
     size = float(np.ptp(position))
     turns = np.sort(np.concatenate([find_peaks(sign * position, prominence=0.5 * size)[0] for sign in (1.0, -1.0)]))
@@ -253,7 +253,7 @@ def oscillation(position: Array, period: float, still: float) -> tuple[float, fl
 
 
 class Loop(NamedTuple):
-    """A loop opened at its command: response of what the controller answers to what the drives get, sign turned.
+    """A loop opened at its command: response of the controller's commands to the drives' torques, with reversed sign.
 
     Attributes:
         frequency: Hz, shape (k,), increasing.
@@ -265,15 +265,15 @@ class Loop(NamedTuple):
 
     @property
     def bode(self) -> dict[str, Array]:
-        """Return gain and phase as they are drawn, by the labels of their axes."""
+        """Return gain and phase for a plot, by the labels of their axes."""
         phase = np.degrees(np.unwrap(np.angle(self.gain)))
         return {"gain, dB": 20.0 * np.log10(np.abs(self.gain)), "phase, deg": phase}
 
     def margins(self) -> dict[str, float]:
-        """Return gain margin, dB, phase margin, deg, modulus margin, and crossover, Hz; NaN where it is not crossed.
+        """Return gain margin, dB, phase margin, deg, modulus margin, and crossover, Hz; NaN if it is not crossed.
 
-        Between two frequencies magnitude, dB, and phase are linear in the frequency's logarithm. Of several crossings
-        the margin that is least counts; a loop that must not lose gain has a gain margin, too.
+        Between two frequencies magnitude, dB, and phase are interpolated linearly in the frequency's logarithm. With
+        several crossings the smallest margin counts; a loop that must not lose gain has a gain margin, too.
         """
         octave, (level, phase) = np.log(self.frequency), self.bode.values()
         crossed = _crossings(octave, level, 0.0)
@@ -295,10 +295,10 @@ def _crossings(x: Array, y: Array, level: float) -> list[float]:
 
 
 def loops(record: Record) -> list[Loop]:
-    """Return the loop of each command, from the run in which sines are added to the torques, the others closed.
+    """Return the loop of each command, from the run in which sines are added to the torques, with the others closed.
 
-    Over whole periods of the sines, with a Hann window: L = -U / (U + D), of the spectra of the controller's commands U
-    and of the sines D. That holds whatever set-points and feed-forward add, because these are no sines.
+    Over whole periods of the sines, with a Hann window: L = -U / (U + D), with the spectra of the controller's commands
+    U and of the sines D. Set-points and feed-forward do not affect it, because they are no sines.
     """
     sines = record.case.sines
     assert sines is not None
@@ -310,7 +310,7 @@ def loops(record: Record) -> list[Loop]:
     )
     found = []
     for j, frequency in enumerate(sines.frequency):
-        known = frequency[frequency < _WITHIN_NYQUIST * 0.5 / record.period]
+        known = frequency[frequency < _NYQUIST_SHARE * 0.5 / record.period]
         rows = np.round(known * count * record.period).astype(np.intp)
         u, d = answered[rows, j], added[rows, j]
         found.append(Loop(known, -u / (u + d)))

@@ -1,4 +1,4 @@
-"""Correction files: a YAML head with what it was learned for and how, and the offsets in a NumPy file beside it."""
+"""Correction files: a YAML head with arm, path and method, and the offsets in a NumPy file beside it."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from rx90_common.base.quoting import plain
 from rx90_common.process.files import write_all
 from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.points import trajectory_identity
-from rx90_emulator.correction.learning import SEEN, LearnedCorrection
+from rx90_emulator.correction.learning import MEASUREMENTS, LearnedCorrection
 from rx90_emulator.correction.path import CorrectablePath, TrajectoryPath
 from rx90_emulator.loop.setup import Setup
 
-_MOST_BYTES = 256 * 2**20  # of the offsets: more than an hour
+_MAX_BYTES = 256 * 2**20  # of the offsets: more than an hour
 _SPEED_SHARE = 1e-3  # of the speed: set-points sample its peak, files round it
 _DURATION = 1e-3  # s: a set-point period, to which a trajectory is rounded
-_START = 1e-4  # rad: what a controller takes for the same start
-_MASS, _LEVER = 1e-6, 1e-6  # kg, m: files round to it
+_START = 1e-4  # rad: tolerance of the start
+_MASS, _LEVER = 1e-6, 1e-6  # kg, m: files are rounded to this
 
 CORRECTION = Group(
     "A correction of one path on one arm, as rx90_correct learns it.",
@@ -58,7 +58,7 @@ CORRECTION = Group(
         "method": Text("How it was learned, with the options."),
         "seen": ListOf(
             "By what each trial was measured, and where.",
-            item=Text("", choices=SEEN),
+            item=Text("", choices=MEASUREMENTS),
             accepted="a list of them",
         ),
         "worst": ListOf(
@@ -75,11 +75,11 @@ CORRECTION = Group(
         ),
     },
 )
-"""What the head of a correction file holds."""
+"""The contents of the head of a correction file."""
 
 
 def identity_of(setup: Setup, path: TrajectoryPath) -> dict[str, Any]:
-    """Return what a correction of a path on an arm is for: robot, arm, payload and path, as CORRECTION has them."""
+    """Return robot, arm, payload and path that a correction is valid for, in the form of CORRECTION."""
     model, drives, controller = setup.robot.model, setup.drives, setup.controller
     digest = hashlib.sha256()
     for k in range(1, model.njoints - 1):
@@ -104,7 +104,7 @@ def identity_of(setup: Setup, path: TrajectoryPath) -> dict[str, Any]:
 
 
 def _refusals(learned: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
-    """Yield why a correction must not be played on this arm and path."""
+    """Yield the reasons why a correction must not be played on this arm and path."""
     its, this = learned["path"], here["path"]
     if learned["robot"] != here["robot"]:
         yield f"was learned on the robot {learned['robot']!r}, this one is {here['robot']!r}; accepted: the same robot"
@@ -130,14 +130,15 @@ def _refusals(learned: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
 
 @dataclass(frozen=True, eq=False)
 class CorrectionFile:
-    """What a correction file holds.
+    """The contents of a correction file.
 
     Attributes:
         file: the head.
-        head: its content, as CORRECTION says.
-        correction: what is played.
-        best: offsets of the best trial, rad, shape (n, j): the same, but after a trial that was recorded.
-        distance: from the path on the set-points that count by trial, m, shape (trials, k).
+        head: its content, as declared by CORRECTION.
+        correction: to be played.
+        best: offsets of the best trial, rad, shape (n, j): those of `correction`, except after a trial that was
+            recorded.
+        distance: from the path at the counted set-points by trial, m, shape (trials, k).
     """
 
     file: Path
@@ -148,7 +149,7 @@ class CorrectionFile:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Return what it is for: robot, arm, payload and path."""
+        """Return robot, arm, payload and path that it is valid for."""
         return {key: self.head[key] for key in ("robot", "arm", "payload", "path")}
 
     @property
@@ -157,8 +158,8 @@ class CorrectionFile:
         return str(self.head["method"])
 
     @property
-    def seen(self) -> tuple[str, ...]:
-        """Return by what each trial was measured, and where, of SEEN."""
+    def measurements(self) -> tuple[str, ...]:
+        """Return for each trial by what and where it was measured, of MEASUREMENTS."""
         return tuple(self.head["seen"])
 
     @property
@@ -166,24 +167,24 @@ class CorrectionFile:
         """Return the largest distance from the path by trial, m."""
         return tuple(self.head["worst"])
 
-    def last_seen(self, how: str) -> tuple[float, ...]:
-        """Return the worst distances of the last trials, m, as far back as all of them were seen in this way."""
-        other = max((k + 1 for k, seen in enumerate(self.seen) if seen != how), default=0)
+    def last_worst(self, how: str) -> tuple[float, ...]:
+        """Return the worst distances of the last trials, m, as far back as all of them were measured in this way."""
+        other = max((k + 1 for k, measurements in enumerate(self.measurements) if measurements != how), default=0)
         return self.worst[other:]
 
     def fitting(self, setup: Setup, path: CorrectablePath, *, go_on: bool = False) -> Correction:
-        """Return the correction for an arm and a path; another payload is warned of.
+        """Return the correction for an arm and a path; warn if the payload is another one.
 
         Args:
             setup: the arm.
-            path: what it is played on.
-            go_on: whether it is learned from, so that the path error has to count on the same set-points, too.
+            path: on which it is played.
+            go_on: whether learning continues from it, so that the path error must count at the same set-points, too.
 
         Raises:
             ConfigError: for another robot, arm, speed or path, with the numbers.
         """
-        asked, period = TrajectoryPath.of(setup, path.points, path.counted), setup.rates.position_period
-        here, counted = identity_of(setup, asked), int(asked.counts.sum())
+        trajectory, period = TrajectoryPath.of(setup, path.points, path.counted), setup.rates.position_period
+        here, counted = identity_of(setup, trajectory), int(trajectory.counts.sum())
         if not math.isclose(self.correction.period, period):
             raise ConfigError(
                 f"{plain(self.file)} has offsets every {self.correction.period:g} s, the controller a set-point every "
@@ -210,20 +211,20 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
     """Write a correction file, `FILE.yaml` with `FILE.npz` beside it: both or none.
 
     Args:
-        learned: what was learned.
+        learned: the result of learning.
         file: the head.
-        earlier: whose trials stand before these, where it was gone on from.
+        earlier: file with the earlier trials, if learning continued from it.
 
     Raises:
         ConfigError: for a name that does not end with .yaml.
         Rx90Error: if it cannot be written.
     """
-    (head, beside), of = correction_files(file), learned.path
+    (head, offsets_file), of = correction_files(file), learned.path
     distance = np.array([trial.distance for trial in learned.trials])
-    worst, seen = [trial.worst for trial in learned.trials], [learned.seen] * len(learned.trials)
+    worst, measurements = [trial.worst for trial in learned.trials], [learned.measurement] * len(learned.trials)
     if earlier is not None:
         distance = np.concatenate([earlier.distance, distance])
-        worst, seen = [*earlier.worst, *worst], [*earlier.seen, *seen]
+        worst, measurements = [*earlier.worst, *worst], [*earlier.measurements, *measurements]
     buffer = io.BytesIO()
     np.savez_compressed(buffer, offsets=learned.correction.offsets, best=learned.best_offsets, distance=distance)
     options = asdict(learned.method)  # type: ignore[call-overload]
@@ -232,11 +233,11 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
         **identity_of(learned.setup, TrajectoryPath.of(learned.setup, of.points, of.counted)),
         "period": learned.correction.period,
         "method": f"{type(learned.method).__name__}: {', '.join(options)}",
-        "seen": seen,
+        "seen": measurements,
         "worst": worst,
-        "offsets": {"file": beside.name, "sha256": hashlib.sha256(buffer.getvalue()).hexdigest()},
+        "offsets": {"file": offsets_file.name, "sha256": hashlib.sha256(buffer.getvalue()).hexdigest()},
     }
-    write_all({head: yaml_text(content).encode(), beside: buffer.getvalue()})
+    write_all({head: yaml_text(content).encode(), offsets_file: buffer.getvalue()})
 
 
 def correction_files(name: Path | str) -> tuple[Path, Path]:
@@ -255,21 +256,25 @@ def load_correction(name: Path | str) -> CorrectionFile:
     """Read a correction file.
 
     Raises:
-        ConfigError: naming file, key, value and what is accepted; for offsets that are not those it was written with.
+        ConfigError: naming file, key, value and what is accepted; for offsets that were not written with this head.
     """
     file = Path(name)
     content = CORRECTION.read(load_yaml(file))
-    beside = file.parent / Path(content["offsets"]["file"]).name
+    offsets_file = file.parent / Path(content["offsets"]["file"]).name
     try:
-        if beside.stat().st_size > _MOST_BYTES:
-            raise ConfigError(f"{plain(beside)}: {beside.stat().st_size} bytes; accepted: up to {_MOST_BYTES}")
-        data = beside.read_bytes()
+        if offsets_file.stat().st_size > _MAX_BYTES:
+            raise ConfigError(
+                f"{plain(offsets_file)}: {offsets_file.stat().st_size} bytes; accepted: up to {_MAX_BYTES}"
+            )
+        data = offsets_file.read_bytes()
     except OSError as error:
         raise ConfigError(
-            f"{plain(beside)}: {error.strerror}; accepted: the file written with {plain(file)}"
+            f"{plain(offsets_file)}: {error.strerror}; accepted: the file written with {plain(file)}"
         ) from error
     if hashlib.sha256(data).hexdigest() != content["offsets"]["sha256"]:
-        raise ConfigError(f"{plain(beside)}: other offsets than {plain(file)} has; accepted: the file written with it")
+        raise ConfigError(
+            f"{plain(offsets_file)}: other offsets than {plain(file)} has; accepted: the file written with it"
+        )
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             offsets, best, distance = (
@@ -284,5 +289,5 @@ def load_correction(name: Path | str) -> CorrectionFile:
         if distance.ndim != 2 or not distance.size or len(trials) > 1 or not np.isfinite(distance).all():
             raise ValueError(f"distances of shape {distance.shape} that are no row for each trial")
     except (KeyError, ValueError, zipfile.BadZipFile, TrajectoryError) as error:
-        raise ConfigError(f"{plain(beside)}: {error}; accepted: a file that rx90_correct wrote") from error
+        raise ConfigError(f"{plain(offsets_file)}: {error}; accepted: a file that rx90_correct wrote") from error
     return CorrectionFile(file, content, correction, best, distance)

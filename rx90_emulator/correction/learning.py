@@ -1,9 +1,9 @@
-"""Learning from trial to trial: what is measured, what is kept, and when it stops; on the engine in one call.
+"""Learning from trial to trial: measurement, acceptance and end; on the engine in one call.
 
-A trial plays a correction and measures the error. It is kept if the worst distance from the path is no larger than with
-the best correction before, but for noise; the next correction goes on from the best one. After a trial that made it
-worse half of the step from the best one is tried, and the gain halved. Learning has failed where trial after trial
-makes it worse.
+A trial plays a correction and measures the error. It is accepted if the worst distance from the path is no larger than
+with the best correction so far, except for noise; the next correction starts from the best one. After a trial that is
+worse, half of the step from the best correction is tried, and the gain is halved. Learning has failed if trial after
+trial is worse.
 """
 
 from __future__ import annotations
@@ -36,31 +36,31 @@ from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 
 NOISE = 1e-6
-"""By how much the worst distance may grow, m, unless another noise is given: of about encoder counts."""
+"""Default of the growth of the worst distance that counts as noise, m: that of encoder counts."""
 ENCODERS, TIP = "encoders", "tip"
 ENGINE, NODES, RECORD = "engine", "nodes", "record"
-SEEN: Final = tuple(f"{what}, {where}" for what in (ENCODERS, TIP) for where in (ENGINE, NODES, RECORD))
-"""What a trial was measured by, and where; path errors that were seen otherwise cannot be compared."""
+MEASUREMENTS: Final = tuple(f"{what}, {where}" for what in (ENCODERS, TIP) for where in (ENGINE, NODES, RECORD))
+"""By what and where a trial was measured; path errors that were measured in another way cannot be compared."""
 _LONGEST = 600_000  # set-points: the feedback of norm-optimal takes 1.5 kB for each
-MOST_WORSE: Final = 4
-"""Trials in a row that make the path worse, after which learning has failed: an eighth of a step that is still worse is
-not too long, but points the wrong way."""
-_SAME = 1e-7  # rad: of offsets, far below an encoder's count
-_HELD = 1.0  # s from the release of the brakes to where the path error counts: the integrators take some 0.1 s
+MAX_WORSE_TRIALS: Final = 4
+"""Successive worse trials, after which learning has failed: if an eighth of a step is still worse, the step is not too
+long but has the wrong direction."""
+_OFFSET_TOLERANCE = 1e-7  # rad: of offsets, far below an encoder's count
+_SETTLING_S = 1.0  # s from the release of the brakes to the first counted path error: the integrators take some 0.1 s
 
 
 class CorrectionError(FailureError):
-    """Learning did not make the path better, or made it worse and worse."""
+    """Learning did not make the path better, or trial after trial made it worse."""
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What a trial has left on set-points 0, 1, ... of its trajectory.
+    """The errors of a trial at set-points 0, 1, ... of its trajectory.
 
     Attributes:
-        joints: set-points less the joints by the encoders, rad, shape (n, j).
-        tip: the tip where it should be less where it was measured, m, shape (n, 3); None where it was not.
-        played: offsets that were added, rad, shape (n, j); None where nothing tells.
+        joints: set-points less joint angles by the encoders, rad, shape (n, j).
+        tip: required less measured position of the tip, m, shape (n, 3); None if it was not measured.
+        played: offsets that were added, rad, shape (n, j); None if they are not known.
     """
 
     joints: Array
@@ -73,11 +73,11 @@ class TrialRecord:
     """One trial.
 
     Attributes:
-        worst: largest distance from the path, by what was measured, m.
+        worst: largest measured distance from the path, m.
         rms: root mean square distance, m.
-        kept: whether what was played is better than all before, but for noise.
+        kept: whether it is better than all earlier trials, except for noise.
         gain: share of the method's gain with which it was made.
-        distance: from the path on the set-points that count, m, shape (k,).
+        distance: from the path at the counted set-points, m, shape (k,).
     """
 
     worst: float
@@ -88,20 +88,20 @@ class TrialRecord:
 
 
 class Learner:
-    """Learns a correction of one path on one arm, wherever the trials are run.
+    """Learns a correction of one path on one arm, wherever the trials run.
 
     Args:
-        setup: robot and controller that the method takes the arm for; friction and payload need not be right.
-        path: what is corrected.
-        method: how.
-        tip: whether it learns from a measured tip in place of the encoders.
-        noise: by how much the worst distance may grow from trial to trial, m.
-        previous: offsets to go on from, rad, shape (n, j).
+        setup: robot and controller in the method's model; friction and payload need not be right.
+        path: the path to correct.
+        method: of learning.
+        tip: whether it learns from a measured tip instead of the encoders.
+        noise: growth of the worst distance from trial to trial that counts as noise, m.
+        previous: offsets to continue from, rad, shape (n, j).
 
     Attributes:
-        nominal: what the path asks for.
+        nominal: the motion that the path requires.
         offsets: to play in the next trial, rad, shape (n, j).
-        best: those of the last trial that was kept; those given, or 0, before the first.
+        best: those of the last accepted trial; the given ones, or 0, before the first.
         trials: so far.
 
     Raises:
@@ -135,23 +135,23 @@ class Learner:
         self._least, self._gain, self._worse = math.inf, 1.0, 0
 
     def go_on(self, best: Array, worst: Sequence[float]) -> None:
-        """Judge the next trial by those before it, which a correction file has.
+        """Compare the next trial with the earlier ones in a correction file.
 
         Args:
             best: offsets of the best of them, rad, shape (n, j).
-            worst: their largest distances from the path, m, of trials that were measured as the next one is.
+            worst: their largest distances from the path, m, for trials that were measured as the next one is.
         """
         self._least, self.best = min(worst), np.asarray(best)
         self._worse = len(worst) - 1 - max(k for k, one in enumerate(worst) if one <= self._least + self.noise)
         self._gain = 0.5**self._worse
 
-    def seen(self, where: str) -> str:
-        """Return by what trials are measured, and where, as SEEN has it."""
+    def measurement(self, where: str) -> str:
+        """Return by what and where trials are measured, in the form of MEASUREMENTS."""
         return f"{TIP if self.tip else ENCODERS}, {where}"
 
     @property
     def correction(self) -> Correction:
-        """Return what is to be played in the next trial.
+        """Return the correction for the next trial.
 
         Raises:
             TrajectoryError: if it is larger or faster than a correction may be.
@@ -159,7 +159,7 @@ class Learner:
         return Correction(self.offsets, self.nominal.period)
 
     def distance(self, measured: Measured) -> Array:
-        """Return the distance of the tip from the path on the set-points that count, m, by what was measured."""
+        """Return the measured distance of the tip from the path at the counted set-points, m."""
         counts = self.nominal.counts
         if self.tip:
             assert measured.tip is not None
@@ -168,14 +168,14 @@ class Learner:
         return self.path.distance(tip_position(self.setup.robot.chain, joints))
 
     def take(self, measured: Measured) -> TrialRecord:
-        """Judge what a trial with `offsets` has left, and make the next offsets.
+        """Evaluate the errors of a trial with `offsets`, and make the next offsets.
 
-        After a trial that is worse than the best one the next offsets lie in the middle between those of both.
+        After a trial that is worse than the best one, the next offsets are the mean of both.
 
         Raises:
-            ConfigError: if the tip is to be learned from and was not measured, a number is not finite, or other offsets
-                were played.
-            CorrectionError: if trial after trial has made it worse.
+            ConfigError: if the tip is needed and was not measured, a number is not finite, or other offsets were
+                played.
+            CorrectionError: if trial after trial was worse.
         """
         error = measured.tip if self.tip else measured.joints
         if error is None:
@@ -187,12 +187,12 @@ class Learner:
             )
         if measured.played is not None:
             full = np.flatnonzero(self.nominal.counts)
-            full = full[full * self.nominal.period >= FADE]  # before, it may be on its way
-            apart = float(np.abs(measured.played - self.offsets)[full].max(initial=0.0))
-            if apart > _SAME:
+            full = full[full * self.nominal.period >= FADE]  # before, it may still fade in
+            difference = float(np.abs(measured.played - self.offsets)[full].max(initial=0.0))
+            if difference > _OFFSET_TOLERANCE:
                 raise ConfigError(
-                    f"the offsets that were played are up to {apart:.3g} rad from those that are learned from, up to "
-                    f"{np.abs(self.offsets).max():.3g} rad; accepted: a trial with this correction, --previous"
+                    f"the offsets that were played are up to {difference:.3g} rad from those that are learned from, up "
+                    f"to {np.abs(self.offsets).max():.3g} rad; accepted: a trial with this correction, --previous"
                 )
         distance = self.distance(measured)
         worst, rms = float(distance.max()), math.sqrt(float(np.mean(distance**2)))
@@ -205,7 +205,7 @@ class Learner:
             self.offsets = self._update(self.best, error, self._gain)
             return trial
         self._worse, self._gain = self._worse + 1, 0.5 * self._gain
-        if self._worse >= MOST_WORSE:
+        if self._worse >= MAX_WORSE_TRIALS:
             raise CorrectionError(
                 f"{self._worse} trials in a row have made the path worse, the last one {worst * 1e3:.4f} mm after "
                 f"{self._least * 1e3:.4f} mm; accepted: another model, method or gain"
@@ -216,15 +216,15 @@ class Learner:
 
 @dataclass(frozen=True, eq=False)
 class LearnedCorrection:
-    """What learning has given.
+    """The result of learning.
 
     Attributes:
-        setup: what was learned with.
-        path: what is corrected.
-        method: how.
-        seen: by what the trials were measured, and where, of SEEN.
-        correction: the best one; from a record, the one for the next trial.
-        trials: all of them; the first is without correction, or with the one that was gone on from.
+        setup: the arm in the method's model.
+        path: the corrected path.
+        method: of learning.
+        measurement: by what and where the trials were measured, of MEASUREMENTS.
+        correction: the best one; after a record, the one for the next trial.
+        trials: all of them; the first is without correction, or with the one that learning continued from.
         best_offsets: of the best trial, rad, shape (n, j).
         remark: why it ended early; empty if it did not.
     """
@@ -232,7 +232,7 @@ class LearnedCorrection:
     setup: Setup
     path: CorrectablePath
     method: Method
-    seen: str
+    measurement: str
     correction: Correction
     trials: tuple[TrialRecord, ...]
     best_offsets: Array = field(repr=False)
@@ -240,31 +240,31 @@ class LearnedCorrection:
 
     @classmethod
     def of(cls, learner: Learner, where: str, offsets: Array, remark: str = "") -> LearnedCorrection:
-        """Return what a learner has learned from trials somewhere, with the offsets that are to be played, rad."""
+        """Return the result of a learner with trials at `where`, and the offsets to be played, rad."""
         played = Correction(offsets, learner.nominal.period)
-        return cls(learner.setup, learner.path, learner.method, learner.seen(where), played, tuple(learner.trials),
-                   learner.best, remark)  # fmt: skip
+        return cls(learner.setup, learner.path, learner.method, learner.measurement(where), played,
+                   tuple(learner.trials), learner.best, remark)  # fmt: skip
 
     @property
     def best(self) -> TrialRecord:
-        """Return the last trial that was kept."""
+        """Return the last accepted trial."""
         return next(trial for trial in reversed(self.trials) if trial.kept)
 
 
 def learn(
     learner: Learner, play: Callable[[Correction], Measured], trials: int, where: str,
-    told: Callable[[TrialRecord], None] | None,
+    on_trial: Callable[[TrialRecord], None] | None,
 ) -> LearnedCorrection:  # fmt: skip
-    """Play and learn: one trial as it begins, then `trials` more, each with what the one before has taught.
+    """Play and learn: one trial with the initial correction, then `trials` more, each learned from the previous one.
 
     Args:
-        learner: what learns.
+        learner: evaluates the trials.
         play: runs one trial.
-        trials: how many after the first.
+        trials: number of trials after the first.
         where: they run, ENGINE or NODES.
-        told: is told of each.
+        on_trial: called with each trial.
 
-    What ends a later trial, such as an offset beyond the limits, ends learning with what it has kept.
+    If a later trial fails, for example with an offset beyond the limits, learning ends with the best correction so far.
 
     Raises:
         ConfigError: for less than 0 trials.
@@ -279,8 +279,8 @@ def learn(
             if not learner.trials:
                 raise
             remark = str(error)
-        if told is not None:
-            told(learner.trials[-1])
+        if on_trial is not None:
+            on_trial(learner.trials[-1])
         if remark:
             break
     return LearnedCorrection.of(learner, where, learner.best, remark)
@@ -291,8 +291,8 @@ def run_corrected(
 ) -> tuple[RunResult, Measured]:
     """Run a path through the closed loop, with a correction or without, and measure encoders and tip.
 
-    The arm stands held before, so that its weight is taken up when the path error begins to count. What the path asks
-    for is a third of a trial's work, so whoever runs several gives it as a TrajectoryPath.
+    The arm is at rest before, so that the integrators carry its weight when the path error begins to count. The nominal
+    motion is a third of a trial's work, so for several trials pass the path as a TrajectoryPath.
 
     Raises:
         DivergenceError: naming joint and tick.
@@ -300,14 +300,14 @@ def run_corrected(
         TrajectoryError: if trajectory or correction is refused.
     """
     points, period = replace(path.points, correction=correction), setup.rates.position_period
-    held = math.ceil(max(0.0, _HELD - path.counted[0]) / period)
-    asked = path if isinstance(path, TrajectoryPath) else TrajectoryPath.of(setup, path.points, path.counted)
-    count = len(asked.counts)
-    run = simulate(setup, points, start_time=held * period, duration=(held + count) * period)
-    rows = slice(held, held + count)
+    lead = math.ceil(max(0.0, _SETTLING_S - path.counted[0]) / period)
+    trajectory = path if isinstance(path, TrajectoryPath) else TrajectoryPath.of(setup, path.points, path.counted)
+    count = len(trajectory.counts)
+    run = simulate(setup, points, start_time=lead * period, duration=(lead + count) * period)
+    rows = slice(lead, lead + count)
     offsets = run.slow.correction[rows] if len(run.slow.correction) else 0.0
     tip = tip_position(setup.robot.chain, run.slow.joint_states[rows, 0])
-    return run, Measured(run.slow.tracking_error[rows, 0] - offsets, asked.tip - tip)
+    return run, Measured(run.slow.tracking_error[rows, 0] - offsets, trajectory.tip - tip)
 
 
 def learn_correction(
@@ -320,32 +320,32 @@ def learn_correction(
     tip: bool = False,
     noise: float = NOISE,
     previous: Correction | None = None,
-    told: Callable[[TrialRecord], None] | None = None,
+    on_trial: Callable[[TrialRecord], None] | None = None,
 ) -> LearnedCorrection:
     """Learn a correction on the engine.
 
     Args:
         setup: the arm that runs the trials.
-        path: what is corrected: a task or a path, a planned one, or any trajectory as a TrajectoryPath.
-        trials: after the first one, which is without correction, or with `previous`.
-        method: NormOptimal() unless another is given.
-        model: what the method takes the arm for; `setup` itself if left out.
-        tip: learn from the tip's error, as a sensor at the tip sees it, in place of the encoders'.
-        noise: by how much the worst distance may grow from trial to trial, m.
-        previous: a correction to go on from.
-        told: is told of each trial.
+        path: a task or a path, a planned one, or any trajectory as a TrajectoryPath.
+        trials: number of trials after the first one, which is without correction, or with `previous`.
+        method: NormOptimal() by default.
+        model: the arm in the method's model; by default `setup`.
+        tip: learn from the tip's error, as a sensor at the tip measures it, instead of the encoders'.
+        noise: growth of the worst distance from trial to trial that counts as noise, m.
+        previous: a correction to continue from.
+        on_trial: called with each trial.
 
     Raises:
         ConfigError: for values that are not accepted.
-        TrajectoryError: if the trajectory is refused, or a correction beyond the limits is asked for.
+        TrajectoryError: if the trajectory is refused, or a correction exceeds the limits.
         DivergenceError, SupervisionError: as `simulate`.
     """
     check_type(setup=(setup, Setup))
     planned = plan_path(setup, path) if isinstance(path, (LineTask, Path)) else path
     before = None if previous is None else previous.offsets
     learner = Learner(model or setup, planned, method, tip=tip, noise=noise, previous=before)
-    asked = learner.nominal if model is None else TrajectoryPath.of(setup, planned.points, planned.counted)
-    return learn(learner, lambda played: run_corrected(setup, asked, played)[1], trials, ENGINE, told)
+    trajectory = learner.nominal if model is None else TrajectoryPath.of(setup, planned.points, planned.counted)
+    return learn(learner, lambda played: run_corrected(setup, trajectory, played)[1], trials, ENGINE, on_trial)
 
 
 def summary(trials: Iterable[TrialRecord]) -> str:

@@ -25,19 +25,19 @@ from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.nodes import follow_trajectory
 
 _APPROACH_SPEED, _APPROACH_ACCELERATION = 0.25, 2.0  # share of the joints' speeds; rad/s^2: as rx90_line's
-_HELD = 0.5  # s at the start of the path: the integrators take some 0.1 s, then the arm stands
-_SENSOR = 0.5  # s for which a sensor of the tip may lag: a camera with its evaluation
-_GRACE = 20.0  # s for a recorder to write what it holds
+_REST_S = 0.5  # s at the start of the path: the integrators take some 0.1 s, then the arm is at rest
+_SENSOR = 0.5  # s, longest lag of a sensor of the tip: a camera with its evaluation
+_GRACE = 20.0  # s for a recorder to write its messages
 
 
 @contextmanager
 def node_trials(
     learner: Learner, controller: str, timeout: float, tip_topic: str | None = None
 ) -> Iterator[Callable[[Correction], Measured]]:
-    """Yield what plays a trial on running nodes.
+    """Yield the function that plays a trial on running nodes.
 
-    A trial raises ExchangeError if a node does not answer or a trajectory is refused, ProcessError with what the
-    recorder says if it loses messages, and what `measured` raises.
+    A trial raises ExchangeError if a node does not answer or a trajectory is refused, ProcessError with the recorder's
+    message if it loses messages, and the errors of `measured`.
 
     Args:
         learner: of the path.
@@ -47,7 +47,7 @@ def node_trials(
 
     Raises:
         ConfigError: if that cannot be a node's name.
-        ExchangeError: if a node does not show up.
+        ExchangeError: if a node does not appear.
     """
     robot, points = learner.setup.robot, learner.path.points
     topics = ["joint_states", REFERENCE, TRACKING, CORRECTION, *([tip_topic] if tip_topic else [])]
@@ -66,7 +66,7 @@ def node_trials(
             motion = Motion(np.asarray(set_points.position))
             motion.move(points.position[0], robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION)
             if motion.duration > 0.0:
-                motion.rest(_HELD)
+                motion.rest(_REST_S)
                 follow(motion.points(robot.joint_names), lambda _: None)
             bag = Path(name) / f"trial_{next(numbers)}"
             recorder = recorders.start(

@@ -1,4 +1,4 @@
-"""What can be corrected: a joint trajectory, the part of it that counts, and the distance of a tip from its path."""
+"""Correctable motions: a joint trajectory, its counted part, and the distance of a tip from its path."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rx90_common.description.kinematics import forward, polyline_error
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 
-_STANDS = 1e-9  # m from one set-point to the next: the tip stands
+_AT_REST_STEP = 1e-9  # m from one set-point to the next, up to which the tip is at rest
 
 
 class CorrectablePath(Protocol):
@@ -26,7 +26,7 @@ class CorrectablePath(Protocol):
 
     @property
     def counted(self) -> tuple[float, float]:
-        """Return from when to when the path error counts, s from the trajectory's start."""
+        """Return begin and end of the time in which the path error counts, s from the trajectory's start."""
 
     def distance(self, tip: Array) -> Array:
         """Return the distance of the tip's positions, m, shape (n, 3), from the path, m, shape (n,)."""
@@ -34,13 +34,13 @@ class CorrectablePath(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryPath:
-    """A joint trajectory as its controller takes it, and the line that the tip describes by its set-points.
+    """A joint trajectory in the controller's set-points, and the tip's line along these.
 
-    Of a planned path it is what that asks for on set-points 0, 1, ...
+    For a planned path these are set-points 0, 1, ... that it requires.
 
     Attributes:
         points: the trajectory.
-        counted: from when to when the path error counts, s from its start.
+        counted: begin and end of the time in which the path error counts, s from its start.
         setpoints: position rad, velocity rad/s, acceleration rad/s^2, shape (n, 3, joints).
         tip: m, shape (n, 3).
         counts: whether the path error counts, shape (n,).
@@ -56,10 +56,10 @@ class TrajectoryPath:
 
     @classmethod
     def of(cls, setup: Setup, points: TrajectoryPoints, counted: tuple[float, float] | None = None) -> TrajectoryPath:
-        """Return it for the controller of a setup; all of it counts unless `counted` says what.
+        """Return it for the controller of a setup; all of it counts unless `counted` states a part.
 
         Raises:
-            ConfigError: if nothing of the trajectory counts, or the tip does not move in what does.
+            ConfigError: if no part of the trajectory counts, or the tip does not move in the counted part.
             TrajectoryError: if the controller would refuse the trajectory.
         """
         last, period = float(points.times[-1]), setup.rates.position_period
@@ -81,11 +81,11 @@ class TrajectoryPath:
     @cached_property
     def _corners(self) -> Array:
         tip = self.tip[self.counts]
-        return np.asarray(tip[np.append(True, np.linalg.norm(np.diff(tip, axis=0), axis=1) > _STANDS)])
+        return np.asarray(tip[np.append(True, np.linalg.norm(np.diff(tip, axis=0), axis=1) > _AT_REST_STEP)])
 
     def distance(self, tip: Array) -> Array:
         """Return the distance of the tip's positions, m, shape (n, 3), from the path, m, shape (n,).
 
-        Straight lines lengthen the path at its ends: what comes to rest past the end is still on it.
+        Straight lines extend the path at its ends: a tip that comes to rest past the end is still on it.
         """
         return polyline_error(tip, self._corners).perpendicular

@@ -1,9 +1,9 @@
-"""A correction without a channel: the corrected path as a joint trajectory, for controllers that take nothing else.
+"""A correction without a channel: the corrected path as a joint trajectory, for controllers without offsets.
 
-Such a controller takes the offsets for a part of the motion. Their velocities and accelerations go into its
-feed-forward, where they ask for torques that the correction does not mean: above all, an offset that is faster than the
-joint turns the sign of the Coulomb compensation. The offsets are therefore smoothed before, and what that loses, and
-what the feed-forward does with the rest, is found by a run.
+Such a controller treats the offsets as a part of the motion. Their velocities and accelerations enter its feed-forward,
+where they cause torques that the correction does not intend: above all, an offset that moves faster than the joint
+reverses the sign of the Coulomb compensation. The offsets are therefore smoothed first, and a run determines the loss
+by the smoothing and the effect of the feed-forward.
 """
 
 from __future__ import annotations
@@ -20,11 +20,10 @@ from rx90_emulator.correction.path import CorrectablePath, TrajectoryPath
 from rx90_emulator.loop.setup import Setup
 
 CUTOFF = 5.0
-"""Of the filter that smooths the offsets, Hz, where no other is given: what is faster turns the sign of the Coulomb
-feed-forward on the shipped tasks, and makes the path worse."""
-_APART = (
-    2  # set-points between points of the trajectory; quintics through them miss the smooth offsets by next to nothing
-)
+"""Default cut-off of the filter that smooths the offsets, Hz: faster offsets reverse the sign of the Coulomb
+feed-forward on the shipped tasks, and make the path worse."""
+_STRIDE = 2
+"""Set-points from one point of the trajectory to the next: quintics through these hardly deviate from smooth ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,12 +46,12 @@ class Precompensation:
 def precompensate(
     setup: Setup, path: CorrectablePath, correction: Correction, cutoff: float = CUTOFF
 ) -> Precompensation:
-    """Return the corrected path as a trajectory, and what the engine makes of it.
+    """Return the corrected path as a trajectory, and its path error on the engine.
 
     Args:
         setup: the arm.
-        path: what the correction is of.
-        correction: what was learned.
+        path: the path of the correction.
+        correction: the learned one.
         cutoff: of the filter that smooths the offsets, Hz.
 
     Raises:
@@ -68,7 +67,7 @@ def precompensate(
     offsets[:, 1] = np.gradient(offsets[:, 0], period, axis=0)
     offsets[:, 2] = np.gradient(offsets[:, 1], period, axis=0)
     offsets[[0, -1], 1:] = 0.0
-    rows = np.unique(np.append(np.arange(0, count, _APART), count - 1))
+    rows = np.unique(np.append(np.arange(0, count, _STRIDE), count - 1))
     motion = (nominal.setpoints + offsets)[rows]
     motion[-1, 1:] = 0.0
     names = setup.robot.joint_names
@@ -77,8 +76,8 @@ def precompensate(
     begin, end = path.counted
     travelled, errors = TrajectoryPath.of(setup, points, (begin, min(end, float(points.times[-1])))), []
     for one, added in ((nominal, None), (nominal, correction), (travelled, None)):
-        left = run_corrected(setup, one, added)[1].tip
-        assert left is not None
-        tip = (one.tip - left)[:count]
+        remaining = run_corrected(setup, one, added)[1].tip
+        assert remaining is not None
+        tip = (one.tip - remaining)[:count]
         errors.append(float(path.distance(tip[nominal.counts[: len(tip)]]).max()))
     return Precompensation(points, *errors)

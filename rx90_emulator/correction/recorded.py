@@ -1,8 +1,8 @@
-"""What a trial has left, from the bag of an arm or of the nodes, and from a tip that something else has measured.
+"""The errors of a trial, from the bag of an arm or of the nodes, and from a tip measured by a sensor.
 
-When the trajectory began is found by the record itself: the nominal motion is laid over it where both are least apart.
-A bag of the nodes has their set-points, which tell it exactly. Measured joints lag behind the set-points; that lag then
-counts as none, and only the path remains, which is what a correction is for.
+The beginning of the trajectory is found in the record itself: the nominal motion is shifted to where it fits best. A
+bag of the nodes contains their set-points, which determine it exactly. Measured joints lag behind the set-points; this
+lag then does not count, and only the path remains, which is the purpose of a correction.
 """
 
 from __future__ import annotations
@@ -30,43 +30,41 @@ from rx90_emulator.loop.drawing import UNITS, read_columns
 from rx90_emulator.loop.setup import Setup
 
 REFERENCE, TRACKING, CORRECTION = (f"rx90_controller/{name}" for name in ("reference", "tracking_error", "correction"))
-_GAP = (
-    3.5  # times the median interval, or the set-points' own: fewer than three samples that are missing are interpolated
-)
-_MOST_APART = 0.02  # of the range of a motion, root mean square: what is further off is another motion
-_MOST_ROWS = 10_000_000  # set-points that a record may last: what the search for the motion in it holds takes some GB
+_GAP = 3.5  # times the median interval, or the set-points' own: up to two missing samples are interpolated
+_MAX_DIFFERENCE = 0.02  # of the range of a motion, root mean square: a larger one means another motion
+_MAX_ROWS = 10_000_000  # longest record, in set-points: the search for the motion then takes some GB
 _POSITIONS = {
     "geometry_msgs/msg/PointStamped": "point",
     "geometry_msgs/msg/PoseStamped": "pose.position",
     "geometry_msgs/msg/TransformStamped": "transform.translation",
 }
-"""Types of messages that carry a position, and where."""
+"""Types of messages with a position, and its place in them."""
 
 
 class Laid(NamedTuple):
-    """A record, laid under the nominal motion.
+    """A record, aligned with the nominal motion.
 
     Attributes:
         values: at the nominal motion's set-points, shape (n, d).
-        shift: when the motion begins in the record's time, s.
-        apart: root mean square of what is between them, as a share of the motion's range.
+        shift: beginning of the motion in the record's time, s.
+        difference: root mean square difference, as a share of the motion's range.
     """
 
     values: Array
     shift: float
-    apart: float
+    difference: float
 
 
 def laid_under(times: Array, values: Array, nominal: Array, period: float, counts: Mask, what: str) -> Laid:
-    """Find when a nominal motion runs in a record, and return the record on its set-points.
+    """Find the time at which a nominal motion runs in a record, and return the record at its set-points.
 
     Args:
         times: of the record, s, increasing, shape (m,).
         values: shape (m, d).
         nominal: motion, shape (n, d).
         period: of its set-points, s.
-        counts: which of them have to be in the record, shape (n,).
-        what: the record is, for refusals.
+        counts: which of them must be in the record, shape (n,).
+        what: name of the record, for refusals.
 
     Raises:
         ConfigError: for a record without the motion, or with a part of it, with the numbers.
@@ -74,9 +72,9 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
     if len(times) < 2 or not (np.diff(times) > 0.0).all() or not np.isfinite(values).all():
         raise ConfigError(f"{what}: {len(times)} rows; accepted: two or more, finite, with increasing times")
     count = len(nominal)
-    # Beyond its ends the record is held, so that a rest before or after the motion may be missing.
-    if not times[-1] - times[0] <= _MOST_ROWS * period:
-        raise ConfigError(f"{what}: {times[-1] - times[0]:.6g} s; accepted: up to {_MOST_ROWS * period:g} s")
+    # The record is extended by its first and last value, so that a rest before or after the motion may be missing.
+    if not times[-1] - times[0] <= _MAX_ROWS * period:
+        raise ConfigError(f"{what}: {times[-1] - times[0]:.6g} s; accepted: up to {_MAX_ROWS * period:g} s")
     grid = times[0] + np.arange(-count, round((times[-1] - times[0]) / period) + count) * period
     record = np.column_stack([np.interp(grid, times, column) for column in values.T])
     middle = nominal.mean(axis=0)
@@ -105,39 +103,45 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
             "accepted: a record without gaps"
         )
     found = np.column_stack([np.interp(rows, times, column) for column in values.T])
-    apart = float(np.sqrt(np.mean((found - nominal)[counts] ** 2)) / max(np.ptp(nominal, axis=0).max(), 1e-12))
-    if apart > _MOST_APART:
+    difference = float(np.sqrt(np.mean((found - nominal)[counts] ** 2)) / max(np.ptp(nominal, axis=0).max(), 1e-12))
+    if difference > _MAX_DIFFERENCE:
         raise ConfigError(
-            f"{what}: {apart:.1%} of the motion's range away from the path where they fit best, at {shift:.6g} s; "
-            f"accepted: up to {_MOST_APART:.0%}, a record of this path"
+            f"{what}: {difference:.1%} of the motion's range away from the path where they fit best, at {shift:.6g} s; "
+            f"accepted: up to {_MAX_DIFFERENCE:.0%}, a record of this path"
         )
-    return Laid(found, float(shift), apart)
+    return Laid(found, float(shift), difference)
 
 
 def joints_of_bag(
     bag: Path | str, setup: Setup, nominal: TrajectoryPath, topic: str = "joint_states"
 ) -> tuple[Array, Array | None, str]:
-    """Return set-points less joints by the encoders, what a correction added, and how they were found.
+    """Return set-points less joints by the encoders, the offsets of a correction, and how they were found.
 
-    Both are in rad, of shape (n, joints). From a bag of the nodes they are the controller's own; other bags do not tell
-    the second, which is then None.
+    Both are in rad, of shape (n, joints). In a bag of the nodes they are the controller's own; other bags do not
+    contain the offsets, which are then None.
 
     Raises:
         BagError: for a bag that cannot be read, or without these joints.
         ConfigError: for a bag of another motion.
     """
-    names, wanted = setup.robot.joint_names, nominal.setpoints[:, 0]
+    names, reference_positions = setup.robot.joint_names, nominal.setpoints[:, 0]
     try:
         reference, tracking = (read_joint_states(bag, each, names) for each in (REFERENCE, TRACKING))
     except BagError:
         series = read_joint_states(bag, topic, names)
         if series.position is None:
             raise BagError(f"{plain(bag)}: {topic} without positions; accepted: joint positions") from None
-        laid = laid_under(series.time, series.position, wanted, nominal.period, nominal.counts, plain(bag))
-        return wanted - laid.values, None, f"{topic}, begun at {laid.shift:.6f} s of its time, {laid.apart:.2%} apart"
+        laid = laid_under(series.time, series.position, reference_positions, nominal.period, nominal.counts, plain(bag))
+        return (
+            reference_positions - laid.values,
+            None,
+            f"{topic}, begun at {laid.shift:.6f} s of its time, {laid.difference:.2%} apart",
+        )
     assert reference.position is not None
     assert tracking.position is not None
-    laid = laid_under(reference.time, reference.position, wanted, nominal.period, nominal.counts, plain(bag))
+    laid = laid_under(
+        reference.time, reference.position, reference_positions, nominal.period, nominal.counts, plain(bag)
+    )
     added = np.zeros_like(tracking.position)
     with suppress(BagError):  # no such topic, or no message on it: no correction was played
         played = read_joint_states(bag, CORRECTION, names)
@@ -146,13 +150,13 @@ def joints_of_bag(
         added[both.rows_a] = played.position[both.rows_b]
     first = round(laid.shift / nominal.period)
     ticks = np.round(tracking.time / nominal.period).astype(np.int64)
-    rows = np.clip(np.searchsorted(ticks, first + np.arange(len(wanted))), 0, len(ticks) - 1)
-    said = f"the controller's set-points, begun at {first * nominal.period:.6f} s"
-    return (tracking.position - added)[rows], added[rows], said
+    rows = np.clip(np.searchsorted(ticks, first + np.arange(len(reference_positions))), 0, len(ticks) - 1)
+    source = f"the controller's set-points, begun at {first * nominal.period:.6f} s"
+    return (tracking.position - added)[rows], added[rows], source
 
 
 def tip_of_file(file: Path | str, nominal: TrajectoryPath, topic: str | None = None) -> tuple[Array, str]:
-    """Return the tip where it should be less where it was measured on a path's set-points, m, shape (n, 3).
+    """Return required less measured position of the tip at a path's set-points, m, shape (n, 3).
 
     The file is a CSV table with a header: `time [s]`, and `x`, `y`, `z` of the tool centre point in the base frame,
     each with its unit, such as `[mm]`. With a topic it is a bag with PointStamped, PoseStamped or TransformStamped.
@@ -162,7 +166,7 @@ def tip_of_file(file: Path | str, nominal: TrajectoryPath, topic: str | None = N
 
     Raises:
         BagError: for a bag that cannot be read, or without such a topic.
-        ConfigError: for a file that is none, or of another motion.
+        ConfigError: for another kind of file, or one of another motion.
     """
     rows = _table(Path(file)) if topic is None else _topic(file, topic)
     laid = laid_under(rows[:, 0], rows[:, 1:], nominal.tip, nominal.period, nominal.counts, plain(file))
@@ -199,41 +203,42 @@ def measured(
     topic: str = "joint_states",
     tip_topic: str | None = None,
 ) -> tuple[Measured, list[str]]:
-    """Return what a trial has left, and a line on each record on how it was found; a bag, a tip, or both.
+    """Return the errors of a trial, and a line on each record on how it was found; from a bag, a tip, or both.
 
     Raises:
         Rx90Error: as `joints_of_bag` and `tip_of_file`.
     """
-    joints, played, said = np.zeros((len(nominal.counts), len(setup.robot.joint_names))), None, []
+    joints, played, sources = np.zeros((len(nominal.counts), len(setup.robot.joint_names))), None, []
     if bag is not None:
         joints, played, text = joints_of_bag(bag, setup, nominal, topic)
-        said.append(text)
+        sources.append(text)
     error = None
     if tip is not None:
         error, text = tip_of_file(tip, nominal, tip_topic)
-        said.append(text)
-    return Measured(joints, error, played), said
+        sources.append(text)
+    return Measured(joints, error, played), sources
 
 
 def learn_from_record(
     learner: Learner, found: Measured, earlier: CorrectionFile | None = None
 ) -> tuple[LearnedCorrection, str]:
-    """Learn from one trial that was recorded, and return the correction of the next one.
+    """Learn from one recorded trial, and return the correction of the next one.
 
-    It is compared with the trials before that were measured alike: not with those of the engine, whose arm is another.
+    It is compared with earlier trials that were measured in the same way, not with those of the engine, whose arm is
+    another one.
 
     Args:
-        learner: with what was played, if anything, as `previous`.
-        found: what the trial has left.
-        earlier: the file of what was played.
+        learner: with the played offsets, if any, as `previous`.
+        found: the errors of the trial.
+        earlier: the file that was played.
 
     Returns:
-        The correction, and why the trial was not kept; empty where it was.
+        The correction, and why the trial was not accepted; empty if it was.
 
     Raises:
         ConfigError, CorrectionError: as `Learner.take`.
     """
-    before = () if earlier is None else earlier.last_seen(learner.seen(RECORD))
+    before = () if earlier is None else earlier.last_worst(learner.measurement(RECORD))
     if earlier is not None and before:
         learner.go_on(earlier.best, before)
     why = "" if learner.take(found).kept else f"worse than {min(before) * 1e3:.4f} mm before"

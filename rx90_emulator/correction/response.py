@@ -1,4 +1,4 @@
-"""What an offset of the position set-points does to the joints along a motion, and the change that is best by it.
+"""The linear response of the joints to offsets of the position set-points along a motion, and the best change by it.
 
 The deviations dq of the arm from its nominal motion are linear in the offsets c: the linear time-varying model of the
 perturbation method, with M0, C0 and K0 along the motion, and around it the CS7B's PI on the position, D on the
@@ -8,10 +8,10 @@ the motors):
     M0 d2q/dt2 + (C0 + F) dq/dt + K0 q = W' tau,          di/dt = Mn ki W (c - q),
     T dtau/dt + tau = Mn kv [kp W (c - q) - W dq/dt] + i.
 
-F is the viscous friction; bristles are left out, the next trial measures what they do. Over a set-point this gives
-x(k+1) = A(k) x(k) + B(k) c(k) with four states for each of the n joints, constant for SPACING.
+F is the viscous friction; bristles are neglected, because the next trial measures their effect. Over a set-point this
+gives x(k+1) = A(k) x(k) + B(k) c(k) with four states for each of the n joints, constant for SPACING.
 
-Norm-optimal learning asks for the change u of the correction that minimises, over the whole motion,
+Norm-optimal learning determines the change u of the correction that minimises, over the whole motion,
 
     sum  (e - C x)' Q (e - C x) + u' R u,         e the last trial's error, x the response to u
 
@@ -19,8 +19,8 @@ Norm-optimal learning asks for the change u of the correction that minimises, ov
 convergence", IEE Proceedings - Control Theory and Applications 143; by Hakvoort, Aarts, van Dijk and Jonker 2008 on a
 Staubli RX90, Control Engineering Practice 16, with lifted matrices, whose cost grows with the cube of the samples, and
 in a companion paper in Automatica with state equations). Its solution is a Riccati recursion backwards in time, which
-the model alone decides, and for each trial an adjoint recursion backwards and a run forwards: cost and memory grow with
-the number of samples.
+depends on the model alone, and for each trial an adjoint recursion backwards and a run forwards: cost and memory grow
+with the number of samples.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _HALVINGS, _TERMS = 5, 5  # of the matrix exponential: scaled, a Taylor polynomi
 
 
 def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
-    """Return A, shape (points, 4n, 4n), B, shape (points, 4n, n), and how many set-points each holds for.
+    """Return A, shape (points, 4n, 4n), B, shape (points, 4n, n), and the number of set-points that each is valid for.
 
     The states are deviations of the joints and their velocities, integrators, and torques of the drives.
 
@@ -49,12 +49,12 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
         setpoints: of the nominal motion, shape (m, 3, n).
     """
     controller, period = setup.controller, setup.rates.position_period
-    apart = max(1, round(SPACING / period))
-    at = slice(None, None, apart)
+    stride = max(1, round(SPACING / period))
+    at = slice(None, None, stride)
     linear = linearise(setup.robot, setup.drives, setpoints[at, 0], setpoints[at, 1], setpoints[at, 2])
     turns, elements, joints = setup.drives.turning.turns, setup.drives.turning.element_matrix, setpoints.shape[2]
     viscous = elements.T @ np.diag([element.c2 for element in setup.friction.elements]) @ elements
-    # The velocity observer, critically damped, lags by twice its time constant; a set-point is held for its period.
+    # The velocity observer, critically damped, lags by twice its time constant; a set-point is constant for its period.
     lag = (1.0 / controller.current_bandwidth + 2.0 / setup.drives.velocity_bandwidth) / (2.0 * math.pi)
     lag += 0.5 * setup.rates.period
     proportional, derivative = (
@@ -64,7 +64,7 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
     inverse = np.linalg.inv(linear.mass)
     q, v, i, tau, c = (slice(k, k + joints) for k in range(0, 5 * joints, joints))
     one = np.eye(joints)
-    rates = np.zeros((len(inverse), 5 * joints, 5 * joints))  # of the states, and of the offsets, which are held
+    rates = np.zeros((len(inverse), 5 * joints, 5 * joints))  # of the states, and of the offsets, which are constant
     rates[:, q, v] = one
     rates[:, v, q], rates[:, v, v] = -inverse @ linear.stiffness, -inverse @ (linear.damping + viscous)
     rates[:, v, tau] = inverse @ turns.T
@@ -78,31 +78,31 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
     for _ in range(_HALVINGS):
         step = step @ step
     states = slice(4 * joints)
-    return np.ascontiguousarray(step[:, states, states]), np.ascontiguousarray(step[:, states, c]), apart
+    return np.ascontiguousarray(step[:, states, states]), np.ascontiguousarray(step[:, states, c]), stride
 
 
 def gains(
-    a: Array, b: Array, apart: int, error: Array, change: float, counted: Array
+    a: Array, b: Array, stride: int, error: Array, change: float, counted: Array
 ) -> tuple[Array, NDArray[np.void]]:
     """Return the feedback K, shape (m, n, 4n), and the factors of R + B' P B, shape (m,): the Riccati recursion.
 
     Args:
         a: A, shape (points, 4n, 4n).
         b: B, shape (points, 4n, n).
-        apart: set-points for which each of them holds.
+        stride: set-points from one of them to the next.
         error: Q of the joints, m^2/rad^2, shape (points, n, n).
         change: square root of R, m/rad.
-        counted: by how much the error of a set-point counts, 0 to 1, shape (m,).
+        counted: weight of the error of a set-point, 0 to 1, shape (m,).
     """
     joints = b.shape[2]
-    # In records, where `factorise` and `solve` take them from.
+    # As records, the form that `factorise` and `solve` take.
     factors = np.empty(len(counted), np.dtype([("factor", np.float64, (joints, joints))]))
-    return _gains(a, b, apart, error, change, counted, factors), factors
+    return _gains(a, b, stride, error, change, counted, factors), factors
 
 
 @kernel
 def _gains(
-    a: Array, b: Array, apart: int, error: Array, change: float, counted: Array, factors: NDArray[np.void]
+    a: Array, b: Array, stride: int, error: Array, change: float, counted: Array, factors: NDArray[np.void]
 ) -> Array:
     count, states, joints = len(counted), a.shape[1], b.shape[2]
     feedback = np.empty((count, joints, states))
@@ -110,7 +110,7 @@ def _gains(
     closed, pushed = np.empty((states, states)), np.empty((states, joints))
     weight, column = np.empty((joints, joints)), np.empty(joints)
     for k in range(count - 1, -1, -1):
-        point = min(k // apart, len(a) - 1)
+        point = min(k // stride, len(a) - 1)
         step, push = a[point], b[point]
         _times(cost, push, pushed)  # P B
         _transposed_times(push, pushed, weight)
@@ -140,13 +140,13 @@ def _gains(
 
 
 @kernel
-def best_change(a: Array, b: Array, apart: int, feedback: Array, factors: NDArray[np.void], weighted: Array) -> Array:
+def best_change(a: Array, b: Array, stride: int, feedback: Array, factors: NDArray[np.void], weighted: Array) -> Array:
     """Return the change of the correction, rad, shape (m, n).
 
     Args:
         a: A, shape (points, 4n, 4n).
         b: B, shape (points, 4n, n).
-        apart: set-points for which each of them holds.
+        stride: set-points from one of them to the next.
         feedback: K of `gains`.
         factors: of `gains`.
         weighted: C' Q e of the last trial, m^2/rad, shape (m, n): 0 where the error does not count.
@@ -155,7 +155,7 @@ def best_change(a: Array, b: Array, apart: int, feedback: Array, factors: NDArra
     change, now, then = np.empty((count, joints)), np.zeros((states, 1)), np.zeros((states, 1))
     pushed, drawn = np.empty((joints, 1)), np.empty((states, 1))
     for k in range(count - 1, -1, -1):  # the adjoint
-        point = min(k // apart, len(a) - 1)
+        point = min(k // stride, len(a) - 1)
         _transposed_times(b[point], now, pushed)
         _transposed_times(a[point], now, then)
         _transposed_times(feedback[k], pushed, drawn)
@@ -165,7 +165,7 @@ def best_change(a: Array, b: Array, apart: int, feedback: Array, factors: NDArra
         solve(factors[k].factor, change[k])
     now[:] = 0.0
     for k in range(count):  # the response
-        point = min(k // apart, len(a) - 1)
+        point = min(k // stride, len(a) - 1)
         _times(feedback[k], now, pushed)
         for i in range(joints):
             change[k, i] -= pushed[i, 0]
@@ -179,7 +179,7 @@ def best_change(a: Array, b: Array, apart: int, feedback: Array, factors: NDArra
 
 @inlined
 def _times(left: Array, right: Array, product: Array) -> None:
-    """Write a product; for these sizes faster than a call of BLAS, and the same bits whatever BLAS there is."""
+    """Write a product; for these sizes faster than a call of BLAS, and the same bits with every BLAS."""
     for i in range(left.shape[0]):
         for j in range(right.shape[1]):
             product[i, j] = 0.0

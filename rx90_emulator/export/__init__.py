@@ -1,1 +1,1 @@
-"""A robot's friction and its arm in the languages of other simulators, and back, with the differences in Nm."""
+"""A robot's friction and its arm in the formats of other simulators, and back, with the differences in Nm."""

@@ -1,4 +1,4 @@
-"""Export of a robot's friction, and its arm, to another simulator: what is written, what it costs, and a verdict."""
+"""Export of a robot's friction, and its arm, to another simulator: the files, their errors, and a verdict."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rx90_common.base.errors import BagError, ConfigError, check_type, write_err
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay, viscous_torque
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.process.files import written_beside
+from rx90_common.process.files import atomic_files
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Panel, Plot
 from rx90_emulator.configuration.origins import aligned
 from rx90_emulator.export.files import creep, files_of
@@ -26,10 +26,10 @@ from rx90_emulator.export.targets import TARGETS, Target
 from rx90_emulator.loop.setup import Arm
 
 REPORT = "export.yaml"
-"""The file beside those of the simulator that says what the export costs."""
+"""The file beside those of the simulator that states the errors of the export."""
 
-_FEWEST = 20  # samples of a bag that say how fast a joint moves
-_WITHIN = 1e-9  # Nm: of a difference that is rounding
+_FEWEST = 20  # least number of samples of a bag that determine the speeds of a joint
+_ROUNDING = 1e-9  # Nm: a smaller difference is rounding
 _OTHER_SHAPE = (TypeError, ValueError, KeyError, IndexError, AttributeError)
 _UNREAD = "its identification has another shape; accepted: as rx90_identify writes it"
 _OF_CURVE = ("tau_c_positive", "tau_s_positive", "omega_s", "delta", "c2", "alpha")
@@ -37,14 +37,14 @@ _OF_CURVE = ("tau_c_positive", "tau_s_positive", "omega_s", "delta", "c2", "alph
 
 @dataclass(frozen=True, eq=False)
 class Export:
-    """What a simulator gets.
+    """An exported robot.
 
     Attributes:
         target: the simulator.
         fits: the friction of each element, or of each joint.
         files: their texts by their names.
-        lost: what it does not hold of the arm and its drives, a sentence each.
-        speeds: which speeds were in use, in words.
+        lost: properties of the arm and its drives that the target does not represent, a sentence each.
+        speeds: speeds in use, in words.
     """
 
     target: Target
@@ -60,15 +60,15 @@ class Export:
 
     @property
     def text(self) -> str:
-        """Return the differences as a table, and what is lost."""
+        """Return the differences as a table, and the losses."""
         head = ["friction", "largest, Nm", "RMS, Nm", "over, rad/s", "break-away, Nm", "presliding, Nm/rad"]
         rows = [tuple(head)]
         for fit in self.fits:
-            away = [_both(one) for one in fit.break_away]
+            break_away = [_both(one) for one in fit.break_away]
             stiffness = ["rigid" if math.isinf(one) else f"{one:.3g}" for one in fit.stiffness]
             over = f"{fit.speeds.min():.2g} to {fit.speeds.max():.2g}"
-            numbers = [f"{value:.2g}" if value > _WITHIN else "0" for value in (fit.largest, fit.rms)]
-            rows.append((fit.name, *numbers, over, " -> ".join(away), " -> ".join(stiffness)))
+            numbers = [f"{value:.2g}" if value > _ROUNDING else "0" for value in (fit.largest, fit.rms)]
+            rows.append((fit.name, *numbers, over, " -> ".join(break_away), " -> ".join(stiffness)))
         lines = [f"{self.target.name}: {self.target.about}", f"speeds: {self.speeds}", ""]
         lines += aligned(rows, right=range(1, 4))
         whose: dict[str, list[str]] = {}
@@ -114,17 +114,17 @@ def _both(values: Sequence[float]) -> str:
 def export_robot(
     arm: Arm, target: str, *, speeds: tuple[float, float] | None = None, bag: Path | str | None = None
 ) -> Export:
-    """Return a robot, or its friction alone, in the language of another simulator.
+    """Return a robot, or its friction alone, in the format of another simulator.
 
     Args:
         arm: the robot and its friction.
         target: one of TARGETS.
-        speeds: the range in use, rad/s; if neither this nor a bag is given it is that over which each element was
-            identified, else that of each joint, from 1 mrad/s.
-        bag: whose joint_states say which speeds are in use, and how often.
+        speeds: the range in use, rad/s; by default, if no bag is given either, that over which each element was
+            identified, or else that of each joint, from 1 mrad/s.
+        bag: its joint_states determine which speeds are in use, and how often.
 
     Raises:
-        ConfigError: for an unknown target, a range that is none, or both a range and a bag.
+        ConfigError: for an unknown target, an invalid range, or both a range and a bag.
         BagError: if the bag cannot be read, or no joint moves in it.
     """
     check_type(arm=(arm, Arm))
@@ -138,7 +138,7 @@ def export_robot(
     for k, (name, speed) in enumerate(zip(names, used, strict=True)):
         fit = fit_friction(one, name, [arm.friction.elements[e] for e in np.flatnonzero(felt[:, k])], speed)
         fits.append(fit if one.coupled else _with_coupling(fit, arm, k))
-    files, lost = files_of(arm, one, fits), _arm_lost(arm, one)
+    files, lost = files_of(arm, one, fits), _arm_losses(arm, one)
     if target == "mujoco-classic":
         (text,) = files.values()
         most = f"{creep(text, arm, fits):.2g} rad/s"
@@ -149,7 +149,7 @@ def export_robot(
 def _speeds_in_use(
     arm: Arm, turns: Array, speeds: tuple[float, float] | None, bag: Path | str | None
 ) -> tuple[list[Array], str]:
-    """Return the speeds of each row of turns, shape (k, joints), and what they are in words."""
+    """Return the speeds of each row of turns, shape (k, joints), and their source in words."""
     if speeds is not None:
         return [speeds_up_to(speeds[1], speeds[0])] * len(turns), f"from {speeds[0]:g} to {speeds[1]:g} rad/s"
     most = np.abs(turns) @ arm.robot.max_velocity
@@ -177,7 +177,7 @@ def _speeds_in_use(
 
 
 def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
-    """Return the fastest and the slowest speed at which each element was identified, as its friction file says."""
+    """Return the slowest and the fastest speed at which each element was identified, by its friction file."""
     file = arm.friction.file
     found = {} if file is None else FrictionFile.read(file).identification or {}
     try:
@@ -190,7 +190,7 @@ def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
 
 
 def _with_coupling(fit: FrictionFit, arm: Arm, joint: int) -> FrictionFit:
-    """Return the fit of a joint with what is lost where its friction depends on another one's motion, too."""
+    """Return the fit of a joint with the loss where its friction depends on another joint's motion, too."""
     coupled, lost, speeds = 0.0, list(fit.lost), fit.speeds
     for row, name, element in zip(
         arm.drives.turning.element_matrix, arm.friction.names, arm.friction.elements, strict=True
@@ -205,8 +205,8 @@ def _with_coupling(fit: FrictionFit, arm: Arm, joint: int) -> FrictionFit:
     return replace(fit, lost=tuple(lost), coupled=coupled)
 
 
-def _arm_lost(arm: Arm, target: Target) -> list[str]:
-    """Return what a target does not hold of the drives."""
+def _arm_losses(arm: Arm, target: Target) -> list[str]:
+    """Return properties of the drives that a target does not represent."""
     drives, lost = arm.drives, []
     if not target.arm:
         lost.append("arm: the friction alone is written" + ", with rotor inertias" * bool(target.rotors))
@@ -232,7 +232,7 @@ def write_export(export: Export, folder: Path | str) -> None:
     """Write the files of an export, and REPORT beside them, into a new folder.
 
     Raises:
-        ConfigError: if something is there.
+        ConfigError: if the folder exists.
         Rx90Error: if it cannot be written.
     """
     write_folder(Path(folder), {**export.files, REPORT: export.report()})
@@ -242,7 +242,7 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
     """Write files by their names into a new folder, all or none.
 
     Raises:
-        ConfigError: if something is there.
+        ConfigError: if the folder exists.
         Rx90Error: if it cannot be written.
     """
     if folder.exists():
@@ -251,18 +251,18 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
         folder.absolute().parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise write_error(folder, error) from error
-    with written_beside(folder) as (place,):
+    with atomic_files(folder) as (place,):
         place.mkdir()
         for name, text in texts.items():
             (place / name).write_text(text, encoding="utf-8")
 
 
 def export_plot(export: Export, friction: FrictionFile | None = None) -> Plot:
-    """Return a panel for each element: its curve, what the simulator gets, and the band of the identified intervals.
+    """Return a panel for each element: its curve, the simulator's, and the band of the identified intervals.
 
     Args:
         export: the export.
-        friction: the file of the elements, whose `identification` holds the intervals; None for no band.
+        friction: the file of the elements, whose `identification` has the intervals; None for no band.
     """
     panels = []
     for fit in export.fits:
@@ -284,7 +284,7 @@ def export_plot(export: Export, friction: FrictionFile | None = None) -> Plot:
 def _band(friction: FrictionFile, fit: FrictionFit, speed: Array) -> Array | None:
     """Return half of the width of the identified interval of an element's curve, Nm, at speeds of shape (n,).
 
-    Errors of the parameters are taken as independent, which makes the band too wide where they compensate each other.
+    Errors of the parameters are treated as independent, so the band is too wide where they compensate each other.
     """
     try:
         found = ((friction.identification or {}).get("parameters") or {}).get(fit.name, {})

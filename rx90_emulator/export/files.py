@@ -25,9 +25,9 @@ from rx90_emulator.export.targets import BAM_ACTUATOR, Target
 from rx90_emulator.loop.setup import Arm, Setup
 
 SOLIMP = (0.999, 0.999, 0.001, 0.5, 2.0)
-"""Of MuJoCo's friction constraint: with its default, 0.9 0.95, joints creep a hundred times as fast."""
+"""Impedance of MuJoCo's friction constraint: with its default, 0.9 0.95, joints creep a hundred times as fast."""
 SOLREF_STEPS = 2.0
-"""Time constant of that constraint in steps, the shortest that MuJoCo takes as it is."""
+"""Time constant of that constraint in steps, the shortest that MuJoCo accepts unchanged."""
 
 _SPRING_ARM, _SPRING_ANCHOR = 0.1, 0.3  # m; any two lengths give the same torque
 _CREEP_TIME = 0.5  # s
@@ -64,7 +64,7 @@ def _indented(root: ET.Element) -> str:
 
 
 def _numbers(values: Any, between: str = " ") -> str:
-    """Return a number, or an array of them, with all digits, and none as -0.0."""
+    """Return a number, or an array of them, with all digits, without -0.0."""
     return between.join(map(repr, (np.ravel(values) + 0.0).tolist()))
 
 
@@ -80,7 +80,7 @@ def _word(name: str) -> str:
 
 
 def _identifier(name: str) -> str:
-    """Return a name for Modelica, which takes any character between quotes, with a backslash for quotes and itself."""
+    """Return a name for Modelica, in quotes, with a backslash before quotes and backslashes."""
     return name if _word(name) == name else "'" + re.sub(r"([\\'])", r"\\\1", name) + "'"
 
 
@@ -90,7 +90,7 @@ def files_of(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> dict[str,
     Args:
         arm: the robot and its drives.
         target: the simulator.
-        fits: the friction of each element, or of each joint where the target has no others.
+        fits: the friction of each element, or of each joint if the target has no coupled elements.
     """
     robot, drives, turning = arm.robot, arm.drives, arm.drives.turning
     name, motors = str(robot.model.name), [_place(arm, row) for row in turning.turns]
@@ -127,7 +127,7 @@ def _period(arm: Arm) -> float:
 
 
 def _place(arm: Arm, row: Array) -> tuple[str, str]:
-    """Return whether a motor or element turns with a "joint" or, with several, a "tendon", and the name of that."""
+    """Return "joint" or, if several turn a motor or element, "tendon", and its name."""
     if np.count_nonzero(row) == 1:
         return "joint", arm.robot.joint_names[int(np.argmax(row))]
     matches = (arm.drives.turning.element_matrix == row).all(axis=1)
@@ -151,7 +151,7 @@ def _quaternion(turn: Array) -> list[float]:
 
 
 def _links(arm: Arm) -> list[dict[str, Any]]:
-    """Return the links from base to tip, each with its joint and what is fixed to it, in the frame of the joint."""
+    """Return the links from base to tip, each with its joint and the bodies fixed to it, in the frame of the joint."""
     robot, springs = arm.robot, arm.drives.spring_torque
     children, data, links = {one.name: one.child for one in robot.placements}, robot.model.createData(), []
     pin.forwardKinematics(robot.model, data, np.zeros(robot.model.nq))
@@ -159,7 +159,7 @@ def _links(arm: Arm) -> list[dict[str, Any]]:
         number = robot.model.getJointId(joint)
         place, world = robot.model.jointPlacements[number], data.oMi[number]
         axis = world.rotation.T @ robot.chain.axis[k]
-        # Of the spring: a tendon of no free length between a point of the link and one above the joint is -k sin(q).
+        # The spring: a tendon of free length 0 between a point of the link and one above the joint gives -k sin(q).
         side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         side /= np.linalg.norm(side)
         z_to_axis = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
@@ -178,7 +178,7 @@ def _links(arm: Arm) -> list[dict[str, Any]]:
 def _urdf(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> str:
     """Return the robot's URDF with its tool, and friction and damping of its joints, or, for Drake, with its rotors.
 
-    Drake's reader takes the damping of a joint and leaves dry friction out, so its URDF has neither.
+    Drake's parser reads the damping of a joint and ignores dry friction, so its URDF has neither.
     """
     root, drives = ET.fromstring(arm.robot.urdf), arm.drives
     ET.register_namespace("drake", _DRAKE)
@@ -190,7 +190,8 @@ def _urdf(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> str:
             law = fits[i].law
             ET.SubElement(joints[name], "dynamics", damping=_numbers(law.viscous[0]), friction=_numbers(law.tau_c))
             continue
-        # As large as Drake squares it with the gear; where a motor turns with two joints, it stands in both.
+        # Scaled so that Drake's square of the gear gives the right value; a motor that turns with two joints is in
+        # both.
         gear, turning = drives.gear[i], drives.rotor_inertia @ drives.turning.turns[:, i] ** 2
         transmission = ET.SubElement(root, "transmission", name=f"transmission_{i + 1}")
         ET.SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
@@ -202,7 +203,7 @@ def _urdf(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> str:
 
 
 def creep(text: str, arm: Arm, fits: Sequence[FrictionFit]) -> float:
-    """Return how fast a joint creeps at most under half of the friction that holds it, rad/s: measured in MuJoCo.
+    """Return the largest creep speed of a joint under half of its holding friction, rad/s, measured in MuJoCo.
 
     Args:
         text: MJCF, with friction as frictionloss.

@@ -1,7 +1,7 @@
-"""The one fit of what simulators cannot hold of a friction element.
+"""The fit of friction elements to the laws of other simulators.
 
-Each has a law with a few of the parameters of a friction element. What it has is copied; where that does not give the
-element's curve, the parameters are those of least squares over the speeds in use.
+The law of a simulator has some of the parameters of a friction element. These are copied; if the result is not the
+element's curve, the parameters are fitted by least squares over the speeds in use.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from rx90_common.friction.parts.load import LoadPart
 from rx90_emulator.export.targets import Target
 
 POINTS = 400
-"""Of the speeds at which curves are compared, evenly spaced in their logarithm."""
+"""Number of speeds at which curves are compared, logarithmically spaced."""
 
 _EXACT = 1e-12  # of the largest torque: rounding
-_SPEEDS = 1e-6, 1e4  # rad/s, in which any joint's or motor's lie
-_STARTS = (0.3, 1.0, 3.0)  # times the Stribeck velocity, where the fit starts
+_SPEEDS = 1e-6, 1e4  # rad/s, range of all joints and motors
+_STARTS = (0.3, 1.0, 3.0)  # start values, times the Stribeck velocity
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatorLaw:
-    """The friction that a target gets, joint side, SI units, the same for both signs of the velocity.
+    """The friction of a target, joint side, SI units, the same for both signs of the velocity.
 
     Attributes:
         tau_c: Coulomb torque, Nm.
         tau_s: break-away torque, Nm.
-        omega_s: Stribeck velocity, rad/s; 0 where the torque falls to tau_c as soon as there is motion.
+        omega_s: Stribeck velocity, rad/s; 0 if the torque falls to tau_c as soon as there is motion.
         delta: Stribeck exponent.
         viscous: a, b and c of a v + b v |v| + c v^3, Nm s/rad, Nm s²/rad², Nm s³/rad³.
         c0: bristle stiffness, Nm/rad; infinite without bristles.
         c1: bristle damping, Nm s/rad.
-        load: share of the load torque by which friction grows, and by how much more of it at rest.
+        load: factor of the load torque in the friction, and its additional part at rest.
         table: speeds and torques of a sampled curve, shape (n, 2), None for the law above.
     """
 
@@ -64,19 +64,19 @@ class SimulatorLaw:
 
 @dataclass(frozen=True, eq=False)
 class FrictionFit:
-    """An element, or those that a joint turns against, as a target holds it.
+    """The approximation of an element, or of all elements that a joint works against, by a target.
 
     Attributes:
         name: of the element or the joint.
-        elements: whose torques a joint gets where the target has no elements that turn with two joints.
-        law: what the target gets.
-        speeds: at which both are compared, rad/s, shape (n,), all above 0.
+        elements: whose sum a joint has if the target has no elements that turn with two joints.
+        law: the target's law.
+        speeds: of the comparison, rad/s, shape (n,), all above 0.
         largest: largest difference of the torque at these speeds of either sign, Nm.
         rms: root mean square of that difference, Nm.
         break_away: of the element and of the target, each for positive and for negative velocity, Nm.
-        stiffness: presliding stiffness of the element and of the target, Nm/rad; infinite where that has none.
-        lost: what the target does not hold, a sentence each.
-        coupled: what can come to the largest difference while another joint moves, Nm.
+        stiffness: presliding stiffness of the element and of the target, Nm/rad; infinite for a target without one.
+        lost: properties that the target does not represent, a sentence each.
+        coupled: largest additional difference while another joint moves, Nm.
     """
 
     name: str
@@ -92,7 +92,7 @@ class FrictionFit:
 
     @property
     def worst(self) -> float:
-        """Return the most that the torque can differ at these speeds, Nm."""
+        """Return the largest possible difference of the torque at these speeds, Nm."""
         return self.largest + self.coupled
 
 
@@ -100,7 +100,7 @@ def speeds_up_to(high: float, low: float = LINEAR_SPEED) -> Array:
     """Return the speeds of a range, rad/s, shape (POINTS,), evenly spaced in their logarithm.
 
     Raises:
-        ConfigError: for a range that is none.
+        ConfigError: for an invalid range.
     """
     least, most = _SPEEDS
     if not least <= low < high <= most:
@@ -110,18 +110,18 @@ def speeds_up_to(high: float, low: float = LINEAR_SPEED) -> Array:
 
 
 def sum_of(elements: Sequence[FrictionElement], speeds: Array, sign: float) -> Array:
-    """Return the size of the torque of elements together at speeds of one sign, rad/s, in Nm, shape (n,)."""
+    """Return the absolute torque of elements together at speeds of one sign, rad/s, in Nm, shape (n,)."""
     return np.asarray(sum(sign * one.steady_torque(sign * speeds) for one in elements))
 
 
 def fit_friction(target: Target, name: str, elements: Sequence[FrictionElement], speeds: Array) -> FrictionFit:
-    """Return what a target gets for the sum of elements, and how far that is from them.
+    """Return a target's law for the sum of elements, and its differences from them.
 
     Args:
         target: one of TARGETS.
         name: of the element or the joint.
-        elements: one, or those that a joint turns against.
-        speeds: in use, rad/s, shape (n,), all above 0; the fit weighs each alike.
+        elements: one, or those that a joint works against.
+        speeds: in use, rad/s, shape (n,), all above 0; all have equal weights in the fit.
     """
     forward, backward = (sum_of(elements, speeds, sign) for sign in (1.0, -1.0))
     law = _law(target, elements, speeds, 0.5 * (forward + backward))
@@ -143,7 +143,7 @@ def fit_friction(target: Target, name: str, elements: Sequence[FrictionElement],
 
 
 def _law(target: Target, elements: Sequence[FrictionElement], speeds: Array, torque: Array) -> SimulatorLaw:
-    """Return a target's law that is nearest to the torque, the mean of both signs, at the speeds; both (n,)."""
+    """Return the target's law nearest to the torque, the mean of both signs, at the speeds; both (n,)."""
 
     def mean(parameter: str) -> float:
         return 0.5 * float(sum(getattr(one, f"{parameter}_{sign}") for one in elements for sign in SIGNS))
@@ -180,7 +180,7 @@ def _load(element: FrictionElement) -> tuple[float, float]:
 def _fitted(law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torque: Array) -> SimulatorLaw:
     """Return the law of least squares, started from another one.
 
-    The viscous torque is v ((p + q v)^2 + r v), so that no speed, however high, gets energy from it.
+    The viscous torque is v ((p + q v)^2 + r v), so that it never generates energy at any speed.
     """
     from scipy.optimize import least_squares
 
@@ -219,12 +219,17 @@ def _fitted(law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torq
 
 
 def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]:
-    """Return what a target does not hold of an element, with its size; up to the fastest speed in use, rad/s."""
+    """Return properties of an element that a target does not represent, with sizes up to a speed, rad/s."""
     lost = []
     if not target.everything:
-        apart = [abs(getattr(element, f"{p}_positive") - getattr(element, f"{p}_negative")) for p in ("tau_c", "tau_s")]
-        if any(apart):
-            lost.append(f"signs: tau_c and tau_s differ by {apart[0]:.3g} and {apart[1]:.3g} Nm, their means are kept")
+        differences = [
+            abs(getattr(element, f"{p}_positive") - getattr(element, f"{p}_negative")) for p in ("tau_c", "tau_s")
+        ]
+        if any(differences):
+            lost.append(
+                f"signs: tau_c and tau_s differ by {differences[0]:.3g} and {differences[1]:.3g} Nm, their means are "
+                "kept"
+            )
         rise = max(getattr(element, f"tau_s_{sign}") - getattr(element, f"tau_c_{sign}") for sign in SIGNS)
         if rise and not target.stribeck:
             kept = "kept as break-away torque alone" if target.breaks_away else "left out"
@@ -244,7 +249,7 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
         lost.append(f"bristles of the kind {type(element.bristles).__name__}: those of LuGre")
     if (load := element.load) is not None:
         lost += (
-            _load_lost(load)
+            _load_losses(load)
             if target.loaded
             else [
                 f"load: friction grows by {load.driving:.3g} (driving), {load.driven:.3g} (driven) of the load torque"
@@ -259,8 +264,8 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
     return lost
 
 
-def _load_lost(load: LoadPart) -> list[str]:
-    """Return what a target does not hold of a load part whose means of both directions it has."""
+def _load_losses(load: LoadPart) -> list[str]:
+    """Return properties of a load part that a target with the means of both directions does not represent."""
     lost = []
     for at, driving, driven in (
         ("while sliding", load.driving, load.driven),

@@ -1,7 +1,7 @@
 """From other simulators: BAM's JSON and MuJoCo's LuGre to a friction file, an MJCF arm to a robot folder.
 
-Only what is exact is taken: BAM's models m1 and m2, whose friction depends on speed alone, m5 where it depends on the
-external torque alone, and dcmotor actuators with lugre. What a source does not have stands in the files as assumed.
+Only exact conversions are accepted: BAM's models m1 and m2, whose friction depends on speed alone, m5 if it depends on
+the external torque alone, and dcmotor actuators with lugre. Values that a source does not have are marked as assumed.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ _FADING = 1.0  # rad/s: omega_d of elements without bristles, assumed
 _BAM = ("friction_base", "friction_stribeck", "dtheta_stribeck", "alpha", "friction_viscous")
 _BAM_LOAD = tuple(f"load_friction_{of}{at}" for of in ("external", "motor") for at in ("", "_stribeck"))
 _EXACT = {"m1": (_BAM[0], _BAM[4]), "m2": _BAM, "m5": _BAM + _BAM_LOAD}
-_KNOWN = ("c2", "delta", "omega_s", "tau_c", "tau_s")
+_DERIVED = ("c2", "delta", "omega_s", "tau_c", "tau_s")
 _BRISTLES = {
     "c0": f"tau_s over a guessed deflection at break-away, {DEFLECTION:g} rad",
     "c1": f"{_DAMPING_TIME:g} s c0",
     "omega_d": f"{_FADING:g} rad/s, so that the element is passive (Olsson 1996)",
 }
-_NONE = 1e-6  # Nm: of a joint without friction, which no element can be
+_NONE = 1e-6  # Nm, for a joint without friction: an element needs some
 _PEAK_VELOCITY, _PEAK_EFFORT = math.pi, 1000.0  # rad/s and Nm, assumed: MJCF need not limit them
-_FLANGE_SITES = ("tcp", "attachment_site")  # of rx90_export, and by custom
+_FLANGE_SITES = ("tcp", "attachment_site")  # the first by rx90_export, the second by convention
 
 
 def import_bam(paths: Sequence[Path | str]) -> FrictionFile:
     """Return BAM's parameters as a friction file, an element for each file, named after it.
 
     Raises:
-        ConfigError: for a file that is none, lacks a parameter, or has a model whose friction depends on the load.
+        ConfigError: for an invalid file, a missing parameter, or a model whose friction depends on the load.
     """
     elements: dict[str, FrictionElement] = {}
     for path in map(Path, paths):
@@ -86,7 +86,7 @@ def _rigid(
     path: Path, tau_c: float, rise: float, c2: float, omega_s: float = 1.0, delta: float = 1.0,
     load: tuple[float, float] | None = None,
 ) -> FrictionElement:  # fmt: skip
-    """Return an element without bristles; load: share of the load torque, and what comes to it at rest."""
+    """Return an element without bristles; load: factor of the load torque, and its additional part at rest."""
     tau_s, c0 = tau_c + rise, (tau_c + rise) / DEFLECTION
     try:
         part = None if load is None else LoadPart(load[0], load[0], load[1], load[1])
@@ -98,8 +98,8 @@ def _rigid(
 
 
 def _file(elements: Mapping[str, FrictionElement], source: str) -> FrictionFile:
-    """Return a file of elements, in which the bristles of those that had none are assumed."""
-    about: dict[str, dict[str, Any]] = {ALL_ELEMENTS: {"provenance": dict.fromkeys(_KNOWN, "derived")}}
+    """Return a file of elements, in which missing bristles are assumed."""
+    about: dict[str, dict[str, Any]] = {ALL_ELEMENTS: {"provenance": dict.fromkeys(_DERIVED, "derived")}}
     for name, one in elements.items():
         assumed = math.isfinite(one.omega_d)
         about[name] = {"source": dict(_BRISTLES)} if assumed else {"provenance": {"c0": "derived", "c1": "derived"}}
@@ -110,11 +110,11 @@ def _file(elements: Mapping[str, FrictionElement], source: str) -> FrictionFile:
 def import_mjcf_friction(path: Path | str) -> FrictionFile:
     """Return the LuGre friction of an MJCF as a friction file, an element for each dcmotor, named after its joint.
 
-    A joint without one that has frictionloss gets an element with tau_s = tau_c.
+    A joint without dcmotor but with frictionloss gets an element with tau_s = tau_c.
 
     Raises:
-        ConfigError: if MuJoCo cannot read it, there is no friction in it, or some that is no element: a damping that is
-            a polynomial, LuGre behind a site, two friction torques of one joint.
+        ConfigError: if MuJoCo cannot read it, it contains no friction, or some that no element represents: a polynomial
+            damping, LuGre at a site, two friction torques of one joint.
     """
     mjcf = _Mjcf(Path(path))
     elements = mjcf.friction()
@@ -126,14 +126,15 @@ def import_mjcf_friction(path: Path | str) -> FrictionFile:
 def import_arm(path: Path | str) -> dict[str, str]:
     """Return the texts of a robot folder for an MJCF arm by the files' names: URDF, drives, friction, controller.
 
-    Hinges become joints; a slide, such as that of a finger, stays where it is at the start. Shapes are left out, and
-    need not be there where bodies have inertias of their own. A fixed tendon with an actuator is a motor that turns
-    with several joints. Armatures are rotors; a site tcp or attachment_site is the flange. What else drives and
-    controller need is assumed in proportion to the arm. A joint without friction gets next to none.
+    Hinges become joints; a slide, such as that of a finger, is fixed at its start. Shapes are ignored, and need not
+    exist if bodies have inertias of their own. A fixed tendon with an actuator is a motor that turns with several
+    joints.
+    Armatures are rotors; a site tcp or attachment_site is the flange. Other values of drives and controller are assumed
+    in proportion to the arm. A joint without friction gets next to none.
 
     Raises:
         ConfigError: if MuJoCo cannot read it, it is no arm of 1 to 7 hinges in series, or has a spring or a tendon that
-            no robot folder holds.
+            a robot folder cannot represent.
     """
     path = Path(path)
     mjcf = _Mjcf(path)
@@ -154,14 +155,14 @@ def import_arm(path: Path | str) -> dict[str, str]:
     except ConfigError as error:
         raise ConfigError(f"{plain(path)}: its tendons: {error}") from error
     motors = [tendons.get(i, name) for i, name in enumerate(names)]
-    lost = [name for i, name in enumerate(names) if i in tendons and mjcf.own(name, "armature")]
-    if lost:
-        mjcf.refuse(f"armature of {lost[0]}, whose motor turns with others, too", "0")
+    unread = [name for i, name in enumerate(names) if i in tendons and mjcf.own(name, "armature")]
+    if unread:
+        mjcf.refuse(f"armature of {unread[0]}, whose motor turns with others, too", "0")
     rotors = np.array([mjcf.own(name, "armature") for name in motors])
     found = mjcf.friction()
     sources = dict(zip(turning.element_names(names), (*names, *(motors[i] for i in turning.sums)), strict=True))
-    if left := sorted(found.keys() - set(sources.values()) - mjcf.slides):
-        mjcf.refuse(f"friction of {left[0]}", f"of {listed(sources.values())}")
+    if unread := sorted(found.keys() - set(sources.values()) - mjcf.slides):
+        mjcf.refuse(f"friction of {unread[0]}", f"of {listed(sources.values())}")
     elements = {
         name: found[source] if source in found else _rigid(path, _NONE, 0.0, mjcf.own(source, "damping"))
         for name, source in sources.items()
@@ -195,8 +196,8 @@ class _Mjcf:
         self._path, self._mujoco = path, mujoco
         if not path.is_file():
             raise ConfigError(f"{plain(path)}: not there, or no file; accepted: an MJCF")
-        said: list[str] = []
-        mujoco.set_mju_user_warning(said.append)  # else they go to the terminal and into a file MUJOCO_LOG.TXT
+        warnings: list[str] = []
+        mujoco.set_mju_user_warning(warnings.append)  # otherwise they go to the terminal and into a file MUJOCO_LOG.TXT
         try:
             spec = mujoco.MjSpec.from_file(str(path))
             self._drop_shapes(spec)
@@ -210,14 +211,14 @@ class _Mjcf:
             ) from error
         finally:
             mujoco.set_mju_user_warning(None)
-        warn_caller(f"{plain(path)}: MuJoCo warns: {' '.join(one.split())}" for one in said)
+        warn_caller(f"{plain(path)}: MuJoCo warns: {' '.join(one.split())}" for one in warnings)
         model = self._model
         self._joints = {model.joint(j).name: j for j in range(model.njnt)}
         kinds = {name: model.jnt_type[j] for name, j in self._joints.items()}
         self.slides = {name for name, kind in kinds.items() if kind == mujoco.mjtJoint.mjJNT_SLIDE}
 
     def _drop_shapes(self, spec: Any) -> None:
-        """Delete what says nothing of the dynamics, but may name files that are not there."""
+        """Delete elements without effect on the dynamics that may name missing files."""
         by_shape = spec.compiler.inertiafromgeom == self._mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
         for shape in spec.geoms:
             if not by_shape and (shape.parent.explicitinertial or shape.parent == spec.worldbody):
@@ -234,7 +235,7 @@ class _Mjcf:
         raise ConfigError(f"{plain(self._path)}: {what}; accepted: {accepted}")
 
     def own(self, name: str, what: str) -> float:
-        """Return what a joint, or else a tendon, has itself of armature, damping or frictionloss."""
+        """Return the armature, damping or frictionloss of a joint, or else of a tendon."""
         model, joint = self._model, self._joints.get(name)
         kind, at = ("tendon", model.tendon(name).id) if joint is None else ("dof", model.jnt_dofadr[joint])
         if what == "damping" and np.any(getattr(model, f"{kind}_dampingpoly")[at]):
@@ -248,7 +249,7 @@ class _Mjcf:
         """Return the elements by the names of their joints and tendons."""
         model, of = self._model, self._mujoco.mjtTrn
         elements: dict[str, FrictionElement] = {}
-        for k in range(len(model.actuator_trntype)):  # more than nu where some have no input
+        for k in range(len(model.actuator_trntype)):  # more than nu if some have no input
             c0, c1 = model.actuator_dynprm[k, 5:7].tolist()
             if model.actuator_biastype[k] != self._mujoco.mjtBias.mjBIAS_DCMOTOR or c0 <= 0.0:
                 continue
@@ -277,7 +278,7 @@ class _Mjcf:
         """Return the links of a URDF, from the base on, each in the frame of the joint above it."""
         model, mujoco = self._model, self._mujoco
         data = mujoco.MjData(model)
-        # At 0, from which ranges and springs count; a joint's `ref` is its angle in the pose that the MJCF draws.
+        # At 0, the origin of ranges and springs; a joint's `ref` is its angle in the pose of the MJCF's frames.
         data.qpos[model.jnt_qposadr[model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE]] = 0.0
         mujoco.mj_kinematics(model, data)
         names = [model.body(b).name for b in range(model.nbody)]
@@ -314,8 +315,8 @@ class _Mjcf:
     def _hinge(self, hinges: Sequence[int]) -> dict[str, Any]:
         """Return name, axis, range and effort of a hinge, if there is one.
 
-        The last is the most that its actuators give by their ranges of force, or as motors of control, Nm; where they
-        have none it is _PEAK_EFFORT, which the URDF says.
+        The effort is the largest of its actuators by their ranges of force, or for motors of control, Nm; without such
+        ranges it is _PEAK_EFFORT, which the URDF states.
         """
         model, mujoco, effort = self._model, self._mujoco, 0.0
         if not hinges:
@@ -336,7 +337,7 @@ class _Mjcf:
                 "limits": limits}  # fmt: skip
 
     def springs(self, names: Sequence[str]) -> list[float]:
-        """Return k of the torques -k sin(q) that all springs together are, Nm, by the joints."""
+        """Return the amplitudes k of the springs' total torques -k sin(q) at the joints, Nm."""
         model = self._model
         data = self._mujoco.MjData(model)
         at, dof = (getattr(model, key)[[self._joints[name] for name in names]] for key in ("jnt_qposadr", "jnt_dofadr"))
@@ -357,7 +358,7 @@ class _Mjcf:
         return [float(each) for each in k]
 
     def turns(self, names: Sequence[str]) -> tuple[Array, dict[int, str]]:
-        """Return motor turns for joint turns, shape (n, n), and the tendons of motors with several by their numbers."""
+        """Return motor turns for joint turns, shape (n, n), and the tendons of motors with several joints by number."""
         model, mujoco, turns = self._model, self._mujoco, np.eye(len(names))
         tendons: dict[int, str] = {}
         driven = model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON, 0]

@@ -1,4 +1,4 @@
-"""The simulators that friction is exported to, and what each can hold; read by `--help`, which loads nothing else."""
+"""The simulators that friction is exported to, and their capabilities; `--help` reads this, so it imports nothing."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Target:
-    """A simulator, or a way to state friction in it.
+    """A simulator, or one of its formats for friction.
 
     Attributes:
-        name: of the target, as the command has it.
+        name: of the target, as on the command line.
         about: simulator and element of its language.
-        files: its templates by the names of the files that they make, as `files_of` fills them.
+        files: its templates by the names of the resulting files, as `files_of` renders them.
         stribeck: whether its sliding torque falls with speed.
-        delta: its Stribeck exponent; None where that is a parameter.
-        breaks_away: whether its break-away torque may be more than its Coulomb torque.
+        delta: its Stribeck exponent; None if that is a parameter.
+        breaks_away: whether its break-away torque may exceed its Coulomb torque.
         polynomial: whether its viscous torque is a v + b v |v| + c v^3 instead of a v.
         bristles: whether it has c0 and c1.
         coupled: whether an element may turn with two joints.
-        loaded: whether its friction grows with the load torque, as much where the motor moves the link as elsewhere.
-        sampled: whether it holds any curve, as a table.
-        everything: whether it holds the element's law itself.
+        loaded: whether its friction grows with the load torque, equally for driving and driven joints.
+        sampled: whether it accepts any curve, as a table.
+        everything: whether it has the element's law itself.
         arm: whether it has the arm, not the friction alone.
-        rotors: how it has the motors' inertias: "exact", "by joint" where each joint has its own, "alone" or "" for not
-            at all.
+        rotors: how it has the motors' inertias: "exact", "by joint" if each joint has its own, "alone" or "" for not at
+            all.
         motors: whether it has cogging and the temperature of windings.
         springs: whether it has the gravity-compensation springs.
-        remark: what else is lost.
+        remark: further losses.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Target:
 
 
 BAM_ACTUATOR = "erob80_100"
-"""The motor in BAM's files, which must be one that BAM knows; friction does not depend on it."""
+"""The motor in BAM's files, which must be one in BAM's list; friction does not depend on it."""
 
 TARGETS = {
     one.name: one

@@ -1,6 +1,6 @@
 """The arm without friction: its rigid-body torques, and the joints that its friction elements act on.
 
-The URDF of any robot as Pinocchio's model of the joints of interest, or a refusal in one line.
+The URDF of any robot is read into Pinocchio's model of the joints of interest, or refused in one line.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rx90_common.description.coupling import sum_name
 from rx90_common.description.rigid_torque import configurations, rigid_torque, rotor_and_spring_torque
 from rx90_emulator.loop.setup import Setup
 
-_LEAST_MASS, _LARGEST_MASS = 1e-12, 1e5  # kg
+_MIN_MASS, _MAX_MASS = 1e-12, 1e5  # kg
 _TURNING = ("revolute", "continuous")
 _STDERR = 2
 
@@ -46,7 +46,7 @@ class RigidArm:
         coupling: motor turns per joint turn without the gears, shape (n, n).
         offset: constant torque of each joint, Nm, shape (n,) or the same for all.
 
-    Joints on which no element acts follow the recorded motion; their own torque counts for nothing.
+    Joints on which no element acts follow the recorded motion; their own torque is not used.
     """
 
     names: tuple[str, ...]
@@ -82,7 +82,7 @@ class RigidArm:
 
         Args:
             urdf: the robot's description.
-            joints: n turning joints from base to tip; the others are held at zero. By default all movable joints.
+            joints: n revolute joints from base to tip; the others are held at zero. By default all movable joints.
             coupling: motor turns per joint turn without the gears, shape (n, n): motor velocity = gear *
                 (coupling @ joint velocity). A motor that turns with several joints has a friction element of
                 its own. By default each motor turns with its joint.
@@ -104,8 +104,8 @@ class RigidArm:
         def checked(name: str, given: ArrayLike | None, usual: Array) -> Array:
             value = usual if given is None else np.asarray(given, dtype=np.float64)
             if value.shape != usual.shape or not np.isfinite(value).all():
-                said = f"{name} has shape {value.shape}; accepted: finite numbers, shape {usual.shape}"
-                raise IdentificationError(said)
+                reason = f"{name} has shape {value.shape}; accepted: finite numbers, shape {usual.shape}"
+                raise IdentificationError(reason)
             return value
 
         turns = checked("coupling", coupling, np.eye(n))
@@ -138,7 +138,7 @@ class RigidArm:
         return tuple(str(model.names[k]) for k in range(1, model.njoints) if k in above or chains[k] & own)
 
     def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        """Return what the drives give at the joints without friction, Nm, all arrays of shape (m, n)."""
+        """Return the torques of the drives at the joints without friction, Nm, all arrays of shape (m, n)."""
         return rigid_torque(self.model, self.rotor, self.spring, position, velocity, acceleration) + self.offset
 
     def with_bodies(self, links: Array, rotors: Array) -> RigidArm:
@@ -178,7 +178,7 @@ class RigidArm:
         return found
 
     def torque_of(self, regressor: Array, inertial: Array, position: Array, acceleration: Array) -> Array:
-        """Return `torque` with other inertial parameters, Nm, shape (m, n): cheap where the regressor is there.
+        """Return `torque` with other inertial parameters, Nm, shape (m, n); cheap where the regressor is known already.
 
         Args:
             regressor: along the motion, shape (m, n, 10 n).
@@ -186,15 +186,15 @@ class RigidArm:
             position: rad, shape (m, n).
             acceleration: rad/s^2, shape (m, n).
         """
-        beside = rotor_and_spring_torque(self.rotor, self.spring, position, acceleration)
-        return regressor @ inertial + beside + self.offset
+        rotor_and_spring = rotor_and_spring_torque(self.rotor, self.spring, position, acceleration)
+        return regressor @ inertial + rotor_and_spring + self.offset
 
     def stiffness_of(self, inertial: Array, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return the derivative of `torque_of` by the positions, Nm/rad, shape (m, n, n), all arguments as there."""
         model = self.model.copy()
         for k, (mass, *rest) in enumerate(inertial.reshape(-1, 10).tolist()):
             # It divides by the mass, which may be 0; below 0 it may be.
-            model.inertias[k + 1] = pin.Inertia.FromDynamicParameters(np.array([mass or _LEAST_MASS, *rest]))
+            model.inertias[k + 1] = pin.Inertia.FromDynamicParameters(np.array([mass or _MIN_MASS, *rest]))
         data, found = model.createData(), np.empty((*position.shape, position.shape[1]))
         motion = zip(configurations(model, position), velocity, acceleration, strict=True)
         for k, row in enumerate(motion):
@@ -216,7 +216,7 @@ class RigidArm:
     def inertial_scale(self) -> Array:
         """Return how large errors of the inertial parameters can be at most, shape (10 n,), SI units.
 
-        The whole mass of the arm, at the distance of its reach: a bound for what is still an error.
+        The bound is the whole mass of the arm at the distance of its reach.
         """
         mass = sum(body.mass for body in self.model.inertias)
         reach = sum(float(np.linalg.norm(place.translation)) for place in self.model.jointPlacements) or 1.0
@@ -241,14 +241,14 @@ def joint_model(
     """
     model, root = _read_urdf(urdf)
     there = [str(name) for name in model.names][1:]
-    wanted = there if joints is None else list(joints)
-    for name in wanted:
+    requested = there if joints is None else list(joints)
+    for name in requested:
         if name not in there:
             raise IdentificationError(f"{urdf}: no movable joint {quoted(name)}; there are {listed(there) or 'none'}")
-    in_order = [name for name in there if name in wanted]
-    if wanted != in_order:
-        raise IdentificationError(f"{urdf}: joints {listed(wanted)}; accepted: from base to tip, {listed(in_order)}")
-    if not wanted:
+    in_order = [name for name in there if name in requested]
+    if requested != in_order:
+        raise IdentificationError(f"{urdf}: joints {listed(requested)}; accepted: from base to tip, {listed(in_order)}")
+    if not requested:
         raise IdentificationError(f"{urdf}: no movable joint; accepted: one or more")
     bad = {}
     for joint in root.findall("joint"):
@@ -257,19 +257,19 @@ def joint_model(
             bad[joint.get("name")] = f"is {kind}"
         elif mimic is not None:
             bad[joint.get("name")] = f"mimics {mimic.get('joint')}"
-    for name in wanted:
+    for name in requested:
         if name in bad:
             good = " ".join(other for other in there if other not in bad) or "(there are none)"
             raise IdentificationError(
                 f"{urdf}: joint {quoted(name)} {plain(bad[name])}; accepted: revolute and continuous joints with a "
                 f"drive of their own, --joints {good}"
             )
-    held = [model.getJointId(name) for name in there if name not in wanted and name not in followed]
-    reduced = pin.buildReducedModel(model, held, pin.neutral(model)) if held else model
+    fixed_joints = [model.getJointId(name) for name in there if name not in requested and name not in followed]
+    reduced = pin.buildReducedModel(model, fixed_joints, pin.neutral(model)) if fixed_joints else model
     data = reduced.createData()
     pin.computeSubtreeMasses(reduced, data)
     for name, mass in zip(list(reduced.names)[1:], list(data.mass)[1:], strict=True):
-        if name in wanted and not massless and not mass > 0.0:
+        if name in requested and not massless and not mass > 0.0:
             raise IdentificationError(
                 f"{urdf}: joint {quoted(name)} moves a mass of {mass:g} kg; accepted: links with <inertial>"
             )
@@ -277,7 +277,7 @@ def joint_model(
 
 
 def movable_joints(urdf: Path) -> tuple[str, ...]:
-    """Return the joints of a URDF with one number that a log can hold: revolute, continuous, prismatic, no mimics."""
+    """Return the joints of a URDF with one coordinate, as logs have: revolute, continuous or prismatic, no mimics."""
     model, root = _read_urdf(urdf)
     mimics = {joint.get("name") for joint in root.findall("joint") if joint.find("mimic") is not None}
     pairs = zip(list(model.names)[1:], list(model.joints)[1:], strict=True)
@@ -285,7 +285,7 @@ def movable_joints(urdf: Path) -> tuple[str, ...]:
 
 
 def all_joints(urdf: Path) -> tuple[str, ...]:
-    """Return the joints of a URDF that can move, mimics and those of several numbers too."""
+    """Return all movable joints of a URDF, mimics and joints of several coordinates included."""
     return tuple(
         joint.get("name", "") for joint in _read_urdf(urdf)[1].findall("joint") if joint.get("type") != "fixed"
     )
@@ -295,7 +295,8 @@ def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
     """Return Pinocchio's model of the whole robot, and the root of the file."""
     lines: list[str] = []
     try:
-        # Written anew: the XML parser of Pinocchio 2 takes no document type, and this one fetches nothing.
+        # Written anew: the XML parser of Pinocchio 2 accepts no document type, and the parser used here fetches
+        # nothing.
         root = ET.fromstring(urdf.read_text(encoding="utf-8"))
         with _caught_stderr(lines):
             model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
@@ -308,18 +309,18 @@ def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
         for link in root.findall("link"):
             mass = link.find("inertial/mass")
             weight = 0.0 if mass is None else float(mass.get("value", "0"))
-            if not 0.0 <= weight <= _LARGEST_MASS:
+            if not 0.0 <= weight <= _MAX_MASS:
                 raise IdentificationError(
                     f"{plain(urdf)}: the mass of link {quoted(link.get('name'))} is {weight:g} kg; accepted: 0 to "
-                    f"{_LARGEST_MASS:g} kg"
+                    f"{_MAX_MASS:g} kg"
                 )
         return model, root
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", error)
         raise IdentificationError(f"{plain(urdf)}: cannot be read ({reason}); accepted: a URDF file") from error
     except (ValueError, RuntimeError, ET.ParseError) as error:
-        said = next((line.removeprefix("Error:") for line in lines if line.startswith("Error:")), str(error))
-        reason = " ".join(said.split()) or type(error).__name__
+        message = next((line.removeprefix("Error:") for line in lines if line.startswith("Error:")), str(error))
+        reason = " ".join(message.split()) or type(error).__name__
         raise IdentificationError(f"{urdf}: no URDF that Pinocchio can read ({reason})") from error
 
 

@@ -15,46 +15,46 @@ from rx90_emulator.identification.records import BagSource
 
 SLIDING = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "omega_s", "delta", "c2")
 VISCOUS_EXPONENT = "alpha"
-"""Of the sliding regime too, and estimated where the data prefer another value than 1."""
+"""It belongs to the sliding regime too, and is estimated where the data prefer another value than 1."""
 PRESLIDING = ("c0", "c1")
 PARAMETERS = (*SLIDING, VISCOUS_EXPONENT, *PRESLIDING)
 LARGEST_DEVIATION = 0.3
 """Relative standard deviation of c0 or c1, up to which it is identifiable."""
 NOT_IN_MODEL = "the model that was asked for does not have it"
-"""Why a parameter of a part is not known that a person's model leaves out: the part is off."""
-_MOST_DECIMALS = 7
+"""Why a parameter has no estimate if its part is not in the model that the user asked for: the part is off."""
+_MAX_DECIMALS = 7
 LARGEST = 1e12
 """Largest value or deviation that is written, SI units: no bristle is so stiff, and no arm so strong."""
 
 
 def digits(value: float, count: int = 6) -> float:
-    """Return so many digits of a value: six are far below any standard deviation, twelve above rounding errors."""
+    """Round a value to `count` digits: 6 are far finer than any standard deviation, 12 hide rounding errors."""
     return float(f"{value:.{count}g}")
 
 
 def cluster_variances(
     slope: Array, residual: Array, cluster: NDArray[np.int64], root: Array, power: float, least: float
 ) -> Array:
-    """Return the variances of q parameters by how far the residuals of each cluster pull them, shape (q,).
+    """Return the variances of q parameters by the influence of each cluster's residuals on them, shape (q,).
 
-    Residuals of a cluster may err together. Those that a fit leaves are too small by its leverage, which is taken off:
-    by the root of it the variances are unbiased where there is only noise (CR2), by all of it they are the jackknife's
-    over the clusters but for a factor (CR3; Bell and McCaffrey, Survey Methodology 28, 2002).
+    Residuals within a cluster may be correlated. The residuals of a fit are too small by its leverage, which is
+    corrected: with its square root the variances are unbiased for pure noise (CR2), with the whole leverage they are
+    those of the jackknife over the clusters but for a factor (CR3; Bell and McCaffrey, Survey Methodology 28, 2002).
 
     Args:
         slope: derivatives of the equations, shape (r, q).
         residual: of unit noise, shape (r,).
         cluster: number of each equation's cluster, -1 where it is in none, shape (r,).
         root: of the covariance with independent residuals, root @ root^T, shape (q, q).
-        power: of what the leverage leaves, 0.5 for CR2 and 1 for CR3.
-        least: lower bound of what it leaves: without some clusters a parameter would not be determined.
+        power: exponent of 1 - leverage, 0.5 for CR2 and 1 for CR3.
+        least: lower bound of 1 - leverage: without some clusters a parameter would not be determined.
     """
     scaled, total = slope @ root, np.zeros(len(root))
     for number in np.unique(cluster[cluster >= 0]).tolist():
         rows = cluster == number
         leverage, directions = np.linalg.eigh(scaled[rows].T @ scaled[rows])
         pull = directions.T @ (scaled[rows].T @ residual[rows]) / np.maximum(1.0 - leverage, least) ** power
-        with np.errstate(over="ignore"):  # what becomes infinite is not identifiable
+        with np.errstate(over="ignore"):  # an infinite variance means that the parameter is not identifiable
             total += (root @ (directions @ pull)) ** 2
     return total
 
@@ -67,7 +67,7 @@ class ParameterEstimate:
         value: the estimate; NaN if it is not identifiable.
         deviation: standard deviation, in the unit of the value; 0 for a value that was given, not estimated.
         identifiable: whether the data determine the value.
-        reason: why they do not; empty if they do.
+        reason: why they do not; empty if identifiable.
     """
 
     value: float
@@ -88,8 +88,8 @@ class ParameterEstimate:
     def texts(self) -> tuple[str, str]:
         """Return value and deviation, rounded to the second significant digit of the deviation: 28.03 and 0.10."""
         value, deviation = self.value, self.deviation
-        decimals = 1 - math.floor(math.log10(deviation)) if 0.0 < deviation < math.inf else _MOST_DECIMALS + 1
-        if decimals > _MOST_DECIMALS:
+        decimals = 1 - math.floor(math.log10(deviation)) if 0.0 < deviation < math.inf else _MAX_DECIMALS + 1
+        if decimals > _MAX_DECIMALS:
             return f"{value:.4g}", f"{deviation:.2g}"
         shown = max(0, decimals)
         return f"{round(value, decimals):.{shown}f}", f"{round(deviation, decimals):.{shown}f}"
@@ -101,9 +101,9 @@ class ElementEstimate:
 
     Attributes:
         element: its name.
-        parameters: estimates by the names in PARAMETERS, or a part of them, in that order; p of them.
+        parameters: p estimates, by all or some of the names in PARAMETERS, in that order.
         correlation: of the estimates, in the order of `parameters`, shape (p, p); NaN where one is not identifiable.
-        sources: the bags they rest on.
+        sources: the bags that the estimates come from.
     """
 
     element: str
@@ -141,14 +141,14 @@ class ElementEstimate:
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedElement:
-    """One friction element with what is known about each of its parameters.
+    """One friction element with the estimates of its parameters.
 
     Attributes:
         element: values to simulate with.
         estimates: by the names in PARAMETERS, without the viscous exponent where it is 1; those of a part by names
             such as bristles.break_away.
-        sources: the bags each parameter rests on.
-        given_bristles: whether its bristles are those of the fallback, of another kind than LuGre's, as its c0 is.
+        sources: the bags that each parameter was estimated from.
+        given_bristles: whether its bristles, of another kind than LuGre's, are the fallback's, as its c0 is.
     """
 
     element: FrictionElement
@@ -167,10 +167,11 @@ class IdentifiedElement:
         """Return an element with the fallback's bristles where its c0 is the fallback's: they belong together.
 
         Args:
-            element: its own bristles, if it has any, were identified, and stay.
-            estimates: of it.
+            element: with its own bristles if they were identified; these are not replaced.
+            estimates: of its parameters.
             sources: of the estimates.
-            fallback: where values that are not identifiable come from; None without one, or where LuGre's are told.
+            fallback: source of values that are not identifiable; None without one, or if LuGre's bristles were
+                identified.
         """
         part = None if fallback is None else fallback.bristles
         if part is None or element.bristles is not None or ("c0" in estimates and estimates["c0"].identifiable):
@@ -180,6 +181,6 @@ class IdentifiedElement:
         return cls(replace(element, bristles=part), {**estimates, **numbers}, sources, given_bristles=True)
 
     def value(self, name: str) -> float:
-        """Return what the element has under the name of an estimate."""
+        """Return the element's value of a parameter, by the name of its estimate."""
         part, _, key = name.rpartition(".")
         return float(self.element.parts[part].numbers()[key] if part else getattr(self.element, name))

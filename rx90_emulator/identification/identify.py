@@ -47,10 +47,10 @@ from rx90_emulator.identification.sliding.fit import SlidingFit, identify_slidin
 from rx90_emulator.identification.validation.prediction import Validation, validate
 
 _RATES = {"sliding": 250.0, "presliding": None, "excitation": 1000.0, "validation": 1000.0}
-"""Hz that records are averaged to, by use: plateaus are averaged anyway, a validation looks below 40 Hz, and an arm's
-motion holds nothing near 1 kHz."""
-_MAX_TRAVEL_SHARE = 2.0  # of a joint's range: more travel is explained by no offset of its zero
-_MAX_SHARED = 0.02  # of a validation's travel: two runs on a noiseless engine may begin alike
+"""Rate, Hz, that records are averaged to, by use: plateaus are averaged anyway, a validation compares below 40 Hz, and
+the motion of an arm has no content near 1 kHz."""
+_MAX_TRAVEL_SHARE = 2.0  # of a joint's range: no offset of the zero explains more travel
+_MAX_SHARED = 0.02  # of a validation's travel: two runs of a noiseless engine may begin with the same samples
 _DEFAULT_ROBOT = RobotOptions()
 
 
@@ -63,11 +63,11 @@ class FrictionIdentification:
         elements: in the order of the arm's.
         sliding: the fit of the sliding regime.
         presliding: the fit of the presliding regime.
-        fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
+        fallback_name: file of the values that replace parameters that are not identifiable, if any.
         bags: what was read, by use: sliding, presliding, validation.
-        validations: comparisons with bags that were not used.
-        kinds: of the elements' bristles; empty where it was not asked for.
-        truth: of emulated runs, the elements that made them, by name; empty where none are known.
+        validations: comparisons with bags that the identification did not use.
+        kinds: of the elements' bristles; empty if not requested.
+        truth: the elements that emulated runs were made with, by name; empty where none are known.
     """
 
     arm: RigidArm
@@ -105,16 +105,20 @@ class FrictionIdentification:
         return all(check.passed for check in self.validations)
 
     @property
-    def told(self) -> tuple[str, ...]:
-        """Return the elements of which the bags identify any parameter."""
+    def identified_elements(self) -> tuple[str, ...]:
+        """Return the elements with at least one identified parameter."""
         return tuple(name for name, one in self._named() if any(each.identifiable for each in one.estimates.values()))
 
     @property
     def scope(self) -> str:
-        """Return what a verdict is about, " for joint_3, with 54 of 63 values assumed"; "" where none is assumed."""
+        """Return the scope of a verdict, " for joint_3, with 54 of 63 values assumed"; "" where nothing is assumed."""
         identifiable = [each.identifiable for one in self.elements for each in one.estimates.values()]
         assumed = identifiable.count(False)
-        return f" for {', '.join(self.told)}, with {assumed} of {len(identifiable)} values assumed" if assumed else ""
+        return (
+            f" for {', '.join(self.identified_elements)}, with {assumed} of {len(identifiable)} values assumed"
+            if assumed
+            else ""
+        )
 
     @property
     def unidentifiable(self) -> dict[str, dict[str, list[str]]]:
@@ -131,7 +135,7 @@ class FrictionIdentification:
 
 
 def shown_parameters(result: FrictionIdentification) -> tuple[str, ...]:
-    """Return the parameters that tables show: the viscous exponent only where an element has one."""
+    """Return the parameters to show in tables: the viscous exponent only where an element has one."""
     return tuple(name for name in PARAMETERS if any(name in one.estimates for one in result.elements))
 
 
@@ -149,20 +153,21 @@ def identify_friction(
     Args:
         bags: by use, or a folder that `rx90_experiment` wrote.
         robot: that the bags come from; by default this project's.
-        tolerances: what counts as agreement with the validation bags; those that are not given
-            are as with `check_friction`.
+        tolerances: what counts as agreement with the validation bags; by default, value by value, as in
+            `check_friction`.
         progress: called with the name of each step before it: each bag, the two fits, each kind of bristles of each
             joint, each validation.
         bristle_kinds: whether the kind of each joint's bristles is chosen by cross-validation over its
-            micro-oscillations, seconds for each joint; without, they are LuGre's.
-        model: parts that all elements have in sliding, without a choice: "coulomb-viscous", which all have, and the
-            names in `options.SLIDING_PARTS`; by default what the sweeps show is kept.
+            micro-oscillations, which takes seconds for each joint; otherwise they are LuGre's.
+        model: parts that all elements have in sliding, without selection: "coulomb-viscous", which every model
+            contains, and the names in `options.SLIDING_PARTS`; by default the parts that the sweeps support are
+            selected.
 
     Returns:
         Estimates with standard deviations, both fits, and a validation for each validation bag.
 
     Raises:
-        IdentificationError: for bags or options that do not fit each other, and data that do not suffice.
+        IdentificationError: for bags or options that contradict each other, and for insufficient data.
         BagError: for a bag that cannot be read.
         ConfigError: for a file of the robot that cannot be used.
     """
@@ -203,23 +208,23 @@ def check_friction(
 ) -> tuple[Validation, ...]:
     """Compare the torques that a friction file predicts along recorded motions with the recorded ones.
 
-    The rest of the arm is as `robot` describes it: links, rotors, coupling, spring. Offsets in the file's `joints` are
-    added; rotors and springs there take the place of those of `robot`.
+    The rest of the arm (links, rotors, coupling, spring) is as `robot` describes it. Offsets in the file's `joints` are
+    added; rotors and springs in it replace those of `robot`.
 
     Args:
         friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.
         bags: one or more runs, none of them twice.
         robot: that the bags come from; by default this project's.
-        tolerances: what counts as agreement, all or some by name; of those that are not given 10 % of the torque of all
-            joints and 30 % of each joint's, and for a bag with set-points of this project's controller, along which the
-            closed loop is run, those of ValidationTolerances().
+        tolerances: what counts as agreement, all or some by name. By default 10 % of the torque of all joints together
+            and 30 % of each joint's; for a bag with set-points of this project's controller, along which the closed
+            loop is run as well, ValidationTolerances().
         progress: called twice for each bag, before it is read and before it is compared.
 
     Returns:
         A comparison for each bag; `passed` is its verdict.
 
     Raises:
-        IdentificationError: for bags, elements or options that do not fit each other.
+        IdentificationError: for bags, elements or options that contradict each other.
         BagError: for a bag that cannot be read.
         ConfigError: for a file that cannot be used.
     """
@@ -244,12 +249,12 @@ def check_friction(
 def with_friction(
     arm: RigidArm, friction: FrictionFile | Path | str, use: str
 ) -> tuple[FrictionFile, tuple[FrictionElement, ...], RigidArm]:
-    """Return a friction file, its elements in the order of the arm's, and the arm with what its `joints` state.
+    """Return a friction file, its elements in the arm's order, and the arm with what the file states of its joints.
 
     Args:
         arm: without friction.
         friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.
-        use: what it is for, which takes no parts of the friction but bristles, in words.
+        use: purpose, in words, for a refusal: it supports no parts of the friction but bristles.
 
     Raises:
         IdentificationError: for elements or joints that are none of the arm's.
@@ -260,8 +265,8 @@ def with_friction(
     elements = file.select(names)
     for name in file.elements:
         if name not in names:
-            said = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
-            raise IdentificationError(f"{where}: {said}")
+            reason = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
+            raise IdentificationError(f"{where}: {reason}")
     refuse_parts(file.elements, use, f"{where}: elements.", held=("bristles",))
     try:
         return file, elements, arm.with_joints(file.joints)
@@ -270,10 +275,10 @@ def with_friction(
 
 
 def _bandwidths(file: FrictionFile, where: str) -> Bandwidths | None:
-    """Return the bandwidths of the runs that a friction file was identified from; None where it does not say.
+    """Return the bandwidths of the runs that a friction file was identified from; None if it does not state them.
 
     Raises:
-        IdentificationError: for values that are none.
+        IdentificationError: for values that are no bandwidths.
     """
     found = (file.identification or {}).get("bandwidths")
     if found is None:
@@ -307,17 +312,17 @@ def read_records(
     *,
     currents: bool = False,
 ) -> dict[str, list[JointRecord]]:
-    """Return the records of bags by use, all read before anything is fitted, so that a bad one is refused soon.
+    """Return the records of bags by use; all are read before anything is fitted, so that a bad one is refused early.
 
     Args:
         bags: by use, such as sliding or validation; no bag twice for the same use.
-        robot: that they come from.
+        robot: that the bags come from.
         progress: called with the name of each bag before it is read.
         currents: whether efforts in A without torque constants are taken as they are, in all bags or in none.
 
     Raises:
-        IdentificationError: for angles that no joint of the robot goes through, and for a validation bag whose content,
-            under whatever name, has another use, too.
+        IdentificationError: for more travel than a joint's range allows, and for a validation bag with the content of a
+            bag of another use, whatever its name.
         BagError: for a bag that cannot be read.
     """
     layouts = [(use, path, robot.layout(path, fast=use != "sliding")) for use, paths in bags.items() for path in paths]
@@ -326,7 +331,7 @@ def read_records(
         progress(path.name)
         record = read_record(path, layout, _RATES[use], currents=currents).of_joints(robot.arm.names)
         for name, travel, width in zip(record.names, np.ptp(record.position, axis=0), robot.arm.ranges(), strict=True):
-            if 0.0 < _MAX_TRAVEL_SHARE * width < travel:  # degrees, or a motor's angles
+            if 0.0 < _MAX_TRAVEL_SHARE * width < travel:  # angles in degrees, or of the motor
                 raise IdentificationError(
                     f"{path}: {name} moves through {travel:.3g} rad, in its URDF through {width:.3g} rad at most; "
                     "accepted: angles of the joints in rad, or of the motors with their --gear"
@@ -344,10 +349,10 @@ def read_records(
 
 
 def _check_unseen(record: JointRecord, used: Sequence[JointRecord]) -> None:
-    """Refuse a validation bag of which a bag that is identified from has a part, under whatever name and stamps.
+    """Refuse a validation bag that shares a part with a bag of the identification, whatever their names and stamps.
 
     Raises:
-        IdentificationError: naming both bags and the share.
+        IdentificationError: naming both bags and the shared part.
     """
     for other in used:
         shared = 1.0 if record.sha256 == other.sha256 else 0.0
@@ -378,14 +383,14 @@ def identify_records(
         presliding: micro-oscillations; without any, c0 and c1 are not identifiable.
         robot: rigid-body model, fallback values and the torques' delay.
         progress: called with the name of each step before it.
-        bristle_kinds: whether the kind of each element's bristles is found, too; without, they are LuGre's.
+        bristle_kinds: whether the kind of each element's bristles is selected, too; otherwise they are LuGre's.
         model: as in `identify_friction`.
 
     Returns:
         The result, without bags and validations.
 
     Raises:
-        IdentificationError: if the data do not fit or do not suffice.
+        IdentificationError: for data that contradict each other or do not suffice.
     """
     arm = robot.arm
     fallback = robot.fallback or (None,) * len(arm.element_names)
@@ -396,7 +401,7 @@ def identify_records(
         # The sliding regime of an element does not depend on its c0 and c1.
         bristles = {"c0": ParameterEstimate(1e4, 0.0), "c1": ParameterEstimate(0.0, 0.0)}
         known = [_element(one, bristles, other) for one, other in zip(slides.estimates, fallback, strict=True)]
-        seven = len(SLIDING)  # a viscous exponent does not show in presliding
+        seven = len(SLIDING)  # presliding does not depend on a viscous exponent
         covariances = [estimate.covariance()[:seven, :seven] for estimate in slides.estimates]
         cycles = identify_presliding(
             presliding, arm, known, robot.options.torque_delay, covariances, robot.plant_period
@@ -409,7 +414,7 @@ def identify_records(
     for first, second, other, kind in zip(
         slides.estimates, cycles.estimates, fallback, kinds or (None,) * len(fallback), strict=True
     ):
-        # c0 and c1 belong to the bristles: a stiffness that goes with LuGre's is not that of others.
+        # c0 and c1 belong to the bristles: a stiffness fitted with LuGre's does not suit another kind.
         chosen = None if kind is None else kind.trial
         own, bags = second.parameters, second.sources
         if kind is not None and chosen is not None:
@@ -421,7 +426,7 @@ def identify_records(
     return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name, kinds=kinds)
 
 
-_WITHOUT_RISE = {"omega_s": 0.1, "delta": 1.0}  # of no effect while tau_s = tau_c
+_NO_RISE_VALUES = {"omega_s": 0.1, "delta": 1.0}  # without effect while tau_s = tau_c
 
 
 def _element(
@@ -433,7 +438,7 @@ def _element(
     for name in PARAMETERS:
         estimate = estimates[name]
         if estimate.reason == NOT_IN_MODEL:
-            values[name] = _WITHOUT_RISE.get(name, 0.0)
+            values[name] = _NO_RISE_VALUES.get(name, 0.0)
             continue
         if not estimate.identifiable and fallback is None:
             raise IdentificationError(

@@ -1,4 +1,4 @@
-"""What `rx90_identify` and `rx90_compare_measured` do, apart from their options: imported once these are understood."""
+"""What `rx90_identify` and `rx90_compare_measured` do once their options have been checked: slow to import."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ _BAR = "{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
 
 @contextmanager
 def steps(total: int) -> Iterator[Callable[[str], None]]:
-    """Show a progress bar of `total` steps; call what is yielded with the name of each step before it."""
+    """Show a progress bar of `total` steps; yield the function to call with the name of each step before it."""
     with ExitStack() as shown:
         bars: list[tqdm[Any]] = []
 
         def step(text: str) -> None:
-            if not bars:  # only now: what is refused before the first step needs no bar
+            if not bars:  # not earlier: what is refused before the first step needs no bar
                 bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, disable=None, file=sys.stderr)))
             bars[0].set_description_str(text)
             bars[0].update()
@@ -66,12 +66,12 @@ def steps(total: int) -> Iterator[Callable[[str], None]]:
 
 
 def check_targets(*files: Path | None, force: bool) -> None:
-    """Refuse files that could not be written in the end, before anything long begins.
+    """Refuse files that could not be written at the end, before anything that takes long.
 
     Raises:
-        IdentificationError: for a file that exists without `force`, is none that can be replaced, or whose folder
-            is missing.
-        Rx90Error: for a folder that takes no file, as `check_place` says.
+        IdentificationError: for a file that exists without `force`, a place that holds something else than a file, or a
+            missing folder.
+        Rx90Error: for a folder in which no file can be made, as `check_place` says.
     """
     for file in filter(None, files):
         check_place(file)
@@ -96,7 +96,7 @@ def write_identification(
         force: whether files that exist are replaced.
 
     Raises:
-        IdentificationError: for files that exist, or that are not acceptable.
+        IdentificationError: for files that exist without `force`, or names that are not acceptable.
         OutputError: for files that cannot be written.
     """
     file, page = _checked_targets(Path(output), report, force=force)
@@ -123,12 +123,12 @@ def run_identification(
     model: Sequence[str] | None = None,
     force: bool = False,
 ) -> bool:
-    """Identify with a progress bar, write the files, print a summary, and return whether no validation bag disagrees.
+    """Identify with a progress bar, write the files, print a summary, and return whether all validation bags agree.
 
     The arguments are those of `identify_friction` and `write_identification`; files are checked first.
 
     Raises:
-        Rx90Error: for what cannot be done; nothing has been written then.
+        Rx90Error: for every refusal and failure; nothing has been written then.
     """
     _checked_targets(output, report, force=force)
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
@@ -151,12 +151,12 @@ def run_check(
     *,
     force: bool = False,
 ) -> bool:
-    """Hold a friction file against bags, write the report if it is asked for, and return whether none disagrees.
+    """Compare a friction file with bags, write the report if requested, and return whether all bags agree.
 
-    The arguments are those of `check_friction`; a report is checked first.
+    The arguments are those of `check_friction`; the report's place is checked first.
 
     Raises:
-        Rx90Error: for what cannot be done; nothing has been written then.
+        Rx90Error: for every refusal and failure; nothing has been written then.
     """
     check_targets(report, force=force)
     with steps(2 * len(bags)) as step:
@@ -170,24 +170,24 @@ def run_check(
 
 
 def _check_folder(folder: Path, *, force: bool) -> None:
-    """Refuse a folder, not necessarily there, that the robot's files could not be written into in the end."""
+    """Refuse a folder, existing or not, into which the robot's files could not be written at the end."""
     if folder.exists() and not folder.is_dir():
         raise IdentificationError(f"{folder} is no folder; accepted: the name of a folder")
     check_targets(*([folder / name for name in _FILES] if folder.is_dir() else [folder]), force=force)
 
 
 def write_excitation(result: ExcitationIdentification, folder: Path | str, *, force: bool = False) -> Path:
-    """Write what was identified into a folder, all files or none, and return it.
+    """Write the result of an identification into a folder, all files or none, and return the folder.
 
     The folder holds `report.html`, `parameters.yaml` and the files that the simulation loads.
 
     Args:
         result: what was identified.
-        folder: made if it is not there; other files in it stay.
+        folder: made if it does not exist; other files in it stay.
         force: whether files that exist are replaced.
 
     Raises:
-        IdentificationError: for files that exist, or a place that takes no folder.
+        IdentificationError: for files that exist without `force`, or a place where no folder can be made.
         OutputError: for files that cannot be written.
     """
     folder, date = Path(folder), datetime.now(timezone.utc)
@@ -223,12 +223,12 @@ def run_excitation(
     model: Sequence[str] | None = None,
     **how: Any,
 ) -> bool:
-    """Identify with a progress bar, write the folder, print a summary, and return whether no validation run disagrees.
+    """Identify with a progress bar, write the folder, print a summary, and return whether all validation runs agree.
 
     The arguments are those of `identify_excitation`, `payload` a file of known payloads; the folder is checked first.
 
     Raises:
-        Rx90Error: for what cannot be done; nothing has been written then.
+        Rx90Error: for every refusal and failure; nothing has been written then.
     """
     _check_folder(output, force=force)
     how |= {"bristles": bristles, "model": model, "payloads": {} if payload is None else read_payloads(payload)}
@@ -251,13 +251,13 @@ def write_measured(result: MeasuredComparison, setup: Setup, page: Path | str, *
     """Write the report of a comparison and return its name.
 
     Args:
-        result: of the comparison.
-        setup: that was simulated.
+        result: the comparison.
+        setup: the arm that was simulated.
         page: HTML file.
-        force: whether a file that exists is replaced.
+        force: whether an existing file is replaced.
 
     Raises:
-        IdentificationError: for a file that exists, or whose folder is missing.
+        IdentificationError: for a file that exists without `force`, or whose folder is missing.
         OutputError: for a file that cannot be written.
     """
     page = Path(page)
@@ -277,12 +277,12 @@ def run_comparison(
     *,
     force: bool = False,
 ) -> bool:
-    """Compare with a progress bar, write the report if it is asked for, print a table, and return the verdict.
+    """Compare with a progress bar, write the report if requested, print a table, and return the verdict.
 
-    The arguments are those of `compare_measured`, with the files of the robot; a report is checked first.
+    The arguments are those of `compare_measured`, with the files of the robot; the report's place is checked first.
 
     Raises:
-        Rx90Error: for what cannot be done; nothing has been written then.
+        Rx90Error: for every refusal and failure; nothing has been written then.
     """
     check_targets(page, force=force)
     setup = simulated_setup(files)

@@ -1,6 +1,6 @@
-"""Options: the robot that bags come from, tolerances, and what can be chosen for excitation runs.
+"""Options: the robot that bags come from, tolerances, and the choices for excitation runs.
 
-They are declared once for checks and --help, so this imports nothing slow.
+They are declared once, for checks and for --help, so this module imports nothing slow.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from rx90_common.base.section import Section
 COULOMB_VISCOUS = "coulomb-viscous"
 SLIDING_PARTS = ("viscous-exponent", "stribeck-rise")
 MODEL_PARTS = (*SLIDING_PARTS, "bristle", "bristle-damping")
-"""What the friction of a model may have beside Coulomb and viscous friction, by the names that tables give it."""
+"""Parts that a friction model may have beside Coulomb and viscous friction, by their names in tables."""
 
 
 def model_parts(model: Sequence[str], accepted: Sequence[str] = MODEL_PARTS) -> tuple[str, ...]:
-    """Return the parts that a model names beside Coulomb and viscous friction, which it always has.
+    """Return the parts of a model beside Coulomb and viscous friction, which every model has.
 
     Raises:
-        ConfigError: for other names than the `accepted` ones, and for damping of no bristle.
+        ConfigError: for other names than the `accepted` ones, and for bristle damping without a bristle.
     """
     unknown = [name for name in model if name not in (COULOMB_VISCOUS, *accepted)]
     if unknown or not model:
@@ -46,9 +46,9 @@ class RobotOptions:
         robot: name or folder of this project's robot; by default the RX90B.
         tool: tool file of this project's robot, or "none"; by default the robot's own.
         drives: drives file of this project's robot; by default the robot's own.
-        urdf: description of another robot; the following attributes go with it, n is the number of its joints.
+        urdf: description of another robot, with n joints; the following attributes belong to it.
         topic: JointState topic; by default joint_states.
-        joints: joints of interest from base to tip, the others are held at 0; by default all movable ones.
+        joints: joints of interest from base to tip; the others are held at 0. By default all movable ones.
         names: names of these joints, or of their motors with `gear`, in the messages; by default `joints`.
         gear: motor turns per joint turn, shape (n,), if the messages hold the motors' states.
         coupling: turns of each motor per joint turn without the gears, row by row, shape (n * n,); by default the
@@ -58,13 +58,13 @@ class RobotOptions:
         spring: amplitude k of a torque -k sin(q) on each joint, Nm, shape (n,).
         fallback: friction file for omega_d and for parameters that are not identifiable, or "none"; by default the
             robot's own file for this project's robot and none for another one.
-        torque_delay: by how much a torque acted later than in the sample period that ends at its stamp, s: half a
+        torque_delay: by how much a torque acted later than in the sample period that ends at its stamp, s; half a
             period for a torque that was sampled at its stamp.
         record_time: whether the times of recording replace the stamps in the headers.
-        zero: recorded angle of each joint where that of its URDF is 0, which is subtracted, rad, shape (n,); by
+        zero: recorded angle of each joint in the zero pose of its URDF, which is subtracted, rad, shape (n,); by
             default 0.
-        signals: signal map that says topic, names, gear, coupling, torque_constant, zero and record_time in their
-            place, and what the columns of tables hold; by default the file beside a table.
+        signals: signal map that states topic, names, gear, coupling, torque_constant, zero and record_time instead of
+            these options, and the columns of tables; by default the file beside a table.
     """
 
     robot: str | None = None
@@ -88,10 +88,10 @@ class RobotOptions:
 
 @dataclass(frozen=True)
 class MeasuredLayout:
-    """What the JointState messages of a measured bag of this project's arm hold, n = 6 joints.
+    """The contents of the JointState messages of a measured bag of this project's arm, n = 6 joints.
 
-    Attributes are those of the same names of `RobotOptions`, with other defaults: motor_states as the topic where the
-    bag has it, else joint_states; this project's names; for motor_states the robot's gears, and the coupling of its
+    The attributes are those of the same names in `RobotOptions`, with other defaults: the topic motor_states where the
+    bag has it, else joint_states; this project's names; for motor_states the robot's gears and the coupling of its
     wrist, where motor 6 turns with joints 5 and 6.
     """
 
@@ -106,7 +106,7 @@ class MeasuredLayout:
 
 
 class _Tolerances:
-    """What counts as agreement: positive numbers."""
+    """Limits for agreement: positive numbers."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -116,12 +116,12 @@ class _Tolerances:
 
 @dataclass(frozen=True)
 class ValidationTolerances(_Tolerances):
-    """What counts as agreement in a validation.
+    """Limits for agreement in a validation.
 
     Attributes:
-        torque: RMS difference of a joint's torque over the RMS torque that was recorded.
-        worst_torque: largest difference over the largest recorded torque; infinite where it does not count.
-        tip: largest distance of the tip positions, m.
+        torque: RMS difference of a joint's torque over its RMS recorded torque.
+        worst_torque: largest difference over the largest recorded torque; infinite if it is not limited.
+        tip: largest distance between the tip positions, m.
         total: RMS difference of the torques of all joints over their RMS recorded torque.
     """
 
@@ -132,16 +132,16 @@ class ValidationTolerances(_Tolerances):
 
 
 EMULATED = ValidationTolerances()
-"""What holds for a bag with set-points of this project's controller, along which the closed loop is run, too."""
+"""Limits for bags with set-points of this project's controller, along which the closed loop is run, too."""
 
 
 @dataclass(frozen=True)
 class ExcitationTolerances(_Tolerances):
-    """What counts as agreement of an excitation run that was not used.
+    """Limits for agreement of an excitation run that the identification did not use.
 
     Attributes:
         total: RMS difference of the torques of all joints over their RMS recorded torque.
-        joint: the same of each joint alone; light joints differ more, for friction is most of their torque.
+        joint: the same for each joint alone; light joints differ more, because friction is most of their torque.
     """
 
     total: float = 0.1
@@ -151,21 +151,21 @@ class ExcitationTolerances(_Tolerances):
 RECORDED = ValidationTolerances(
     torque=ExcitationTolerances.joint, worst_torque=math.inf, total=ExcitationTolerances.total
 )
-"""What holds for all other bags: those of excitation runs, so that both validations judge alike."""
+"""Limits for all other bags: those of excitation runs, so that both validations judge alike."""
 
 
 GivenTolerances: TypeAlias = ValidationTolerances | Mapping[str, float]
-"""All of them, or some by the names of the attributes; the others then are EMULATED's or RECORDED's."""
+"""All limits, or some by the names of the attributes; the others are then those of EMULATED or RECORDED."""
 NO_TOLERANCES: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
 class MeasuredTolerances(_Tolerances):
-    """What counts as agreement of a simulated run with a measured one.
+    """Limits for agreement of a simulated run with a measured one.
 
     Attributes:
         torque: RMS difference of a joint's torque over its RMS measured torque.
-        total_torque: the same of all joints together.
+        total_torque: the same for all joints together.
         position: largest difference of a joint's position, rad.
     """
 
@@ -175,18 +175,18 @@ class MeasuredTolerances(_Tolerances):
 
 
 QUICK = {"runs": 1, "periods": 1, "steps": 15}
-"""Options of a short plan: one run, which a validation follows."""
+"""Options of a short plan: one run, and a validation run."""
 _LONGEST_S = 600.0  # of a run's periodic part
 _FARTHEST = 1000.0  # m, of a plane from the base
 
 
 @dataclass(frozen=True)
 class Wall:
-    """A plane that the arm stays on one side of.
+    """A plane of which the arm stays on one side.
 
     Attributes:
-        normal: unit vector in the base's frame, shape (3,), from the plane to where the arm may be.
-        distance: of points x of the plane, normal @ x, m.
+        normal: unit vector in the base's frame, shape (3,), pointing to the side where the arm may be.
+        distance: normal @ x for points x of the plane, m.
         name: for messages.
     """
 
@@ -201,10 +201,10 @@ class Wall:
 
     @classmethod
     def through(cls, numbers: Sequence[float], name: str = "") -> Wall:
-        """Return the wall n x = d of four numbers, n not necessarily of length 1: the arm stays where n x > d.
+        """Return the wall n x = d for four numbers n, d, with n of any length: the arm stays where n x > d.
 
         Raises:
-            IdentificationError: for other numbers, a normal without length and a plane farther away than 1 km.
+            IdentificationError: for other than four numbers, a normal of length 0, and a plane farther away than 1 km.
         """
         name = name or f"--wall {' '.join(f'{one:g}' for one in numbers)}"
         length = math.hypot(*numbers[:3])
@@ -221,13 +221,13 @@ _NOISE = Number("standard deviation of a joint's torque", "Nm", low=1e-6, high=1
 
 @dataclass(frozen=True)
 class ExcitationOptions:
-    """What can be chosen for a plan; the other fields declare what they mean and may be.
+    """The options of a plan; the other fields declare their meaning and range themselves.
 
     Attributes:
-        walls: planes that links and tool keep away from.
+        walls: planes that links and tool stay clear of.
         torque_noise: standard deviation of the noise of each joint's torque, Nm, shape (n,); by default 1 % of the
             URDF's effort.
-        validation: whether a run is planned that the identification does not use.
+        validation: whether a run is planned for validation alone.
 
     Raises:
         ConfigError: naming option, value and what is accepted.
@@ -263,4 +263,4 @@ _hints = get_type_hints(ExcitationOptions, include_extras=True)
 DECLARED: dict[str, Entry] = {
     name: hint.__metadata__[0] for name, hint in _hints.items() if hasattr(hint, "__metadata__")
 }
-"""What each of the options means and may be."""
+"""Meaning and range of each option."""

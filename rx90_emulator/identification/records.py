@@ -1,4 +1,4 @@
-"""The joint-side record of one bag or table, which every step of the identification works on, and how it is read.
+"""Read one bag or table into the joint-side record that every step of the identification works on.
 
 record = read_record("bag", layout)
 """
@@ -27,13 +27,13 @@ from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.identification.robot import BagLayout
 
-_WALL_CLOCK = 946_684_800.0  # s, the year 2000: stamps before count from another beginning
+_WALL_CLOCK = 946_684_800.0  # s, the year 2000: earlier stamps do not count from 1970
 _MEDIAN_SAMPLES = 5  # samples in the running median by which spikes are found
 _OUTLIER_FACTOR, _MIN_SPIKE_SHARE = 4.0, 0.02  # of the 99th percentile of the distances from it, and of the range
 _NEIGHBOUR_SHARE = 0.25  # share of a spike's distance that its neighbours stay below
 _BANDWIDTH_HZ = 40.0  # Hz, of velocities differentiated from positions
 _MAX_VELOCITY_RATIO = 2.0  # largest ratio between a velocity and the change of its position
-_COMPARED_S, _REST_SPEED = 0.1, 1e-2  # s over which they are compared; rad/s, RMS, below which they are not
+_COMPARED_S, _REST_SPEED = 0.1, 1e-2  # s of a comparison of the two; rad/s, RMS, below which they are not compared
 _MIN_DISTINCT_VELOCITIES = 1000  # distinct velocities, below which they count as quantised
 _MAX_VALUE = 1e9  # rad, rad/s, Nm or A
 _STORAGE = (".mcap", ".db3", ".bag")
@@ -41,7 +41,7 @@ _STORAGE = (".mcap", ".db3", ".bag")
 
 @dataclass(frozen=True)
 class BagSource:
-    """A bag that estimates rest on.
+    """A bag that estimates were made from.
 
     Attributes:
         path: the bag.
@@ -50,7 +50,7 @@ class BagSource:
         missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
         begin: stamp of the first sample, s.
-        unit: of the torques: Nm, or A where they are currents that no constant makes torques of.
+        unit: of the torques: Nm, or A where they are currents without torque constants.
     """
 
     path: Path
@@ -63,23 +63,23 @@ class BagSource:
 
     @property
     def recorded(self) -> str:
-        """Return when it was recorded, by its stamps; those of a simulation, and of many a log, give no date."""
+        """Return when it was recorded, by its stamps; empty if these give no date, as in simulations and many logs."""
         if self.begin < _WALL_CLOCK:
             return f"no date; stamps from {self.begin:.6g} to {self.begin + self.duration:.6g} s"
         return datetime.fromtimestamp(self.begin, timezone.utc).isoformat(timespec="seconds")
 
 
-_CONTENT_DECIMALS = 6  # of rad and Nm: what is written with fewer digits is the same
-_CONTENT_ROWS = 3  # samples one after the other that are alike by no chance
+_CONTENT_DECIMALS = 6  # of rad and Nm: samples that were rounded to fewer digits still compare as equal
+_CONTENT_ROWS = 3  # successive samples that do not agree by chance
 _HASH_SEED = 7
 
 
 class Content(NamedTuple):
-    """What a log holds, whatever its name, stamps and format: to find what two logs have in common.
+    """The content of a log whatever its name, stamps and format, to find what two logs have in common.
 
     Attributes:
-        marks: a number for a few samples from each on, equal where positions and efforts are, shape (m,).
-        travel: that these samples belong to, rad, shape (m,).
+        marks: a hash of the few samples from each sample on, equal where positions and efforts are equal, shape (m,).
+        travel: of the joints over these samples, rad, shape (m,).
     """
 
     marks: NDArray[np.uint64]
@@ -87,7 +87,7 @@ class Content(NamedTuple):
 
     @classmethod
     def of(cls, position: Array, effort: Array) -> Content:
-        """Return that of positions and efforts as a log has them, each of shape (m, n)."""
+        """Return the content for positions and efforts as logged, each of shape (m, n)."""
         values = np.round(np.hstack([position, effort]), _CONTENT_DECIMALS) + 0.0
         factor = np.random.default_rng(_HASH_SEED).integers(1, 2**63, (_CONTENT_ROWS, values.shape[1]), np.uint64)
         numbers, count = values.view(np.uint64), max(0, len(values) - _CONTENT_ROWS + 1)
@@ -96,13 +96,13 @@ class Content(NamedTuple):
         return cls(marks, np.abs(np.diff(position, axis=0, prepend=position[:1])).sum(axis=1)[:count])
 
     def shared(self, other: Content) -> float:
-        """Return which share of its travel another log holds, too."""
+        """Return the share of its travel that another log contains, too."""
         return float(self.travel[np.isin(self.marks, other.marks)].sum() / max(self.travel.sum(), 1e-300))
 
 
 @dataclass(frozen=True, eq=False)
 class JointRecord:
-    """What the arm did and what the drives gave, at the joints, in one bag; finite numbers alone.
+    """Motion and drive torques at the joints in one bag; all numbers are finite.
 
     Attributes:
         names: n joints.
@@ -115,8 +115,8 @@ class JointRecord:
         missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
         no_velocity: why the velocities are differences of positions; empty where they were recorded.
-        shocks: begin and end of times whose torque is not the arm's, s.
-        content: what other logs are compared with; None for one that was not read.
+        shocks: begin and end of the times whose torque includes an impact, s.
+        content: for the comparison with other logs; None for a record that was not read from a file.
         unit: of the torques, as in BagSource.
     """
 
@@ -135,7 +135,7 @@ class JointRecord:
     unit: str = "Nm"
 
     def of_joints(self, names: Sequence[str]) -> JointRecord:
-        """Return the record with its joints in another order, in which all of them are."""
+        """Return the record with all its joints in another order."""
         if tuple(names) == self.names:
             return self
         place = [self.names.index(name) for name in names]
@@ -144,7 +144,7 @@ class JointRecord:
 
     @property
     def bag(self) -> BagSource:
-        """Return the bag, with the figures of what was read of it."""
+        """Return the bag with the figures of its reading."""
         duration = float(self.time[-1] - self.time[0])
         return BagSource(
             self.source, self.sha256, duration, self.missing, self.outliers, float(self.time[0]), self.unit
@@ -152,7 +152,7 @@ class JointRecord:
 
 
 def in_unit(text: str, unit: str) -> str:
-    """Return a text on torques in Nm, and on what is made of them, for torques in another unit: kg m^2 are Nm s^2."""
+    """Return a text with the units of torques, and of values made from them, for torques in another unit than Nm."""
     if unit == "Nm":
         return text
     for si, other in (("Nm", ""), ("kg m\\^2", " s^2"), ("kg m", " s^2/m"), ("kg", " s^2/m^2")):
@@ -175,8 +175,8 @@ def spikes(values: Array) -> Mask:
     usual = np.percentile(distance, 99.0, axis=0)
     low, high = np.percentile(values, (1.0, 99.0), axis=0)
     far = distance > _OUTLIER_FACTOR * usual + _MIN_SPIKE_SHARE * (high - low) + 1e-9
-    beside = np.pad(distance, ((1, 1), (0, 0)))
-    alone = _NEIGHBOUR_SHARE * distance > np.maximum(beside[:-2], beside[2:])
+    padded = np.pad(distance, ((1, 1), (0, 0)))
+    alone = _NEIGHBOUR_SHARE * distance > np.maximum(padded[:-2], padded[2:])
     return np.asarray((far & alone).any(axis=1))
 
 
@@ -231,8 +231,8 @@ def read_record(
         raise IdentificationError(
             f"{where}: its efforts are in {plain(unit)}; accepted: Nm, or A with --torque-constant"
         )
-    kept = _good_rows(where, series)
-    time, fields = series.stamp_ns[kept] / NANOSECONDS, {name: each[kept] for name, each in series.fields.items()}
+    good = _good_rows(where, series)
+    time, fields = series.stamp_ns[good] / NANOSECONDS, {name: each[good] for name, each in series.fields.items()}
     for name, values in fields.items():
         # Numbers that no joint reaches, and efforts so small that their squares are none.
         most, least = float(np.abs(values).max(initial=0.0)), 1.0 / _MAX_VALUE if name == "effort" else 0.0
@@ -256,7 +256,7 @@ def read_record(
     if size > 1:
         count = len(time) // size
         columns = tuple(v[: count * size].reshape(count, size, *v.shape[1:]).mean(axis=1) for v in columns)
-    outliers = len(series.stamp_ns) - len(kept)
+    outliers = len(series.stamp_ns) - len(good)
     names, kind = (*layout.names, *layout.followed), "A" if unit == "A" and layout.torque_constant is None else "Nm"
     missing = _missing(series.time)
     return JointRecord(names, *columns, path, digest(path), missing, outliers, no_velocity, content=content, unit=kind)

@@ -1,7 +1,7 @@
-"""The robot that bags come from, this project's or any other, and what the messages of its logs hold.
+"""The robot that bags come from, this project's or any other, and the contents of its logs' messages.
 
-Whose positions, on which side of the gears, in which unit is stated once, by the options of a command or by a signal
-map, for bags and tables alike: `arm_layout` makes one layout of it.
+Names, side of the gears and units of the values are stated once, by the options of a command or by a signal map, for
+bags and tables alike: `arm_layout` makes one layout of them.
 """
 
 from __future__ import annotations
@@ -40,23 +40,22 @@ _ONE_EACH = ("names", "gear", "torque_constant", "zero", "rotor_inertia", "sprin
 
 @dataclass(frozen=True, eq=False)
 class BagLayout:
-    """What the JointState messages of a bag or a table hold.
+    """The contents of the JointState messages of a bag or a table.
 
     Attributes:
         topic: topic name; the leading slash may be left out.
         messages: names in the messages, one for each of n joints or motors, from base to tip.
         names: the joints' names in the record, n of them.
-        turns: motor turns for joint turns, gears included, shape (n, n), where the messages hold motor-side
-            values: motor position = turns @ joint position, joint torque = turns^T @ motor torque. None where
-            they hold joint-side values.
-        torque_constant: torque per unit of effort on the messages' side, shape (n,), where effort is a current, A.
-        record_time: whether the times of recording are taken for the stamps.
-        zero: joint angle by the messages where that of the URDF is 0, rad, shape (n,); None for 0.
-        mapping: what the columns of a table hold, where that is not in the file beside it.
+        turns: motor turns for joint turns, gears included, shape (n, n), if the messages contain motor-side values:
+            motor position = turns @ joint position, joint torque = turns^T @ motor torque. None for joint-side values.
+        torque_constant: torque per unit of effort on the messages' side, shape (n,), if effort is a current, A.
+        record_time: whether the times of recording are used instead of the stamps.
+        zero: recorded joint angle in the zero pose of the URDF, rad, shape (n,); None for 0.
+        mapping: the columns of a table, if the file beside it does not state them.
         followed: further joints, by their names in the messages and in the record: positions alone, joint side.
 
     Raises:
-        IdentificationError: if a name stands twice or `turns` is not invertible.
+        IdentificationError: if a name occurs twice or `turns` is not invertible.
     """
 
     topic: str
@@ -78,7 +77,7 @@ class BagLayout:
             raise IdentificationError(f"gears times coupling: {self.turns.tolist()}; accepted: an invertible matrix")
 
     def joint_side(self, fields: Mapping[str, Array]) -> dict[str, Array]:
-        """Return position, rad, velocity, rad/s, and effort, Nm, of the joints, as far as the messages have them."""
+        """Return position, rad, velocity, rad/s, and effort, Nm, of the joints, as far as the messages contain them."""
         found = dict(fields)
         if self.torque_constant is not None and "effort" in found:
             found["effort"] = found["effort"] * self.torque_constant
@@ -91,15 +90,15 @@ class BagLayout:
 
 
 def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMapping | None]:
-    """Return options with what a signal map says of the messages, and the map if the options name one.
+    """Return options with the statements of a signal map, and the map if the options name one.
 
     Args:
         options: of a command.
-        logs: bags and tables; where the options name no map, that beside a table says so, too.
+        logs: bags and tables; if the options name no map, the one beside a table is used.
 
     Raises:
-        ConfigError: for a map that is not acceptable, one key in a map and among the options, and tables whose maps
-            say different things of the arm.
+        ConfigError: for a map that is not acceptable, a key that a map and the options both state, and tables whose
+            maps contradict each other on the arm.
         BagError: for a table without a map.
     """
     given = None if options.signals is None else LogMapping.load(Path(options.signals))
@@ -110,11 +109,11 @@ def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMa
                 f"{plain(one.file)} says other things of the arm than {plain(maps[0].file)}; accepted: the same "
                 f"{', '.join(MESSAGE_KEYS)}"
             )
-    said = maps[0].messages if maps else {}
-    for key in said:
+    mapped = maps[0].messages if maps else {}
+    for key in mapped:
         if getattr(options, key) not in (None, False):
             raise ConfigError(f"{_option(key)} beside {key} in {plain(maps[0].file)}; accepted: one of them")
-    return replace(options, **said), given
+    return replace(options, **mapped), given
 
 
 def _option(name: str) -> str:
@@ -122,7 +121,7 @@ def _option(name: str) -> str:
 
 
 def _check_sizes(options: MessageOptions, n: int) -> None:
-    """Refuse options of another size than that for n joints, and numbers that are not finite."""
+    """Refuse options with another size than for n joints, and numbers that are not finite."""
     for name in (*_ONE_EACH, "coupling"):
         values, size = getattr(options, name, None), n * n if name == "coupling" else n
         if values is not None and len(values) != size:
@@ -141,12 +140,11 @@ def arm_layout(
     """Return the layout of a topic of an arm.
 
     Args:
-        topic: topic name; that of motors has this project's names, gears and coupling where the options say nothing
-            else.
+        topic: topic name; that of motors has this project's names, gears and coupling unless the options state others.
         joints: the joints' names.
-        options: what the messages hold where it is not as here.
+        options: deviations of the messages from these conventions.
         own_drives: returns the drives of a robot of this project; None for another robot.
-        mapping: what the columns of a table hold.
+        mapping: the columns of a table.
 
     Raises:
         IdentificationError: for options of another size, and a coupling of this project's robot without gears.
@@ -178,7 +176,7 @@ def _array(values: Sequence[float] | None) -> Array | None:
 
 
 def topic_names(bag: Path, mapping: LogMapping | None = None) -> set[str]:
-    """Return the absolute names of the topics of a bag or a table; that is not read for it.
+    """Return the absolute names of the topics of a bag or a table, without reading the table.
 
     Raises:
         BagError: if the bag cannot be read, or the table has no map.
@@ -190,16 +188,16 @@ def topic_names(bag: Path, mapping: LogMapping | None = None) -> set[str]:
 
 
 def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None = None) -> str:
-    """Return the first of this project's topics that a bag has; of a table with one topic this one.
+    """Return the first of this project's topics that a bag has; the topic of a table that has a single one.
 
     Args:
-        bag: to be looked at.
-        topics: motor_states and joint_states, the one that is preferred first.
-        mapping: what the columns of a table hold.
+        bag: the bag or table.
+        topics: motor_states and joint_states, the preferred one first.
+        mapping: the columns of a table.
 
     Raises:
         BagError: if the bag cannot be read.
-        IdentificationError: if it holds neither.
+        IdentificationError: if it contains neither.
     """
     there = topic_names(bag, mapping)
     if is_table(bag) and len(there) == 1:
@@ -227,7 +225,7 @@ def message_names(log: Path, topic: str, mapping: LogMapping | None = None) -> t
 
 
 def _of_joints(options: RobotOptions) -> RobotOptions:
-    """Return options for the joints of interest where a map's names, and what goes with each, are of more joints."""
+    """Return options for the joints of interest alone, if a map states names, gears and so on of more joints."""
     names, joints = options.names, options.joints
     if names is None or joints is None or len(names) <= len(joints) or not set(joints) <= set(names):
         return options
@@ -241,33 +239,33 @@ def _of_joints(options: RobotOptions) -> RobotOptions:
 def _followed(
     urdf: Path, arm: RigidArm, options: RobotOptions, logs: Sequence[Path], mapping: LogMapping | None
 ) -> tuple[str, ...]:
-    """Return the joints that all logs hold beside those of an arm, and whose motion counts for it."""
+    """Return the joints that all logs contain besides an arm's, and whose motion affects it."""
     if not logs:
         return ()
-    wanted = options.topic or JOINT_STATES
-    known = [set(message_names(log, recorded_topic(log, (wanted,), mapping) if is_table(log) else wanted, mapping))
+    topic = options.topic or JOINT_STATES
+    known = [set(message_names(log, recorded_topic(log, (topic,), mapping) if is_table(log) else topic, mapping))
              for log in logs]  # fmt: skip
     there = set.intersection(*known) - set(arm.names) - set(options.names or ())
-    beside = [name for name in movable_joints(urdf) if name in there]
-    if not beside:
+    others = [name for name in movable_joints(urdf) if name in there]
+    if not others:
         return ()
-    whole = RigidArm.from_urdf(urdf, options.joints, massless=True, followed=beside)
-    return tuple(name for name in whole.related() if name in beside)
+    all_joints = RigidArm.from_urdf(urdf, options.joints, massless=True, followed=others)
+    return tuple(name for name in all_joints.related() if name in others)
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedRobot:
-    """What is known of the robot that bags come from.
+    """The robot that bags come from.
 
     Attributes:
         arm: rigid-body model and friction elements.
         setup: for the closed loop; None for another robot than this project's.
-        options: what the messages hold where it is not as here, signal maps included.
-        fallback: elements whose values stand in for parameters that are not identifiable, bristles of another kind
-            with their c0, and whose omega_d is taken over; None to refuse bags that leave such parameters.
+        options: deviations of the messages from this project's conventions, signal maps included.
+        fallback: elements whose values replace parameters that are not identifiable, bristles of another kind with
+            their c0, and whose omega_d is used; None to refuse bags that do not determine all parameters.
         fallback_name: their file.
-        mapping: what the columns of tables hold, where that is not in the files beside them.
-        held: joints that the logs hold, but of which no gear is known to tell their motion: they are held at 0.
+        mapping: the columns of tables, if the files beside them do not state them.
+        held: joints in the logs without a known gear, so that their motion is not known: they are fixed at 0.
     """
 
     arm: RigidArm
@@ -286,13 +284,13 @@ class RecordedRobot:
 
         Args:
             options: of the command.
-            logs: bags and tables of the robot; what maps beside tables say of the arm counts as the options do.
-            massless: whether links without <inertial> are accepted, because only kinematics are wanted.
-            follow: whether joints of another robot that all logs hold, and that carry the joints of interest or are
-                carried by them, follow the logs instead of being held at 0.
+            logs: bags and tables of the robot; maps beside tables count like options.
+            massless: whether links without <inertial> are accepted, because only kinematics are needed.
+            follow: whether joints of another robot that all logs contain, and that carry the joints of interest or are
+                carried by them, follow the logs instead of being fixed at 0.
 
         Raises:
-            IdentificationError: if they do not fit each other.
+            IdentificationError: if they contradict each other.
             ConfigError: for a file that cannot be used.
         """
         options, mapping = with_signals(options, logs)
@@ -328,7 +326,7 @@ class RecordedRobot:
 
     @property
     def zero(self) -> Array | None:
-        """Return the recorded angle of each joint where that of its URDF is 0, rad, shape (n,); None for 0."""
+        """Return the recorded angle of each joint in the zero pose of its URDF, rad, shape (n,); None for 0."""
         given, zero = _array(self.options.zero), np.zeros(len(self.arm.names))
         if given is None:
             return None
@@ -346,7 +344,7 @@ class RecordedRobot:
         return None if self.setup is None else self.setup.rates.period
 
     def layout(self, bag: Path, *, fast: bool) -> BagLayout:
-        """Return what to read of a bag: the motors' states where the rate matters and they are there.
+        """Return the layout of a bag: the motors' states if the rate matters and the bag contains them.
 
         Raises:
             BagError: if the bag cannot be read, or is another robot's.

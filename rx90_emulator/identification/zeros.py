@@ -1,14 +1,15 @@
-"""Whether the encoders' zeros are those of the URDF: the decision, what is said of it, and the fits of slow motions.
+"""Whether the encoders' zeros agree with the URDF: the decision, its message, and the fits for slow motions.
 
-A wrong zero bends the arm in the wrong place. Logs are off by quarter turns where URDF and encoder count from other
-poses, and by some hundredths of a radian after a bad calibration. `find_zeros` tries quarter turns one joint and two
-neighbours at a time, then small errors by the torque's derivatives, and doubts what makes the fit clearly better. A
-payload or a spring that the model lacks asks for other torques, as a wrong zero does; the message names it, too.
+With a wrong zero the model bends the arm at a wrong angle. Logs are off by quarter turns where URDF and encoder count
+from different poses, and by some hundredths of a radian after a bad calibration. `find_zeros` tries quarter turns of
+one joint and of two neighbours, then small errors by the torque's derivatives, and doubts the zeros whose change makes
+the fit clearly better. A payload or a spring that the model lacks changes the torques in a similar way; the message
+names this possibility, too.
 
-It asks fits of the torque with other angles. Those of excitation runs, where the inertials are free, are in
-excitation/checks.py. Those here are of gravity on joints that slide, with the URDF's inertials as known within some
-20 %: a small error is an extra column. An axis along gravity has no such derivative, and a link whose weight is
-uncertain makes good for a small error; both show in the deviation.
+It needs fits of the torque with other angles. Those for excitation runs, where the inertials are free, are in
+excitation/checks.py. Those in this module fit gravity on sliding joints, with the URDF's inertials known to some 20 %:
+a small error is an extra column. For an axis along gravity this derivative is 0, and an uncertain weight of a link can
+compensate a small error; both show in the deviation.
 """
 
 from __future__ import annotations
@@ -29,59 +30,59 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.records import JointRecord
 
 _QUARTERS = (-0.5 * math.pi, 0.5 * math.pi, math.pi)  # rad, between zeros of URDF and encoder that count differently
-_MIN_GAIN = 0.02  # share of a joint's unexplained torque that a doubt must take away, at least
+_MIN_GAIN = 0.02  # minimal share of a joint's unexplained torque that a changed zero must explain
 SMALLEST: Final = 0.01
-"""Error of a zero that counts, rad: elasticity and rounded geometry pass for less."""
-_SIGNIFICANT_SD = 4.0  # standard deviations from which a small error is one
-_MAX_SMALL_ERROR = 0.4  # rad: up to which the derivative is good for the torque
+"""Smallest error of a zero to report, rad: elasticity and rounded geometry cause less."""
+_SIGNIFICANT_SD = 4.0  # standard deviations above which a small error is significant
+_MAX_SMALL_ERROR = 0.4  # rad, up to which the derivative predicts the torque
 ROUNDS: Final = 3
-"""Of weights, and of Gauss and Newton."""
+"""Rounds of reweighting, and of Gauss-Newton steps."""
 _INERTIAL_PRIOR_SD = 0.2  # of a link's mass, first moment and inertia: standard deviation of the URDF's values
-_MIN_LEVER = 0.05  # m: distance of a link's centre of mass that is not known better than this, times _INERTIAL_PRIOR_SD
+_MIN_LEVER = 0.05  # m; the centre of a link's mass is not known better than this times _INERTIAL_PRIOR_SD
 _CHI2_DROP = 36.0  # by which a quarter turn must lower chi squared: six standard deviations
-_ZERO_PRIOR_SD = 1.0  # rad, standard deviation of a zero of which nothing is known
-_UNINFORMATIVE_SHARE = 0.5  # of it, from which the torques tell nothing of a zero
+_ZERO_PRIOR_SD = 1.0  # rad, standard deviation of a zero without data
+_UNINFORMATIVE_SHARE = 0.5  # of it, above which the torques do not determine a zero
 _PRIORS = (1e-6, 1.0, 1.0 / _ZERO_PRIOR_SD)  # of columns of friction, of errors of inertials in their units, of zeros
-_MAX_INSTANTS, _SCREENING_STRIDE = 400, 5  # instants that are looked at, and which of them rule out most turns
-_MEAN_S, _CLUSTER_S = 0.05, 1.0  # s over which a run is averaged, and within which its errors are taken as one
+_MAX_INSTANTS, _SCREENING_STRIDE = 400, 5  # instants that are fitted, and the share of them that screens most turns
+_MEAN_S, _CLUSTER_S = 0.05, 1.0  # s over which a run is averaged, and within which its errors count as one
 _SLIDING_SPEED = 0.02  # rad/s from which an element slides
-_MIN_TORQUE_SD = 3e-3  # of the torque's RMS: no joint is told better, for stamps, gears and geometry are not
+_MIN_TORQUE_SD = 3e-3  # of the torque's RMS: stamps, gears and geometry allow no better determination
 _DECAY_SHARES = (0.02, 0.15)  # decay of Stribeck-like columns over the fastest speed
 
 
 @dataclass(frozen=True, eq=False)
 class ZeroCheck:
-    """Which zeros would explain the recorded torques better than those given.
+    """The zeros that would explain the recorded torques better than the given ones.
 
     Attributes:
         names: n joints.
-        zero: that were used, rad, shape (n,).
-        error: of them, rad, shape (n,): 0 where nothing speaks against one.
-        deviation: standard deviation of small errors, rad, shape (n,); 0 where it is not known, as of quarter turns.
-        told: whether the torques tell an error of the joint's zero at all, shape (n,).
-        before: RMS of the torque that is left, over that of the torque, all joints together.
+        zero: the given zeros, rad, shape (n,).
+        error: of the zeros, rad, shape (n,); 0 where there is no evidence of an error.
+        deviation: standard deviation of small errors, rad, shape (n,); 0 where it is not known, as for quarter turns.
+        identifiable: whether the torques determine an error of the joint's zero at all, shape (n,).
+        before: RMS of the unexplained torque over the RMS torque, all joints together.
         after: the same with the better zeros.
-        of: what is left, where that is not what the best fit leaves of all joints, such as " of joint_3".
+        of: scope of these two where it is not the best fit of all joints, such as " of joint_3".
     """
 
     names: tuple[str, ...]
     zero: Array
     error: Array
     deviation: Array
-    told: Mask
+    identifiable: Mask
     before: float
     after: float
     of: str = ""
 
     def of_joints(self, some: Mask) -> ZeroCheck:
-        """Return what it says of some of the joints, shape (n,)."""
+        """Return the check of some of the joints, a mask of shape (n,)."""
         names = tuple(name for name, one in zip(self.names, some.tolist(), strict=True) if one)
-        arrays = {name: getattr(self, name)[some] for name in ("zero", "error", "deviation", "told")}
+        arrays = {name: getattr(self, name)[some] for name in ("zero", "error", "deviation", "identifiable")}
         return replace(self, names=names, **arrays)
 
     @property
     def text(self) -> str:
-        """Return it in words; empty where nothing speaks against the zeros."""
+        """Return the finding in words; empty where nothing contradicts the zeros."""
         wrong = [
             f"{name} by {error:.4g}{f' +- {spread:.2g}' if spread else ''} rad"
             for name, error, spread in zip(self.names, self.error.tolist(), self.deviation.tolist(), strict=True)
@@ -90,51 +91,53 @@ class ZeroCheck:
         if not wrong:
             return ""
         better = (np.round(self.zero + self.error, 6) + 0.0).tolist()
-        silent = [name for name, told in zip(self.names, self.told.tolist(), strict=True) if not told]
-        rest = f"; the torques do not tell the zero of {', '.join(silent)}" if silent else ""
+        silent = [
+            name for name, identifiable in zip(self.names, self.identifiable.tolist(), strict=True) if not identifiable
+        ]
+        unidentified = f"; the torques do not tell the zero of {', '.join(silent)}" if silent else ""
         return (
             f"zeros: {', '.join(wrong)} {'seem' if len(wrong) > 1 else 'seems'} to be off (unexplained torque"
             f"{self.of} {self.before:.1%} -> {self.after:.1%}), or the model lacks a payload or a spring: "
-            f"try --zero {' '.join(f'{value:.6g}' for value in better)}{rest}"
+            f"try --zero {' '.join(f'{value:.6g}' for value in better)}{unidentified}"
         )
 
 
 def encoder_error(shift: Array) -> Array:
-    """Return the errors of zeros, within half a turn, for joints that stand further on than assumed by `shift`, rad.
+    """Return the errors of zeros, within half a turn, if the true angles exceed the assumed ones by `shift`, rad.
 
-    Recorded angles lose the zero, so that a joint which stands a further on has a zero that is a less.
+    The zero is subtracted from the recorded angles, so the zero of such a joint is too large by the same angle.
     """
     return np.array([math.remainder(-value, 2.0 * math.pi) if value else 0.0 for value in shift.tolist()])
 
 
-Left = Mapping[str, Array]
-"""Mean square of the torque of each joint that fits leave, Nm^2, shape (n,), by what the fits hold fixed, in words.
+ResidualPower = Mapping[str, Array]
+"""Mean square of each joint's residual torque, Nm^2, shape (n,), by what the fit holds fixed, in words.
 
-The first is that of the fit in which all is free, "".
+The first entry, "", is the fit with all parameters free.
 """
 
 
 class ZeroFits(Protocol):
-    """Fits of recorded torques with joints that stand further on than recorded, by angles of n joints, rad, (n,)."""
+    """Fits of recorded torques with the recorded angles of n joints increased by a shift, rad, shape (n,)."""
 
     @property
     def torque(self) -> Array:
         """Return the mean square of the torque of each joint, Nm^2, shape (n,)."""
 
-    def left(self, shift: Array) -> Left:
-        """Return the mean square of what fits with such angles leave of it."""
+    def residual_power(self, shift: Array) -> ResidualPower:
+        """Return the mean square residual of fits with shifted angles."""
 
     def best(self, trials: list[Array], start: Array) -> Array:
-        """Return those of some angles that leave least, by the weights of others."""
+        """Return the trial with the smallest residual, by the weights of the fit at `start`."""
 
     def clearly_better(self, shift: Array, than: Array) -> bool:
-        """Return whether some angles explain more of the torque than others, by more than chance."""
+        """Return whether one shift explains more of the torque than another, by more than chance."""
 
     def small(self, start: Array) -> tuple[Array, Array]:
-        """Return what is missing beside such angles, by derivatives, and its standard deviations, rad, each (n,)."""
+        """Return further small errors at a shift, by derivatives, and their standard deviations, rad, each (n,)."""
 
-    def told(self, deviation: Array) -> Mask:
-        """Return the joints whose zero the torques tell, by the deviations of `small`, shape (n,)."""
+    def identifiable(self, deviation: Array) -> Mask:
+        """Return the joints whose zero the torques determine, by the deviations of `small`, shape (n,)."""
 
 
 def find_zeros(fits: ZeroFits, names: tuple[str, ...], zero: Array | None, joints: Mask) -> ZeroCheck:
@@ -143,47 +146,51 @@ def find_zeros(fits: ZeroFits, names: tuple[str, ...], zero: Array | None, joint
     Args:
         fits: of the torque, with the zeros as they were given.
         names: n joints.
-        zero: recorded angles where those of the URDF are 0, rad, shape (n,); by default 0.
+        zero: recorded angles in the zero pose of the URDF, rad, shape (n,); by default 0.
         joints: whose zeros may be wrong, shape (n,).
     """
     none, own = np.zeros(len(names)), np.flatnonzero(joints).tolist()
-    turned = none
+    quarter_shift = none
     for _ in own:
-        single, double = quarter_turns(turned, own)
-        best = fits.best(single, turned)
-        if double and fits.clearly_better(two := fits.best(double, turned), best):
+        single, double = quarter_turns(quarter_shift, own)
+        best = fits.best(single, quarter_shift)
+        if double and fits.clearly_better(two := fits.best(double, quarter_shift), best):
             best = two
-        if not fits.clearly_better(best, turned):
+        if not fits.clearly_better(best, quarter_shift):
             break
-        turned = best
-    small, deviation = fits.small(turned)
-    sure = joints & is_error(small, deviation) & (np.abs(small) < _MAX_SMALL_ERROR)
-    told, known = fits.told(deviation), np.where(sure, deviation, 0.0)
-    check = ZeroCheck(names, none if zero is None else zero, none, known, told, 0.0, 0.0)
-    return check_of(check, turned + np.where(sure, small, 0.0), fits.left, fits.torque)
+        quarter_shift = best
+    small, deviation = fits.small(quarter_shift)
+    significant = joints & is_error(small, deviation) & (np.abs(small) < _MAX_SMALL_ERROR)
+    identifiable, known = fits.identifiable(deviation), np.where(significant, deviation, 0.0)
+    check = ZeroCheck(names, none if zero is None else zero, none, known, identifiable, 0.0, 0.0)
+    return check_of(check, quarter_shift + np.where(significant, small, 0.0), fits.residual_power, fits.torque)
 
 
 def is_error(small: Array, deviation: Array) -> Mask:
-    """Return which small errors are large beside their deviation, and large enough to count, each shape (n,)."""
+    """Return which small errors are significant, and large enough to report, each shape (n,)."""
     return np.asarray(np.abs(small) > np.maximum(SMALLEST, _SIGNIFICANT_SD * deviation))
 
 
-def check_of(check: ZeroCheck, shift: Array, left: Callable[[Array], Left], torque: Array) -> ZeroCheck:
-    """Return which angles are doubted: those without which a fit would be worse, and what they make of it.
+def check_of(
+    check: ZeroCheck, shift: Array, residual_power: Callable[[Array], ResidualPower], torque: Array
+) -> ZeroCheck:
+    """Return the check with those angles that a fit needs, and the gain from them.
 
-    An error may be many of its deviations large and still explain nothing that matters. One by one, the angle that does
-    least for the fits is taken back, until each that stays lowers what is left of some joint's torque by 2 %.
+    An error may be many deviations large and still explain no relevant torque. Therefore angles are withdrawn one by
+    one, the least useful first, until each remaining one lowers the unexplained torque of some joint by 2 %.
 
     Args:
         check: joints, zeros and deviations.
-        shift: angles that are doubted, rad, shape (n,).
-        left: by fits with such angles.
+        shift: suspected angles, rad, shape (n,).
+        residual_power: of fits with such angles.
         torque: mean square of the torque of each joint, Nm^2, shape (n,).
     """
     shift, none = shift.copy(), np.zeros(len(check.names))
-    before, after = left(none), left(shift)
+    before, after = residual_power(none), residual_power(shift)
     while shift.any():
-        others = {k: left(np.where(np.arange(len(none)) == k, 0.0, shift)) for k in np.flatnonzero(shift).tolist()}
+        others = {
+            k: residual_power(np.where(np.arange(len(none)) == k, 0.0, shift)) for k in np.flatnonzero(shift).tolist()
+        }
         gains = {k: _gain(other, after)[0] for k, other in others.items()}
         least = min(gains, key=lambda k: gains[k])
         if min(gains[least], _gain(before, after)[0]) >= _MIN_GAIN:
@@ -192,16 +199,17 @@ def check_of(check: ZeroCheck, shift: Array, left: Callable[[Array], Left], torq
     _, fit = _gain(before, after)
     pair, of = np.sqrt(np.stack([before[fit], after[fit]]) / max(float(torque.sum()), 1e-300)), fit
     both = np.linalg.norm(pair, axis=1)
-    if shift.any() and f"{both[0]:.1%}" == f"{both[1]:.1%}":  # little of the arm's torque, but not of a joint's
+    if shift.any() and f"{both[0]:.1%}" == f"{both[1]:.1%}":  # little of the arm's torque, but not of one joint's
         joint = int(np.argmin(pair[1] / np.maximum(pair[0], 1e-300)))
         both, of = pair[:, joint] * math.sqrt(float(torque.sum() / torque[joint])), f" of {check.names[joint]}{fit}"
     return replace(check, error=encoder_error(shift), before=float(both[0]), after=float(both[1]), of=of)
 
 
-def _gain(before: Left, after: Left) -> tuple[float, str]:
-    """Return by which share the RMS of some joint falls in some fit, all joints together no worse, and in which.
+def _gain(before: ResidualPower, after: ResidualPower) -> tuple[float, str]:
+    """Return the largest relative fall of a joint's RMS in a fit that worsens no total, and the scope of that fit.
 
-    Where all is free, nothing may become worse: zeros may spare the inertials an error, as that of a heavy payload.
+    The fit with all parameters free must never become worse: zeros could hide an error of the inertials, such as a
+    heavy payload.
     """
     if after[""].sum() >= before[""].sum():
         return 0.0, ""
@@ -213,9 +221,9 @@ def _gain(before: Left, after: Left) -> tuple[float, str]:
 
 
 def quarter_turns(start: Array, joints: Iterable[int]) -> tuple[list[Array], list[Array]]:
-    """Return the angles with a quarter turn of one of some joints, and with turns of two neighbours, rad, each (n,).
+    """Return the angles with a quarter turn of one joint, and with turns of two neighbours, rad, each (n,).
 
-    Opposite turns of neighbours leave the rest of the arm where it is: either alone may be no better.
+    Opposite turns of neighbours leave the rest of the arm where it is, so either alone may be no better.
     """
     axes = dict(zip(joints, np.eye(len(start))[list(joints)], strict=True))
     single = [start + turn * axis for axis in axes.values() for turn in _QUARTERS]
@@ -231,7 +239,7 @@ class Instants:
     Attributes:
         position: rad, velocity: rad/s, acceleration: rad/s^2, and torque of the drives: Nm, each of shape (m, n).
         sliding: whether each friction element slides and does not stick, shape (m, n_el).
-        plateau: number of the stretch whose errors hang together, shape (m,).
+        plateau: number of the stretch within which errors are correlated, shape (m,).
     """
 
     position: Array
@@ -251,7 +259,7 @@ def record_instants(record: JointRecord, arm: RigidArm) -> Instants:
         return np.asarray(values[: count * size].reshape(count, size, -1).mean(axis=1))
 
     time, velocity, inputs = mean(record.time)[:, 0], mean(record.velocity), record.velocity @ arm.element_matrix.T
-    # Each sample of a mean has to slide, and all of them in one direction.
+    # Every sample of a mean has to slide, all of them in one direction.
     slides = (mean(1.0 * (np.abs(inputs) > _SLIDING_SPEED)) == 1.0) & (np.abs(mean(np.sign(inputs))) == 1.0)
     return Instants(
         position=mean(record.position),
@@ -269,7 +277,7 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
     Args:
         instants: with the zeros as they were given.
         arm: rigid-body model with the inertials of the URDF.
-        zero: recorded angles where those of the URDF are 0, rad, shape (n,); by default 0.
+        zero: recorded angles in the zero pose of the URDF, rad, shape (n,); by default 0.
     """
     stride = max(1, math.ceil(len(instants.torque) / _MAX_INSTANTS))
     fits = _SlidingFits(Instants(**{one.name: getattr(instants, one.name)[::stride] for one in fields(Instants)}), arm)
@@ -284,7 +292,7 @@ class _Fit(NamedTuple):
 
 
 class _SlidingFits:
-    """Weighted fits of friction, errors of the inertials and of the zeros, with other angles."""
+    """Weighted fits of friction, errors of the inertials and errors of the zeros, with shifted angles."""
 
     def __init__(self, instants: Instants, arm: RigidArm) -> None:
         self._at, self._arm = instants, arm
@@ -303,8 +311,8 @@ class _SlidingFits:
         """Return the mean square of the torque of each joint where no element sticks, Nm^2, shape (n,)."""
         return self._mean_square(self._at.torque[self._usable])
 
-    def left(self, shift: Array) -> Left:
-        """Return the mean square that friction does not explain of it, with free and with the described inertials."""
+    def residual_power(self, shift: Array) -> ResidualPower:
+        """Return the mean square residual beside friction, with free inertials and with those of the description."""
         weight, target = self.weight(shift), self._cached_rigid(tuple(shift.tolist()), 1)[0]
         friction = self._friction * weight[:, None]
         described = target - self._friction @ np.linalg.lstsq(friction, target * weight, rcond=1e-10)[0]
@@ -315,9 +323,9 @@ class _SlidingFits:
         return np.asarray(np.bincount(self._joint, values**2, len(self._arm.names)) / max(len(values), 1))
 
     def best(self, trials: list[Array], start: Array) -> Array:
-        """Return the angles with the least chi squared by the weights of others.
+        """Return the trial with the least chi squared, by the weights of the fit at `start`.
 
-        Only those are fitted to all instants that some of them do not rule out: fewer equations leave fewer squares.
+        Only trials that a part of the instants does not rule out are fitted to all instants.
         """
         weight, best, least = self.weight(start), start, math.inf
         at_least = [self.fit(shift, weight, every=_SCREENING_STRIDE).squares for shift in trials]
@@ -327,22 +335,22 @@ class _SlidingFits:
         return best
 
     def clearly_better(self, shift: Array, than: Array) -> bool:
-        """Return whether chi squared is less by six standard deviations, by the scatter that the better angles leave.
+        """Return whether chi squared falls by six standard deviations, in units of the better fit's residual scatter.
 
-        With wrong ones all of it passes for noise.
+        With wrong angles all of the misfit would count as noise.
         """
         weight = self.weight(shift)
         return self.fit(than, weight).squares - self.fit(shift, weight).squares > _CHI2_DROP
 
-    def told(self, deviation: Array) -> Mask:
-        """Return the joints of whose zero more is known than before."""
+    def identifiable(self, deviation: Array) -> Mask:
+        """Return the joints whose zero is known better with the torques than without."""
         return deviation < _UNINFORMATIVE_SHARE * _ZERO_PRIOR_SD
 
     def small(self, start: Array) -> tuple[Array, Array]:
         """Return small errors beside quarter turns and their standard deviations, rad, each shape (n,)."""
         shift, weight, count = np.zeros(len(start)), self.weight(start), len(start)
         for _ in range(ROUNDS):
-            # The torque's derivatives by the angles, with the inertials that fit.
+            # The torque's derivatives by the angles, with the fitted inertials.
             first = self._friction.shape[1]
             inertial = self._inertial + self._known * self.fit(start + shift, weight).values[first:]
             motion = self._at.position + start + shift, self._at.velocity, self._at.acceleration
@@ -353,7 +361,7 @@ class _SlidingFits:
         return shift, np.sqrt(np.diag(found.covariance)[-count:])
 
     def weight(self, shift: Array) -> Array:
-        """Return the weight of each row with these angles, by the residuals of a fit and these by the weights."""
+        """Return the weight of each row with shifted angles: weights and residuals of a fit, computed in turn."""
         return self._cached_weight(tuple(shift.tolist()))
 
     def _found_weight(self, shift: tuple[float, ...]) -> Array:
@@ -362,29 +370,29 @@ class _SlidingFits:
             weight = self._weight_of(self.fit(np.array(shift), weight).residual)
         return weight
 
-    def _weight_of(self, left: Array) -> Array:
-        """Return the weight of each row by the residuals' scatter and Kish's factor for stretches that err together."""
-        sums, joints = np.bincount(self._cluster, left), len(self._arm.names)
+    def _weight_of(self, residual_power: Array) -> Array:
+        """Return the weight of each row: residual scatter, and Kish's factor for the correlation within stretches."""
+        sums, joints = np.bincount(self._cluster, residual_power), len(self._arm.names)
         owner = np.zeros(len(sums), dtype=np.int64)
         owner[self._cluster] = self._joint
-        squares, together = np.bincount(self._joint, left**2, joints), np.bincount(owner, sums**2, joints)
+        squares, together = np.bincount(self._joint, residual_power**2, joints), np.bincount(owner, sums**2, joints)
         power = np.maximum(squares, together) / np.maximum(np.bincount(self._joint, minlength=joints), 1)
         return np.asarray(1.0 / np.sqrt(np.maximum(power, _MIN_TORQUE_SD**2 * self._power + 1e-18))[self._joint])
 
     def fit(
         self, shift: Array, weight: Array, slopes: Array | None = None, error: Array | None = None, every: int = 1
     ) -> _Fit:
-        """Fit friction, inertials and, with the torque's slopes by them, zeros with such errors to (some) instants."""
-        kept = self._row % every == 0
+        """Fit friction, inertials and, with the torque's slopes by the angles, zeros to every n-th instant."""
+        chosen = self._row % every == 0
         target, regressor = self._cached_rigid(tuple(shift.tolist()), every)
-        parts = [self._friction[kept], regressor] if slopes is None else [self._friction[kept], regressor, slopes]
+        parts = [self._friction[chosen], regressor] if slopes is None else [self._friction[chosen], regressor, slopes]
         columns, prior = np.hstack(parts), np.repeat(_PRIORS[: len(parts)], [part.shape[1] for part in parts])
-        wanted = np.zeros(columns.shape[1])
+        prior_target = np.zeros(columns.shape[1])
         if error is not None:
-            wanted[-len(error) :] = -error / _ZERO_PRIOR_SD
-        matrix = np.vstack([columns * weight[kept][:, None], np.diag(prior)])
-        right = np.concatenate([target * weight[kept], wanted])
-        # In sweeps of one joint many columns are 0, and their prior stands alone.
+            prior_target[-len(error) :] = -error / _ZERO_PRIOR_SD
+        matrix = np.vstack([columns * weight[chosen][:, None], np.diag(prior)])
+        right = np.concatenate([target * weight[chosen], prior_target])
+        # In sweeps of one joint many columns are 0, and only their prior determines them.
         normal = matrix.T @ matrix
         scale, joined = 1.0 / np.sqrt(np.diag(normal)), np.flatnonzero(np.count_nonzero(normal, axis=1) > 1)
         covariance, some = np.eye(len(normal)), np.ix_(joined, joined)
@@ -392,8 +400,8 @@ class _SlidingFits:
             covariance[some] = pinvh((scale[:, None] * normal * scale)[some], rtol=1e-13)
         covariance = scale[:, None] * covariance * scale
         values = covariance @ (matrix.T @ right)
-        left = right - matrix @ values
-        return _Fit(values, target - columns @ values, float(left @ left), covariance)
+        residual = right - matrix @ values
+        return _Fit(values, target - columns @ values, float(residual @ residual), covariance)
 
     def _rigid(self, shift: tuple[float, ...], every: int) -> tuple[Array, Array]:
         """Return the torque less the rigid arm's, Nm, and its derivatives by errors of the inertials in their units."""
@@ -406,7 +414,7 @@ class _SlidingFits:
 
 
 def _friction(velocity: Array, elements: Array) -> Array:
-    """Return columns that any friction's torque at the joints is nearly made of, shape (m, n, 5 n_el)."""
+    """Return columns that approximate any friction's torque at the joints, shape (m, n, 5 n_el)."""
     inputs = velocity @ elements.T
     fastest = np.maximum(np.abs(inputs).max(axis=0), 1e-9)
     shapes = [1.0 * (inputs > 0.0), 1.0 * (inputs < 0.0), inputs / fastest]

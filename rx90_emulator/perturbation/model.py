@@ -229,7 +229,7 @@ class PerturbationModel:
             refuse_parts(elements, "the perturbation method", held=("bristles",))
             # Its step is the plant's of a tick, so it bears no more.
             arm = self.plants["arm"]
-            plant_steps(setup.robot, setup.drives, friction, arm, setup.rates.period, asked=1, braked=False)
+            plant_steps(setup.robot, setup.drives, friction, arm, setup.rates.period, requested=1, braked=False)
         laws = []
         for controller in controllers or [setup.controller]:
             for name in MODEL_PARTS:

@@ -26,7 +26,7 @@ from viser import GuiInputHandle
 from rx90_common.base.errors import ConfigError, Rx90Error, write_error
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.description.robot import RobotModel
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.interrupts import deferred_interrupts
 from rx90_common.report.plot import Panel
 from rx90_emulator.view import OPENED, TO_OTHERS
 from rx90_emulator.view.guard import PageGuard, listen
@@ -204,7 +204,7 @@ class Page:
         Raises:
             KeyboardInterrupt: on Ctrl-C, between two calls.
         """
-        with nullcontext(check_interrupt) if check_interrupt else interrupts_later() as check:
+        with nullcontext(check_interrupt) if check_interrupt else deferred_interrupts() as check:
             while not until():
                 check()
                 now, wait = time.monotonic(), _LONGEST_WAIT

@@ -22,9 +22,9 @@ from rx90_common.exchange.client_node import (
     NodeWatch,
     ServiceCalls,
     ServiceRequest,
-    hear_log,
     parameter_request,
     state_request,
+    subscribe_log,
     transition_request,
 )
 from rx90_common.friction.friction_file import FrictionFile
@@ -74,7 +74,7 @@ class Operator:
         self._trajectories = TrajectoryClient(self._client, controller)
         nodes = self.simulation, self.controller
         self._watches = [NodeWatch(self._client, self._calls, name) for name in nodes]
-        hear_log(self._client, nodes, self._log_line)
+        subscribe_log(self._client, nodes, self._log_line)
         self._answer_by: float | None = None  # when the controller must have said something of a trajectory
         self._next_look = 0.0
 

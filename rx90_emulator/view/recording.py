@@ -16,7 +16,7 @@ from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.mapping import is_table
 from rx90_common.bags.reading import BagReader, BagTopic
 from rx90_common.bags.recorded import ParameterChange, changes_of, check_robot
-from rx90_common.bags.topics import FIELDS, absolute, tells_changes
+from rx90_common.bags.topics import FIELDS, absolute, reports_changes
 from rx90_common.base.arrays import Array, least_and_largest
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
@@ -377,7 +377,7 @@ def _read(
 ) -> tuple[list[ParameterChange], dict[BagTopic, list[JointSeries]]]:
     """Return the changes of parameters, and the series of each topic with the wanted fields."""
     builders = {topic: bag.series_builder(topic, wanted) for topic, wanted in fields.items()}
-    telling = [topic for topic in bag.topics if tells_changes(topic.name, topic.msgtype)]
+    telling = [topic for topic in bag.topics if reports_changes(topic.name, topic.msgtype)]
     changes: list[ParameterChange] = []
     total = sum(topic.count for topic in (*fields, *telling))
     try:

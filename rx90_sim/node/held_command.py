@@ -1,4 +1,4 @@
-"""The command in free-running time: held while it is new, waited for when it gets old, given up after a while."""
+"""The command in free-running time: held while it is recent, waited for when it is old, given up after a timeout."""
 
 from __future__ import annotations
 
@@ -13,35 +13,36 @@ from rx90_common.base.stamps import cdr_stamp_ns
 from rx90_common.exchange.channel import TickChannel
 from rx90_common.exchange.lockstep import stamped
 
-MOST_AGE = 3
+MAX_AGE = 3
 """Ticks from the states that a command answers to the last that it is applied in: docs/explanation/free_running.md."""
 _LINES = 4  # about the brakes in _LINES_WINDOW; more changes are counted
 _LINES_WINDOW = 10.0  # s
-_OUT_OF_TURN = 3  # commands that are not newer than the one before, within _WINDOW, that make two controllers
+_MAX_OUT_OF_ORDER = 3  # commands that are not newer than the one before, within _WINDOW, that make two controllers
 _WINDOW = 5.0  # s
 _ELSEWHERE = 3  # stamps in a row that make another clock; commands from before a reset are fewer
 _SLICE = 0.05  # s of a wait after which interruptions are looked at
 
 
 class HeldCommand:
-    """Takes the newest command, and waits for one only when the newest is older than `MOST_AGE` ticks.
+    """Holds the newest command, and waits for one only when the newest is older than `MAX_AGE` ticks.
 
     A command's age is counted from the states that it answers, by its stamp: it stays the same while time stands still.
-    The loops bear a few ticks of delay and no more. So a controller that is late for longer holds time up rather than
-    leave the arm to an old torque; one that is silent for the whole of the timeout loses the torque, and time runs on.
+    The loops tolerate a few ticks of delay and no more. So if a controller is late for longer, time waits for it,
+    because an old torque would move the arm; if it sends nothing for the whole timeout, the torque is switched off, and
+    time runs on.
 
     Args:
         channel: receives commands.
         decode: returns the torques of a message, Nm at the motors, None for torque off; raises ExchangeError.
-        period_ns: a tick.
+        period_ns: length of a tick.
         timeout: how long to wait for a command, s.
         announce: prints a line for the user.
-        complain: says what is wrong with commands, which may come thousands of times a second.
-        interrupted: whether somebody waits for the thread that ticks.
+        complain: reports a faulty command; there may be thousands of them in a second.
+        interrupted: returns whether another thread waits for the ticking one.
 
     Attributes:
-        two_controllers: whether two of them send commands.
-        missed: ticks since a command first came in which no fresh one was there.
+        two_controllers: whether two controllers send commands.
+        missed: ticks since the first command for which no recent command had arrived.
         waited: ticks that had to wait for one.
     """
 
@@ -60,7 +61,7 @@ class HeldCommand:
         self._announce, self._complain, self._interrupted = announce, complain, interrupted
         self.wait_for(timeout)
         self.forget()
-        self._out_of_turn: deque[float] = deque(maxlen=_OUT_OF_TURN)
+        self._out_of_order: deque[float] = deque(maxlen=_MAX_OUT_OF_ORDER)
         self.two_controllers = False
         self.missed = self.waited = 0
         self._closed = False  # the brakes, as far as changes were noted
@@ -69,8 +70,8 @@ class HeldCommand:
 
     def wait_for(self, timeout: float) -> None:
         """Wait so long for a command, s, from the next tick on; callable from every thread."""
-        self._timeout, self._oldest = timeout, max(MOST_AGE, round(timeout * NANOSECONDS / self._period_ns))
-        self._most_age = MOST_AGE
+        self._timeout, self._oldest = timeout, max(MAX_AGE, round(timeout * NANOSECONDS / self._period_ns))
+        self._most_age = MAX_AGE
 
     def forget(self) -> None:
         """Drop the command, after a reset."""
@@ -86,9 +87,9 @@ class HeldCommand:
         elif self._answered is not None:
             self.missed += 1
         if self.two_controllers:
-            if time.monotonic() - self._out_of_turn[-1] > _WINDOW:
+            if time.monotonic() - self._out_of_order[-1] > _WINDOW:
                 self.two_controllers = False
-                self._out_of_turn.clear()
+                self._out_of_order.clear()
                 self._announce(f"one controller is left on {self._topic}")
         elif self._followed and self._too_old(tick):
             self._followed = self._wait(tick)
@@ -105,16 +106,16 @@ class HeldCommand:
         self.waited += 1
         deadline = time.monotonic() + self._timeout
         while self._too_old(tick) and not self.two_controllers:
-            left = deadline - time.monotonic()
-            if left <= 0.0:
+            remaining = deadline - time.monotonic()
+            if remaining <= 0.0:
                 return False
             if self._interrupted():
                 return True
-            self._receive(tick, min(left, _SLICE))
+            self._receive(tick, min(remaining, _SLICE))
         return True
 
     def _receive(self, tick: int, timeout: float) -> bool:
-        """Take what has come, or comes within `timeout` seconds; return whether there was a command to follow."""
+        """Receive what has arrived, or arrives within `timeout` seconds; return whether there is a command to apply."""
         raw = self._channel.receive(timeout)
         found = False
         while raw is not None:
@@ -140,9 +141,9 @@ class HeldCommand:
         return True
 
     def _tick_answered(self, stamp: int, tick: int) -> int | None:
-        """Return the tick whose states a command with this stamp, ns, answers; None for one that is out of turn."""
+        """Return the tick of the states that a command with this stamp, ns, answers; None if it is out of order."""
         if stamp <= self._stamp:
-            self._note_out_of_turn()
+            self._note_out_of_order()
             return None
         answered = stamp // self._period_ns
         if not (stamp >= 0 and 0 <= tick - answered <= self._oldest):
@@ -153,17 +154,17 @@ class HeldCommand:
         self._stamp = stamp
         return answered
 
-    def _note_out_of_turn(self) -> None:
+    def _note_out_of_order(self) -> None:
         """A controller answers each tick once and in order, but for the moment in which it begins again."""
         now = time.monotonic()
-        self._out_of_turn.append(now)
-        often = len(self._out_of_turn) == _OUT_OF_TURN and now - self._out_of_turn[0] < _WINDOW
+        self._out_of_order.append(now)
+        often = len(self._out_of_order) == _MAX_OUT_OF_ORDER and now - self._out_of_order[0] < _WINDOW
         if often and not self.two_controllers and self._channel.matches().publishers > 1:
             self.two_controllers = True
             self._announce(f"two controllers publish on {self._topic}: no torque until one is left")
 
     def _announce_brakes(self, opened: bool) -> None:
-        """Say that the brakes have opened or closed, a few times in a while; what comes more often is counted."""
+        """Report that the brakes have opened or closed; if that happens too often, changes are only counted."""
         if opened == self._closed:
             self._closed = not opened
             self._changes += 1
@@ -184,11 +185,13 @@ class HeldCommand:
 
 
 class NewestCommand(HeldCommand):
-    """Takes the newest joint command and holds it, while time goes on, until it is older than a limit.
+    """Holds the newest joint command while time goes on, until it is older than a limit.
 
-    Its age is counted from the states whose stamp it bears. A controller that stamps by a clock of its own, or not at
-    all, is recognised by stamps that are not simulated times of late; of its commands the age is counted from the
-    arrival. `timeout` is the age at which the torque is taken away, s.
+    Its age is counted from the states whose stamp it has. A controller that uses a clock of its own, or sends no
+    stamps, is recognised by stamps that are no recent simulated times; the age of its commands is counted from their
+    arrival.
+    `timeout`
+    is the age at which the torque is switched off, s.
     """
 
     def wait_for(self, timeout: float) -> None:
@@ -209,7 +212,7 @@ class NewestCommand(HeldCommand):
         if stamp >= 0 and 0 <= tick - answered <= self._oldest:
             self._elsewhere = 0
             if stamp < self._stamp:  # the same again is usual where /clock is slower than the commands
-                self._note_out_of_turn()
+                self._note_out_of_order()
                 return None
             self._stamp = stamp
             return answered

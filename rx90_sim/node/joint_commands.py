@@ -1,4 +1,4 @@
-"""Joint commands as motor torques, and what keeps a controller's commands from being heard, each said once."""
+"""Joint commands as motor torques, and reasons why a controller's commands do not arrive, each reported once."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class JointCommands:
     Args:
         joints: the drives seen from the joints.
         names: of the joints.
-        topic: of the commands, as it is said.
-        once: says that there are no efforts.
+        topic: of the commands, for messages.
+        once: reports, once, that there are no efforts.
     """
 
     def __init__(self, joints: JointInterface, names: tuple[str, ...], topic: str, once: OnceLog) -> None:
@@ -37,7 +37,7 @@ class JointCommands:
         """Return the motor torques, motor side, Nm, shape (n,), valid until the next call; None for brakes closed.
 
         Raises:
-            ExchangeError: for what is no command of these joints.
+            ExchangeError: if the message is not a command for these joints.
         """
         _, position, velocity, effort = self._codec.decode(raw)
         if effort is not None:
@@ -50,12 +50,12 @@ class JointCommands:
 
 
 class CommandWatch:
-    """Looks at the graph once a second, on the executor's thread.
+    """Checks the graph once a second, on the executor's thread.
 
     Args:
         node: of the simulation.
-        interface: the one that is commanded, of COMMAND_INTERFACES.
-        once: says what is wrong.
+        interface: the commanded one, of COMMAND_INTERFACES.
+        once: reports each problem once.
     """
 
     def __init__(self, node: Node, interface: str, once: OnceLog) -> None:
@@ -72,7 +72,7 @@ class CommandWatch:
         self._timer = node.create_timer(_LOOK, self.look)
 
     def look(self) -> None:
-        """Say what is wrong with those who command, and those who listen to the states that commands answer."""
+        """Report problems of the publishers of commands, and of the subscribers of the states that commands answer."""
         self._known, self._found = self._found, set()
         found = self._named(self._node.get_publishers_info_by_topic(self._commands))
         for info in found:
@@ -85,10 +85,10 @@ class CommandWatch:
             names = ", ".join(sorted(info.node_name for info in found))
             self._once.say(f"{self._commands}: {len(found)} publishers, {names}; accepted: one controller")
         for info in self._named(self._node.get_subscriptions_info_by_topic(self._states)):
-            asked = QoSProfile(
+            requested = QoSProfile(
                 depth=1, reliability=info.qos_profile.reliability, durability=info.qos_profile.durability
             )
-            compatible, reason = qos_check_compatible(TICK_QOS, asked)
+            compatible, reason = qos_check_compatible(TICK_QOS, requested)
             if compatible == QoSCompatibility.ERROR:
                 self._once.say(
                     f"{self._states}: node {info.node_name} does not get the states ({reason.strip(' ;')}); accepted: "

@@ -28,7 +28,7 @@ from rx90_common.exchange.topics import (
 from rx90_common.friction import load_friction
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_sim.plant import Plant
-from rx90_sim.plant_steps import MOST_STEPS
+from rx90_sim.plant_steps import MAX_STEPS
 
 FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
 """Files of the robot that the node can be given."""
@@ -36,7 +36,7 @@ FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
 
 @dataclass(frozen=True)
 class SimulationParameters:
-    """What the node was asked for; fields other than the rates are declared here.
+    """The node's parameters; fields other than the rates are declared here.
 
     Raises:
         ConfigError: naming parameter, value and what is accepted.
@@ -67,9 +67,7 @@ class SimulationParameters:
     )
     duration: float = option(0.0, "simulated time after which the node ends, s; 0: never", 0.0, 1e9)
     paused: bool = option(False, "begin with time standing still")
-    substeps: int = option(
-        0, "steps of the plant in a tick; 0: as many as friction, mass and gears need", 0, MOST_STEPS
-    )
+    substeps: int = option(0, "steps of the plant in a tick; 0: as many as friction, mass and gears need", 0, MAX_STEPS)
     seed: int = option(
         0,
         "of all that is random in the arm, such as the scatter of its friction; a reset begins with it again",
@@ -123,7 +121,7 @@ class SimulationParameters:
 
     @property
     def command_hz(self) -> int:
-        """Return how often commands are taken, Hz."""
+        """Return the rate of commands, Hz."""
         if self.command_interface == MOTOR_INTERFACE:
             return self.rates.base_hz
         return self.command_rate or self.rates.position_hz

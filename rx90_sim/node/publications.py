@@ -1,7 +1,7 @@
-"""What the simulation publishes beside the motor states, due by tick and stamped with simulated time.
+"""Publications of the simulation other than the motor states, due by tick and stamped with simulated time.
 
-All of it is called by the ticking thread. What nobody listens to is not sent: a message costs the tick more than the
-plant's step.
+All functions are called by the ticking thread. A topic without subscribers is not published: a message takes longer
+than the plant's step.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ _DISPLAY_PERIOD = 1.0 / 30.0  # s of wall time from one sample to the next in a 
 
 
 class SampledStates:
-    """The same messages at SAMPLED_RATE, so that a page or a plot costs the tick a tenth.
+    """The same messages at SAMPLED_RATE, so that a page or a plot needs a tenth of the time per tick.
 
-    That is a rate of simulated time. Where a simulation runs faster than time there are 30 in a second of wall time:
-    nobody sees more, and each of them keeps the simulation from its next tick.
+    That is a rate of simulated time. If a simulation runs faster than real time, 30 are sent in a second of wall time:
+    more cannot be seen, and each of them delays the next tick.
 
     Args:
         node: owner of the topics.
@@ -62,7 +62,7 @@ class SampledStates:
         if tick % self._ticks == 0:
             stamp = tick * self._period_ns
             self._plant.friction_states()
-            # Also for nobody: who comes when time stands still gets the newest.
+            # Also without subscribers: one that subscribes while time stands still gets the newest.
             self._samples = (self._encode_joints(stamp), self._encode_friction(stamp))
             self._since += 1
             now = time.monotonic()
@@ -98,9 +98,10 @@ class Temperatures:
         self._tick = self._sent = -1
 
     def publish_due(self, tick: int) -> None:
-        """Publish the temperatures of this tick if they are due, once, to those who listen.
+        """Publish the temperatures of this tick if they are due and subscribed to, once.
 
-        They are not repeated while time stands still: a recorder could not tell them from others of the same stamp.
+        They are not repeated while time stands still: a recorder could not distinguish them from others with the same
+        stamp.
         """
         if tick < self._tick:  # after a reset
             self._sent = -1
@@ -134,7 +135,7 @@ class Transforms:
     def __init__(self, node: Node, robot: RobotModel, plant: Plant, parameters: SimulationParameters) -> None:
         self._ticks = ticks_per("tf_rate", parameters.rates.base_hz, parameters.tf_rate)
         try:
-            from tf2_msgs.msg import TFMessage  # only where it is asked for: the pip environment may be without
+            from tf2_msgs.msg import TFMessage  # only on request: the pip environment may be without
         except ImportError as error:
             missing = missing_module(error) or error
             raise ConfigError(f"parameter tf_rate is {parameters.tf_rate}: {missing}; or 0") from error
@@ -172,7 +173,7 @@ class Publications:
         publishers: of all topics but /tf_static.
 
     Raises:
-        ConfigError: if a rate does not divide the base rate, or tf2_msgs is asked for and not there.
+        ConfigError: if a rate does not divide the base rate, or tf2_msgs is required and missing.
     """
 
     def __init__(self, node: Node, robot: RobotModel, plant: Plant, parameters: SimulationParameters) -> None:
@@ -194,7 +195,7 @@ class Publications:
         self.publishers = own if self._transforms is None else (*own, self._transforms.publisher)
 
     def publish_due(self) -> None:
-        """Publish what is due in the plant's current tick."""
+        """Publish the messages that are due in the plant's current tick."""
         tick = self._plant.tick
         stamp = tick * self._period_ns
         if tick % self._state_ticks == 0:

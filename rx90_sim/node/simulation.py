@@ -46,7 +46,7 @@ def _ignore(_value: object) -> None:
 
 
 class Simulation:
-    """The node; what it is configured for is a `SimulatedArm`.
+    """The node; between configure and clean-up it has a `SimulatedArm`.
 
     Args:
         make_channel: makes the exchange with the controller.
@@ -66,12 +66,13 @@ class Simulation:
         declare_step_ticks(self.node)
 
     def lead(self, follow: Callable[[TimeMode | None], None], publishers: Callable[[], Sequence[Publisher]]) -> None:
-        """Have a controller in this process follow how time is kept.
+        """Let a controller in this process follow the time mode.
 
         Args:
-            follow: gets it, None when it is not kept any more; raises ExchangeError for rates or a robot that are not
-                its own.
-            publishers: returns those whose messages are to arrive, too, before a run that is not paced goes on.
+            follow: called with the time mode, or with None when it ends; raises ExchangeError for rates or a robot that
+                differ from the controller's own.
+            publishers: returns the publishers whose messages must arrive as well before a run that is not paced goes
+                on.
         """
         self._follow, self._also_listening = follow, publishers
 
@@ -107,7 +108,7 @@ class Simulation:
             self._arm.activate()
 
     def deactivate(self) -> None:
-        """Let time stand still."""
+        """Stop time."""
         if self._arm is not None:
             self._arm.deactivate()
 
@@ -140,7 +141,7 @@ class SimulatedArm:
 
     Attributes:
         ticks: for the ticking thread.
-        time_mode: how time is kept.
+        time_mode: the time mode.
 
     Raises:
         Rx90Error: for files and parameters that are refused, and a second simulation.
@@ -180,7 +181,7 @@ class SimulatedArm:
         self.ticks.control.release()
 
     def deactivate(self) -> None:
-        """Let time stand still: a pause that no service but the lifecycle's ends."""
+        """Stop time: a pause that only the lifecycle ends, no service."""
         self.ticks.control.hold()
         self._node.get_logger().info(f"inactive: time stands still at {self.ticks.time:.6g} s")
 

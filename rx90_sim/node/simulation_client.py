@@ -1,4 +1,4 @@
-"""Ask the simulation node to pause, to step and to reset, and follow its time."""
+"""A client of the simulation node's services pause, step and reset that follows its time."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _NAME = "rx90_sim"
 
 
 class SimulationClient:
-    """The services of a simulation node, each of which raises ExchangeError if it does not do what it is asked.
+    """The services of a simulation node; each raises ExchangeError if the request is not carried out.
 
     Attributes:
-        time: newest simulated time, s, brought up to date by `ClientNode.spin`.
+        time: newest simulated time, s, updated by `ClientNode.spin`.
     """
 
     def __init__(self, client: ClientNode) -> None:
@@ -30,28 +30,28 @@ class SimulationClient:
         self.time = message_time_ns(message.clock) / NANOSECONDS
 
     def pause(self, paused: bool) -> None:
-        """Let time stand still, or run."""
+        """Stop time, or let it run."""
         self._ask(pause_request(_NAME, paused))
 
     def step(self) -> None:
-        """Pause, and run as many ticks as the simulation's parameter `step_ticks` says."""
+        """Pause, and run `step_ticks` ticks, a parameter of the simulation."""
         self._ask(step_request(_NAME))
 
     def reset(self) -> None:
         """Begin again at tick 0."""
         self._ask(reset_request(_NAME))
 
-    def _ask(self, asked: ServiceRequest) -> None:
-        asked.read(self._client.call(asked.kind, asked.service, asked.request))
+    def _ask(self, request: ServiceRequest) -> None:
+        request.read(self._client.call(request.kind, request.service, request.request))
 
 
 def pause_request(node: str, paused: bool) -> ServiceRequest:
-    """Return the request to let the time of a simulation stand still, or run."""
+    """Return the request to stop the time of a simulation or to let it run."""
     return _request(SetBool, f"{node}/pause", SetBool.Request(data=paused))
 
 
 def step_request(node: str) -> ServiceRequest:
-    """Return the request to a simulation to pause, and to run as many ticks as its parameter `step_ticks` says."""
+    """Return the request to a simulation to pause and to run `step_ticks` ticks, its parameter."""
     return _request(Trigger, f"{node}/step", Trigger.Request())
 
 

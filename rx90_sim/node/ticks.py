@@ -30,7 +30,7 @@ _MATCH_ATTEMPTS = 100  # of 50 ms
 _HEARTBEAT_PERIOD = 0.25  # s on the wall clock
 
 
-class Turn(Enum):
+class NextAction(Enum):
     """What the ticking thread does next."""
 
     STEP = auto()
@@ -42,12 +42,12 @@ class Turn(Enum):
 class RunControl:
     """Requests to the ticking thread; every request returns once it has been carried out.
 
-    The ticking thread calls `next_turn` before each tick; services call the others from their own thread.
+    The ticking thread calls `next_action` before each tick; services call the others from their own thread.
 
     Args:
         paused: whether time stands still at first.
         wake: interrupts whatever the ticking thread waits for.
-        last_tick: the run ends before it; None for a run without end.
+        last_tick: the tick before which the run ends; None for a run without end.
 
     Attributes:
         held: whether time stands still by `hold`.
@@ -72,12 +72,12 @@ class RunControl:
         """Return whether the ticking thread should come back from a wait: for a reset or the end."""
         return self.stopped or self._reset
 
-    def next_turn(self, tick: int, timeout: float) -> Turn:
+    def next_action(self, tick: int, timeout: float) -> NextAction:
         """Return what to do before tick `tick`; waits up to `timeout` seconds while paused."""
         last = self._last_tick is not None and tick >= self._last_tick
         # Without the lock, which costs the tick as much as the law: a request that comes now counts before the next.
         if self._undisturbed and not last:
-            return Turn.STEP
+            return NextAction.STEP
         with self._changed:
             if last:
                 self.stopped = True
@@ -87,10 +87,10 @@ class RunControl:
             if not self._runnable():
                 self._changed.wait(timeout)
             if self.stopped:
-                return Turn.STOP
+                return NextAction.STOP
             if self._reset:
-                return Turn.RESET
-            return Turn.STEP if self._runnable() else Turn.WAIT
+                return NextAction.RESET
+            return NextAction.STEP if self._runnable() else NextAction.WAIT
 
     def pause(self) -> None:
         """Stop time before the next tick."""
@@ -101,11 +101,11 @@ class RunControl:
         self._request(_paused=False)
 
     def hold(self) -> None:
-        """Stop time before the next tick, whatever else is asked for, until `release`."""
+        """Stop time before the next tick, whatever other requests there are, until `release`."""
         self._request(held=True)
 
     def release(self) -> None:
-        """End what `hold` began: time runs, unless it is paused."""
+        """End `hold`: time runs, unless it is paused."""
         self._request(held=False)
 
     def stop(self) -> None:
@@ -127,11 +127,11 @@ class RunControl:
         return self._wait_until(lambda: not self._reset, timeout)
 
     def reset_done(self) -> None:
-        """Say that the reset that `next_turn` asked for has been carried out."""
+        """Report that the reset requested by `next_action` has been carried out."""
         self._change(_reset=False, _steps=0)
 
     def step_done(self) -> None:
-        """Say that the tick that `next_turn` asked for has been carried out."""
+        """Report that the tick requested by `next_action` has been carried out."""
         if self._undisturbed:
             return
         with self._changed:
@@ -243,12 +243,12 @@ class Ticks:
         advance = self._step_in_lock_step if self._lock_step else self._step_free_running
         moving = False
         while True:
-            turn = self.control.next_turn(self._plant.tick, _WAIT_SLICE)
-            if turn is Turn.STOP:
+            action = self.control.next_action(self._plant.tick, _WAIT_SLICE)
+            if action is NextAction.STOP:
                 break
-            if turn is Turn.RESET:
+            if action is NextAction.RESET:
                 self._reset()
-            elif turn is Turn.STEP:
+            elif action is NextAction.STEP:
                 if not moving:
                     if self._plant.tick == 0:
                         stop = self.control.interrupting
@@ -260,7 +260,7 @@ class Ticks:
                     self.control.step_done()
             else:
                 self._beat()
-            moving = turn is Turn.STEP
+            moving = action is NextAction.STEP
         wait_until_received(self._publishers)
 
     def _step_in_lock_step(self) -> bool:
@@ -278,15 +278,15 @@ class Ticks:
         return True
 
     def _interrupted(self) -> bool:
-        """Return whether the exchange should come back; asked now and then while there is no command."""
+        """Return whether the exchange should return; called now and then while there is no command."""
         self._beat()
         return self.control.interrupting()
 
     def _beat(self) -> None:
-        """Repeat what was published last, to the bit, now and then while the tick stays the same.
+        """Repeat the last publications, to the bit, now and then while the tick stays the same.
 
-        Latching would not do: only subscribers that ask for it get it, and those would get as many old samples as the
-        queue of a recorder is deep.
+        Latching would not do: only subscribers that request it get the latched message, and they would get as many old
+        samples as the queue of a recorder is deep.
         """
         now, tick = time.monotonic(), self._plant.tick
         if tick == self._waiting_tick:

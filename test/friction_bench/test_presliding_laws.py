@@ -162,8 +162,8 @@ def _cycled(drift: float, swing: float, phase: float | Array, cycles: int = 2000
     [
         (2.4, 7.0, sliding.DriftVerdict.DRIFTS),
         (0.024, 0.07, sliding.DriftVerdict.DRIFTS),  # far below a count, and seen by 2000 cycles
-        (0.0, 7.0, sliding.DriftVerdict.STAYS),
-        (0.0004, 7.0, sliding.DriftVerdict.STAYS),  # less than a count in all
+        (0.0, 7.0, sliding.DriftVerdict.NO_DRIFT),
+        (0.0004, 7.0, sliding.DriftVerdict.NO_DRIFT),  # less than a count in all
         (0.0, 0.3, sliding.DriftVerdict.UNKNOWN),  # too stiff for the encoder
         (0.4, 7.0, sliding.DriftVerdict.UNKNOWN),  # a drift that is not LuGre's
         (20.0, 7.0, sliding.DriftVerdict.UNKNOWN),
@@ -185,7 +185,7 @@ def test_a_swing_that_is_not_or_hardly_seen_decides_nothing() -> None:
     (panel,) = drift_plot(result).panels
     assert [mark.label for mark in panel.marks if isinstance(mark, Curve)] == ["measured"]
     phases = np.random.default_rng(1).permutation(np.linspace(0.0, 1.0, 2002, endpoint=False))
-    for swing, verdict in ((1.3, sliding.DriftVerdict.UNKNOWN), (1.7, sliding.DriftVerdict.STAYS)):
+    for swing, verdict in ((1.3, sliding.DriftVerdict.UNKNOWN), (1.7, sliding.DriftVerdict.NO_DRIFT)):
         result = sliding.evaluate_drift(_cycled(0.0, swing, phases), 5, 25, 100.0)
         assert result.swing == pytest.approx(swing, abs=0.01)
         assert result.verdict is verdict, result.reason
@@ -336,7 +336,7 @@ def test_no_block_is_predicted_by_a_fit_that_has_seen_it(monkeypatch: pytest.Mon
         stiffness = laws.LUGRE.fit(found.sliding, others)
         rest = laws.LUGRE.predict(stiffness, found.sliding, [block])[0] - block.torque
         assert score.loops[number] == pytest.approx(np.mean(rest**2), rel=1e-6)
-    assert found.left == (laws.LUGRE,)
+    assert found.remaining == (laws.LUGRE,)
 
 
 def test_break_away_is_that_of_the_slowest_ramps_on_which_the_joint_slid(rig: Rig) -> None:
@@ -380,7 +380,7 @@ def test_the_drift_tells_laws_that_loops_leave(monkeypatch: pytest.MonkeyPatch) 
     assert verdicts == {
         None: "cannot tell: LuGre or elasto-plastic",
         sliding.DriftVerdict.DRIFTS: "LuGre, by its drift",
-        sliding.DriftVerdict.STAYS: "elasto-plastic, by its drift",
+        sliding.DriftVerdict.NO_DRIFT: "elasto-plastic, by its drift",
     }
 
 

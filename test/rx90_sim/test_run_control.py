@@ -7,7 +7,7 @@ import threading
 
 from processes import TIMEOUT, wait_until
 
-from rx90_sim.node.ticks import RunControl, Turn
+from rx90_sim.node.ticks import NextAction, RunControl
 
 
 class Ticking:
@@ -21,11 +21,11 @@ class Ticking:
         self.thread.start()
 
     def _run(self) -> None:
-        while (turn := self.control.next_turn(self.tick, 0.01)) is not Turn.STOP:
-            if turn is Turn.RESET:
+        while (turn := self.control.next_action(self.tick, 0.01)) is not NextAction.STOP:
+            if turn is NextAction.RESET:
                 self.tick = 0
                 self.control.reset_done()
-            elif turn is Turn.STEP:
+            elif turn is NextAction.STEP:
                 self.tick += 1
                 self.control.step_done()
             else:

@@ -1,1 +1,1 @@
-"""The recorder: messages taken from DDS as they are, counted, and written in order."""
+"""The recorder: messages received from DDS unchanged, counted, and written in order."""

@@ -1,4 +1,4 @@
-"""The run of a recorder: find the topics, read on a thread, order and write their messages, and account for each."""
+"""The run of a recorder: find the topics, read on a thread, order and write their messages, and count each."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ _SHOW_PERIOD_S = 0.5
 _NAP_S = 0.1  # gathers some thousand messages: a round has a cost of its own, whatever it brings
 _MAX_PER_ROUND = 4000  # of one topic, so that none keeps the others waiting
 _QUEUE_BYTES = 256 << 20
-_QUIET_S = 0.2  # without a message of a topic after the end was asked for: nothing is under way any more
-_STEADY_QUIET_S = 1.0  # the same of a topic that was sent steadily: a lost message is sent again after some heartbeats
+_QUIET_S = 0.2  # without a message of a topic after the stop request: none is under way any more
+_STEADY_QUIET_S = 1.0  # the same for a topic with steady messages: a lost one is sent again after some heartbeats
 _MAX_DRAIN_S = 5.0
 _MAX_END_S = 30.0  # busy machines take up to 10 s; callers that stop a recorder wait longer than this
 
 
 class MessageReader(threading.Thread):
-    """Reads what arrives, counts it, and keeps it until it is collected.
+    """Reads arriving messages, counts them, and keeps them until they are collected.
 
     Attributes:
-        error: why nothing more will be read: a BagError if the middleware refuses, a BagWriteError if the queue became
-            too long for the memory it may use or the thread did not end; what was read before is there to be collected.
+        error: the reason why reading has ended: a BagError if the middleware refuses, a BagWriteError if the queue
+            became too long for its share of memory or the thread did not end; earlier messages can still be collected.
     """
 
     def __init__(self) -> None:
         super().__init__(name="message reader", daemon=True)
         self._end = threading.Event()
-        self._asked_ns = 0  # when the end was asked for, by the wall clock
+        self._asked_ns = 0  # time of the stop request, by the wall clock
         self._streams: tuple[Stream, ...] = ()
         self._lock = threading.Lock()
         self._queue: list[Arrived] = []
@@ -65,13 +65,13 @@ class MessageReader(threading.Thread):
         self._streams = (*self._streams, stream)
 
     def collect(self) -> list[Arrived]:
-        """Return what was read since the last call."""
+        """Return the messages read since the last call."""
         with self._lock:
             queue, self._queue = self._queue, []
         return queue
 
     def finish(self) -> None:
-        """Read what is still under way, then end the thread; give up if the middleware does not return from a call."""
+        """Read the messages still under way, then end the thread; give up if the middleware does not return."""
         if self._end.is_set():
             return
         self._asked_ns = time.time_ns()
@@ -96,28 +96,28 @@ class MessageReader(threading.Thread):
             self.error = error
 
     def _drain(self) -> None:
-        """Read until each topic is quiet, or at a message that was sent after the end was asked for.
+        """Read until each topic is quiet, or until a message that was sent after the stop request.
 
-        Messages of a publisher come in the order in which they were sent: all that it had sent before are there then.
+        Messages of a publisher arrive in the order in which they were sent: all its earlier ones have then arrived.
         """
         begin = now = time.monotonic()
-        heard = dict.fromkeys(self._streams, begin)
+        last_message = dict.fromkeys(self._streams, begin)
         complete = False
         while not complete and now < begin + _MAX_DRAIN_S:
-            for stream in heard:
+            for stream in last_message:
                 if self._round([stream]):
-                    heard[stream] = time.monotonic()
+                    last_message[stream] = time.monotonic()
             time.sleep(_NAP_S)
             now = time.monotonic()
             # Not at once: the clock of another machine may be ahead.
             complete = now >= begin + _QUIET_S and all(
                 stream.sent_ns > self._asked_ns
                 or now >= at + (_STEADY_QUIET_S if stream.needs_publisher and stream.sent_ns else _QUIET_S)
-                for stream, at in heard.items()
+                for stream, at in last_message.items()
             )
 
     def _round(self, streams: Iterable[Stream]) -> bool:
-        """Read what has come on each topic; return whether there was anything."""
+        """Read the messages that have arrived on each topic; return whether there were any."""
         received: list[Arrived] = []
         self._round_so_far = received
         for stream in streams:
@@ -158,7 +158,7 @@ class TopicCount:
 
 
 class StatusLine:
-    """Shows count, rate and simulated time on a terminal and nothing elsewhere; messages stand above it."""
+    """Shows count, rate and simulated time on a terminal and nothing elsewhere; messages appear above it."""
 
     def __init__(self) -> None:
         self._bar = tqdm(unit=" msgs", unit_scale=True, disable=None, mininterval=0.0, miniters=0)
@@ -192,11 +192,11 @@ class Recorder:
     Args:
         topics: names, relative or absolute, each once.
         ros_args: --ros-args and what follows it (namespace, remappings), or nothing.
-        status: shows the user how the recording goes.
+        status: shows the progress to the user.
 
     Attributes:
-        stalls: times, s, in which this process did not run and which publishers may have taken for its end: what they
-            sent then, and how much, is not known here.
+        stalls: times, s, in which this process did not run, and which publishers may have taken for its end: whether
+            they sent messages then is not known here.
     """
 
     def __init__(self, topics: Sequence[str], ros_args: Sequence[str], status: StatusLine) -> None:

@@ -1,4 +1,4 @@
-"""Recorded topics: their subscriptions, their types, and the counts that prove nothing was lost."""
+"""Recorded topics: their subscriptions, their types, and the counts that show whether messages were lost."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rosbags.interfaces import Qos
 from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.bags.ordering import Arrived, TimeSource
 from rx90_common.bags.recorded import TrajectoryCount
-from rx90_common.bags.topics import CLOCK, JOINT_STATE, JOINT_TRAJECTORY, TRANSFORMS, tells_changes
+from rx90_common.bags.topics import CLOCK, JOINT_STATE, JOINT_TRAJECTORY, TRANSFORMS, reports_changes
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
@@ -30,8 +30,8 @@ from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
 _NEVER = 1 << 63  # ns
-_PAUSE = 0.002  # s; what comes meanwhile at 30,000 messages a second fits into a socket as Linux makes it by default
-_MOST_AT_ONCE = 512  # messages of a take
+_PAUSE = 0.002  # s; the messages in it at 30,000 per second fit into a socket with Linux' default size
+_MAX_BATCH = 512  # messages of a take
 _HEADER = "std_msgs/Header"
 _INFO = ("publication_sequence_number", "received_timestamp", "source_timestamp")
 _BASE = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64"}
@@ -79,7 +79,7 @@ class SequenceCounter:
         return sum(writer.lost for writer in self.writers)
 
     def start(self) -> None:
-        """From now on a writer that newly appears must be heard from its first message on."""
+        """From now on all messages of a new writer must be received, from its first on."""
         self._known_before = None if self._transient_local else self._matched()
 
     def add(self, numbers: Int64Array) -> None:
@@ -175,9 +175,9 @@ class Stream:
         trajectories: counts those that come.
 
     Attributes:
-        definition: the text of its type, if bags of this project do not know it; else empty.
-        repeated: messages that were the one before them once more.
-        sent_ns: when the message taken last was sent, by its publisher's wall clock.
+        definition: the text of its type, if readers of this project do not know it; else empty.
+        repeated: messages that repeated the one before.
+        sent_ns: time at which the newest message was sent, by its publisher's wall clock.
 
     Raises:
         BagError: if the publishers disagree on the type, or it is not installed.
@@ -195,7 +195,7 @@ class Stream:
         self.time_source = TimeSource.LIST if self.msgtype == TRANSFORMS else TimeSource.NEWEST
         if self.msgtype == JOINT_STATE:
             self.time_source = TimeSource.CLOCK
-        elif tells_changes(topic, self.msgtype) or [*kind.get_fields_and_field_types().values()][:1] == [_HEADER]:
+        elif reports_changes(topic, self.msgtype) or [*kind.get_fields_and_field_types().values()][:1] == [_HEADER]:
             self.time_source = TimeSource.STAMP
         known = typestore().fielddefs
         self.definition = "" if self.msgtype in known else definition(kind, known)
@@ -243,7 +243,7 @@ class Stream:
         found: list[tuple[bytes, dict[str, int]]] = []
         handle: Any = self.subscription.handle
         with handle:
-            while len(found) < _MOST_AT_ONCE and (message := handle.take_message(self._kind, True)) is not None:
+            while len(found) < _MAX_BATCH and (message := handle.take_message(self._kind, True)) is not None:
                 found.append(message)
         numbers, received_ns, sent_ns = (np.array([info[name] for _, info in found], dtype=np.int64) for name in _INFO)
         self.counter.add(numbers)
@@ -256,7 +256,7 @@ class Stream:
                 with suppress(Exception):  # rosbags has no error of its own for bytes that are no message
                     self._trajectories.add(self.topic, typestore().deserialize_cdr(message, self.msgtype))
         if self.msgtype in (JOINT_STATE, CLOCK):
-            # Nodes send one again while time stands still, and where it may have been lost: it is no second sample.
+            # Nodes repeat a message while time stands still, and when it may have been lost: it is no second sample.
             again = messages.repeats(self._newest)
             self._newest = found[-1][0]
             self.repeated += int(again.sum())
@@ -272,9 +272,9 @@ class Stream:
         return _total(self._incompatible)
 
     def lost(self) -> int:
-        """Return how many messages were lost, by their sequence numbers and by what the middleware noticed.
+        """Return the number of lost messages, from their sequence numbers and from the middleware's reports.
 
-        The first also sees what this side dropped, the second also sees the end of a topic.
+        The first also contain messages dropped on this side, the second also the end of a topic.
         """
         return max(self.counter.lost, _total(self._message_lost))
 
@@ -300,13 +300,13 @@ def message_class(topic: str, msgtype: str) -> Any:
 
 
 def definition(kind: Any, known: Collection[str]) -> str:
-    """Return the text of a message class, and of what it consists of, as rosbag2 puts it into bags.
+    """Return the text of a message class, and of its parts, in the form that rosbag2 writes to bags.
 
-    Constants, defaults and comments are not in it: messages do not carry them.
+    Constants, defaults and comments are left out: messages do not contain them.
 
     Args:
         kind: the class.
-        known: types whose text is not wanted.
+        known: types whose text is not needed.
     """
     texts: dict[str, str] = {}
 

@@ -1,4 +1,4 @@
-"""Elasto-plastic bristles: purely elastic up to break-away, so that a load that oscillates below it moves nothing on.
+"""Elasto-plastic bristles: purely elastic up to break-away, so that a load oscillating below it causes no drift.
 
 Dupont, Hayward, Armstrong, Altpeter, "Single state elastoplastic friction models", IEEE Transactions on Automatic
 Control 47 (2002). With s = sgn(v), the steady deflection g(v) of equation 19 and the deflection y = s z in the sense of
@@ -12,8 +12,8 @@ the velocity,
 This alpha is the paper's; it has nothing to do with the viscous exponent. The break-away deflection is z_ba =
 break_away tau_c / c0, with the tau_c of the sign of v: a constant below every g(v), as published.
 
-**The step is exact for a velocity held over it.** Time enters by the travel |v| dt alone, and a step passes at most two
-of three branches, because y grows with the travel up to g and stays beyond g where it began there:
+**The step is exact for a constant velocity.** Time enters only as the travel |v| dt, and a step passes at most two
+of three branches, because y grows with the travel up to g and stays beyond g if it began there:
 
 - elastic, y = y0 + travel, until z_ba;
 - from z_ba on, with y = g - (g - z_ba) n, sharpness b = g / (g - z_ba) and n = n0 exp(-u), the equation becomes
@@ -22,11 +22,12 @@ of three branches, because y grows with the travel up to g and stays beyond g wh
 
       x = u - (integral of a / r from n0 exp(-u) to n0),
 
-  whose integrand is smooth, also at n = 0. Gauss's rule with 16 nodes gives it to 1e-9 over the whole branch, and far
-  better over the part of it that a step takes; Newton's method finds u. The mean deflection is an integral of 1 / r;
+  whose integrand is smooth, also at n = 0. Gauss's rule with 16 nodes computes it to 1e-9 over the whole branch, and
+  far better over the part that a step covers; Newton's method solves for u. The mean deflection is an integral of 1 /
+  r;
 - LuGre's exponential beyond g, and within 1e-8 of it, where both agree to rounding.
 
-At v = 0 the deflection keeps its bits. No step length is unstable: the deflection never leaves what it is bounded by.
+At v = 0 the deflection keeps its bits. No step length is unstable: the deflection never exceeds its bound.
 
 **Passivity.** With the stored energy c0 z^2 / 2 the dissipated power is c0 g |v| alpha w^2 + c1 v^2 (1 - alpha w) +
 viscous, w = y / g. For w <= 1 it is never negative. Beyond, where alpha is 1, it is LuGre's: the same bound of c1,
@@ -68,7 +69,7 @@ _SETTLED = 1e-8  # of the way from break-away to steady sliding: nearer, LuGre's
 _LEAST = 1e-300  # of n = n0 exp(-u): 0 would be divided by
 _HALF_PI = 1.5707963267948966
 _CLOSE = 1e-8  # relative correction after which Newton's next one is below rounding
-_MOST_CORRECTIONS = 30
+_MAX_CORRECTIONS = 30
 
 
 @kernel
@@ -128,22 +129,22 @@ def _steady_and_break_away(element: Any, break_away: Number, velocity: Number) -
 
 @inlined
 def _beyond(steady: Number, elastic: Number, y: Number, left: Number) -> tuple[Number, Number]:
-    """Return by how much a deflection beyond break-away grows, and the mean of what it lacks to the steady one, rad.
+    """Return the growth of a deflection beyond break-away, and the mean of its distance from the steady one, rad.
 
     Args:
         steady: deflection of steady sliding, rad.
         elastic: of break-away, rad.
         y: at the start, rad.
-        left: travel over the steady deflection.
+        left: remaining travel over the steady deflection.
     """
     span, rest = steady - elastic, steady - y
     phi, psi = decay(left)
     gain, mean = rest * left * phi, rest * (1.0 - left * psi)
     n = rest / span
-    bent = select(n > _SETTLED, left, 0.0)
-    inside = bent > 0.0
+    curved = select(n > _SETTLED, left, 0.0)
+    inside = curved > 0.0
     if any_lane(inside):
-        grown, lacking = _transition(select(n < 1.0, n, 1.0), bent, steady / span)
+        grown, lacking = _transition(select(n < 1.0, n, 1.0), curved, steady / span)
         gain, mean = select(inside, span * grown, gain), select(inside, span * lacking, mean)
     return gain, mean
 
@@ -157,7 +158,7 @@ def _transition(n0: Number, travel: Number, sharpness: Number) -> tuple[Number, 
     """
     u = travel * (1.0 + n0 * _bend(n0, sharpness))
     moving, mean = 1.0 + 0.0 * u, 0.0 * u
-    for _ in range(_MOST_CORRECTIONS):
+    for _ in range(_MAX_CORRECTIONS):
         after = n0 * exponential(-u)
         after = select(after < _LEAST, _LEAST, after)
         shortfall, inverse = _integrals(n0, after, -n0 * exponential_less_one(-u), sharpness)

@@ -1,4 +1,4 @@
-"""Generalised Maxwell slip: blocks on springs side by side, each of which sticks or slips; the memory is not local.
+"""Generalised Maxwell slip: parallel blocks on springs, each of which sticks or slips; the memory is not local.
 
 Lampaert, Al-Bender, Swevers, "A generalized Maxwell-slip friction model appropriate for control purposes", IEEE Physics
 and Control (2003). Block i carries the part k_i of the stiffness c0 and the part a_i of the sliding torque
@@ -14,17 +14,17 @@ damping c1 is shared by the blocks as the stiffness is.
 
 The bound dz_i/dt <= v is not in the paper. Without it a slipping block whose torque lags behind a rising T(v), as while
 a joint comes to rest, would be loaded by the attraction faster than the joint moves: it would slip backwards, against
-its friction, and create energy. With it such a block sticks. Where the attraction asks for no more than v, the
+its friction, and create energy. With it such a block sticks. If the attraction requires no more than v, the
 equations are the paper's; at v = 0 no block moves, to the last bit, and no sticking joint creeps.
 
-**The step is exact for a velocity held over it.** With r_i = a_i g / k_i, the block's deflection in steady sliding, and
-the rate C / T, common to all blocks, a block sticks until its deflection is r_i, or, if it slips already, until it is
-r_i - |v| T / C, where the attraction asks for exactly v. The time until then is known; what remains of the step is an
-exponential approach of r_i. So every step length is stable, and mean torques are those of these solutions.
+**The step is exact for a constant velocity.** Let r_i = a_i g / k_i be the block's deflection in steady sliding, and
+C / T the rate, common to all blocks. A block sticks until its deflection is r_i, or, if it slips already, until it is
+r_i - |v| T / C, where the attraction requires exactly v. The time until then is known; the remainder of the step is an
+exponential approach to r_i. So every step length is stable, and mean torques are those of these solutions.
 
 **Passivity.** The stored energy is c0 times the sum of k_i z_i^2 / 2. A block that sticks, or slips with F_i <= a_i T,
-takes power. One that slips with F_i = (1 + d) a_i T gives v F_i + A_i d F_i, A_i = C a_i / (k_i c0), while c1 takes
--c1 k_i A_i d v of it; the least of this over d > 0 is not negative where
+dissipates power. One that slips with F_i = (1 + d) a_i T supplies v F_i + A_i d F_i, A_i = C a_i / (k_i c0), of which
+c1 dissipates -c1 k_i A_i d v; the least of this over d > 0 is not negative where
 
     c1(v) |v| k_i <= a_i T(v) (1 + sqrt(|v| / A_i))^2    for every block.
 
@@ -42,12 +42,12 @@ from rx90_common.friction.bristle import damping, decay, sliding_torque, viscous
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, lane, load, prefix_sum, select, store
 
-MOST_BLOCKS: Final = 10
+MAX_BLOCKS: Final = 10
 """Of an element."""
 
 
 class MaxwellBlocks(NamedTuple):
-    """The blocks of one element, a lane for each of MOST_BLOCKS: those that are not there have no stiffness.
+    """The blocks of one element, a lane for each of MAX_BLOCKS: those that are not there have no stiffness.
 
     Attributes:
         stiffness: in parts of c0.
@@ -62,7 +62,7 @@ class MaxwellBlocks(NamedTuple):
 
 def blocks_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the blocks of `width` elements, the element the first index."""
-    each = (width, MOST_BLOCKS)
+    each = (width, MAX_BLOCKS)
     return np.dtype(
         [("stiffness", np.float64, each), ("reach", np.float64, each), ("attraction", np.float64, (width,))], align=True
     )
@@ -72,7 +72,7 @@ def blocks_dtype(width: int) -> np.dtype[np.void]:
 def load_blocks(arrays: Any, index: int) -> MaxwellBlocks:
     """Return the blocks of one element of such a record."""
     return MaxwellBlocks(
-        load(arrays.stiffness[index], MOST_BLOCKS), load(arrays.reach[index], MOST_BLOCKS), arrays.attraction[index]
+        load(arrays.stiffness[index], MAX_BLOCKS), load(arrays.reach[index], MAX_BLOCKS), arrays.attraction[index]
     )
 
 
@@ -80,27 +80,27 @@ def load_blocks(arrays: Any, index: int) -> MaxwellBlocks:
 def weighted_squares(arrays: Any, index: int, state: NDArray[np.float64]) -> float:
     """Return the sum of stiffness, in parts of c0, times squared deflection, rad^2, over the blocks of one element."""
     total = 0.0
-    for k in range(MOST_BLOCKS):
+    for k in range(MAX_BLOCKS):
         total += arrays.stiffness[index, k] * state[0, k] * state[0, k]
     return total
 
 
 @inlined
 def _total(parts: Lanes) -> float:
-    return lane(prefix_sum(parts), MOST_BLOCKS - 1)
+    return lane(prefix_sum(parts), MAX_BLOCKS - 1)
 
 
 @kernel
 def maxwell_slip_torque(element: Any, arrays: Any, index: int, state: NDArray[np.float64], velocity: float) -> float:
     """Return the friction torque at one instant, Nm; arguments as those of `maxwell_slip_step`."""
-    blocks, z = load_blocks(arrays, index), load(state[0], MOST_BLOCKS)
+    blocks, z = load_blocks(arrays, index), load(state[0], MAX_BLOCKS)
     sliding = sliding_torque(element, velocity)
     sense = 1.0 if velocity >= 0.0 else -1.0
     lacking = blocks.reach * (sliding / element.c0) - sense * z
     attracted = (blocks.attraction / sliding) * lacking
     speed = abs(velocity)
     bound = select(attracted < speed, attracted, speed)
-    slips = select(load(state[1], MOST_BLOCKS) * sense > 0.0, bound, select(lacking > 0.0, speed, bound))
+    slips = select(load(state[1], MAX_BLOCKS) * sense > 0.0, bound, select(lacking > 0.0, speed, bound))
     z_dot = sense * slips if speed > 0.0 else 0.0 * z
     rate = _total(blocks.stiffness * z_dot)
     bristles: float = element.c0 * _total(blocks.stiffness * z) + damping(element, velocity) * rate
@@ -118,14 +118,14 @@ def maxwell_slip_step(
         arrays: record of `blocks_dtype`.
         index: of the element in it.
         state: deflections, rad, and the sense of the velocity with which a block slips, 0 if it sticks, shape
-            (2, MOST_BLOCKS); advanced in place.
+            (2, MAX_BLOCKS); advanced in place.
         velocity: rad/s.
         step: s.
 
     Returns:
         The blocks' new mean deflection, by their stiffness, rad, and the mean friction torque over the step, Nm.
     """
-    blocks, z, slipping = load_blocks(arrays, index), load(state[0], MOST_BLOCKS), load(state[1], MOST_BLOCKS)
+    blocks, z, slipping = load_blocks(arrays, index), load(state[0], MAX_BLOCKS), load(state[1], MAX_BLOCKS)
     before = _total(blocks.stiffness * z)
     if velocity == 0.0:
         return before, element.c0 * before

@@ -9,7 +9,7 @@ import numpy as np
 from rx90_common.friction.bristle import bristle_step, friction_torque
 from rx90_common.friction.bristles.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.friction.bristles.maxwell_slip import (
-    MOST_BLOCKS,
+    MAX_BLOCKS,
     blocks_dtype,
     maxwell_slip_step,
     maxwell_slip_torque,
@@ -36,10 +36,10 @@ def bristles_dtype(width: int) -> np.dtype[np.void]:
 
 
 def bristles_state_dtype(width: int) -> np.dtype[np.void]:
-    """Return the type of what bristles remember beside the deflection that every element has."""
+    """Return the type of the bristles' state besides the deflection that every element has."""
     return np.dtype(
         [
-            ("blocks", np.float64, (width, 2, MOST_BLOCKS)),  # deflections and senses, as `maxwell_slip_step` has them
+            ("blocks", np.float64, (width, 2, MAX_BLOCKS)),  # deflections and senses, as `maxwell_slip_step` has them
             ("deflection", np.float64, (width,)),  # workspace of a step
             ("torque", np.float64, (width,)),
         ],
@@ -74,10 +74,10 @@ def bristles_step(
     new, torque = bristle_step(element, z, velocity, step)
     if kinds.elastic_used:
         elastic = load(kinds.elastic, width) > 0.0
-        # An element of another kind stands still here: nothing is computed for its way to sliding.
+        # An element of another kind has no motion here: nothing is computed for its way to sliding.
         moving = select(elastic, velocity, 0.0)
-        bent, its_torque = elasto_plastic_step(element, load(kinds.break_away, width), z, moving, step)
-        new, torque = select(elastic, bent, new), select(elastic, its_torque, torque)
+        elasto_plastic, its_torque = elasto_plastic_step(element, load(kinds.break_away, width), z, moving, step)
+        new, torque = select(elastic, elasto_plastic, new), select(elastic, its_torque, torque)
     if kinds.blocks_used:
         store(state.deflection, new)
         store(state.torque, torque)
@@ -95,8 +95,8 @@ def bristles_torque(element: Any, kinds: Any, state: Any, z: Lanes, velocity: La
     """Return the friction torques of all elements at one instant, Nm; arguments as those of `bristles_step`."""
     torque = friction_torque(element, z, velocity)
     if kinds.elastic_used:
-        bent = elasto_plastic_torque(element, load(kinds.break_away, width), z, velocity)
-        torque = select(load(kinds.elastic, width) > 0.0, bent, torque)
+        elasto_plastic = elasto_plastic_torque(element, load(kinds.break_away, width), z, velocity)
+        torque = select(load(kinds.elastic, width) > 0.0, elasto_plastic, torque)
     if kinds.blocks_used:
         store(state.torque, torque)
         for e in range(width):
@@ -110,7 +110,7 @@ def bristles_torque(element: Any, kinds: Any, state: Any, z: Lanes, velocity: La
 
 @inlined
 def bristles_energy(c0: Lanes, kinds: Any, state: Any, z: Lanes, width: int) -> Lanes:
-    """Return what the bristles of all elements store, J, for their stiffnesses c0, Nm/rad, and deflections, rad."""
+    """Return the stored energy of all elements' bristles, J, for their stiffnesses c0, Nm/rad, and deflections, rad."""
     energy = 0.5 * c0 * z * z
     if kinds.blocks_used:
         store(state.torque, energy)

@@ -1,4 +1,4 @@
-"""The kinds of bristles: what a friction file may hold under `bristles`, and what their passivity asks of c1.
+"""The kinds of bristles: accepted contents of `bristles` in a friction file, and limits of c1 for passivity.
 
 Their equations stand with their compiled steps in rx90_common/friction/bristles/.
 """
@@ -18,13 +18,13 @@ from rx90_common.base.entries import LEFT_OUT, ListOf, Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Variants
 from rx90_common.base.quoting import counted
-from rx90_common.friction.bristles.maxwell_slip import MOST_BLOCKS
+from rx90_common.friction.bristles.maxwell_slip import MAX_BLOCKS
 from rx90_common.friction.parts.part import FrictionPart
 
 LUGRE_PASSIVITY: Final = 4.0
 """Of `passivity_factor`: LuGre's bristle is passive where c1 |v| < 4 c0 g(v) (Barahanov and Ortega 2000)."""
 
-MOST_BREAK_AWAY: Final = 0.9
+MAX_BREAK_AWAY: Final = 0.9
 """Of `break_away`: nearer to 1 the way from break-away to sliding is a corner."""
 
 _SUM_ERROR = 1e-9  # of stiffnesses and shares, which are given in decimals
@@ -43,13 +43,13 @@ class BristlesPart(FrictionPart):
 
     @classmethod
     def entry(cls) -> Variants:
-        """Return what a file may hold under the name."""
+        """Return the accepted content of a file under the name."""
         groups = {name: kind.group() for name, kind in KINDS.items()}
         return Variants("Bristles of another kind than LuGre's.", key="kind", groups=groups, default=LEFT_OUT)
 
     @classmethod
     def read(cls, content: Mapping[str, Any]) -> BristlesPart:
-        """Return the bristles of what `entry` read."""
+        """Return the bristles for the values that `entry` has read."""
         return KINDS[content["kind"]].of_file(content)
 
     @classmethod
@@ -61,7 +61,7 @@ class BristlesPart(FrictionPart):
         return lines
 
     def values(self) -> dict[str, Any]:
-        """Return the block as it stands in a file."""
+        """Return the block as in a file."""
         return {"kind": self.kind, **super().values()}
 
     def passivity_factor(self, c0: float, speed: ArrayLike) -> Array | float:  # noqa: ARG002 - of other kinds
@@ -85,19 +85,19 @@ class ElastoPlastic(BristlesPart):
         float,
         Number(
             "Deflection up to which the bristles are purely elastic, in parts of tau_c / c0.", "1",
-            low=0.0, high=MOST_BREAK_AWAY,
+            low=0.0, high=MAX_BREAK_AWAY,
         ),
     ]  # fmt: skip
 
 
 def _parts(about: str) -> ListOf:
     number = Number(about, "1", low=0.0, high=1.0, above=True)
-    return ListOf(about, "1", item=number, accepted=f"a list of 1 to {MOST_BLOCKS} numbers", least=1)
+    return ListOf(about, "1", item=number, accepted=f"a list of 1 to {MAX_BLOCKS} numbers", least=1)
 
 
 @dataclass(frozen=True)
 class MaxwellSlip(BristlesPart):
-    """Blocks side by side, 1 to MOST_BLOCKS, each of which sticks or slips.
+    """Parallel blocks, 1 to MAX_BLOCKS, each of which sticks or slips.
 
     Raises:
         ConfigError: also for another number of blocks, and another sum.
@@ -119,9 +119,9 @@ class MaxwellSlip(BristlesPart):
     def __post_init__(self) -> None:
         super().__post_init__()
         count = len(self.stiffness)
-        if count > MOST_BLOCKS:
+        if count > MAX_BLOCKS:
             raise ConfigError(
-                f"bristles: stiffness has {counted(count, 'number')}; accepted: 1 to {MOST_BLOCKS}, one for a block"
+                f"bristles: stiffness has {counted(count, 'number')}; accepted: 1 to {MAX_BLOCKS}, one for a block"
             )
         if len(self.share) != count:
             raise ConfigError(

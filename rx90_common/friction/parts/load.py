@@ -8,7 +8,8 @@
 dir is `driving` where l v >= 0: the motor moves the link; `driven` elsewhere: the link moves the motor, as in lowering
 a mass. At v = 0 it is `driving`.
 
-With `omega_s` the load's share of the static torque fades with a Stribeck velocity of its own, whatever the element's:
+With `omega_s` the load's share of the static torque decreases with a Stribeck velocity of its own, whatever the
+element's:
 (s |l| + m l^2) exp(-(|v| / omega_s)^delta) comes to the sliding torque, as Bittencourt and Gunnarsson have it.
 
 k and s are Bittencourt and Gunnarsson's F_c,tau and F_s,tau (2012, Static friction in a robot joint, J. Dyn. Sys. Meas.
@@ -26,11 +27,12 @@ tau_m = l + friction, so that their models are
 and their Coulomb torque is 1 / (1 -+ K) of the one here: to first order in K the same.
 
 Friction that depends on the transmitted torque, which depends on friction, is an algebraic loop. Here l is a state
-with a time of its own, so that the law is one in continuous time and does not depend on the step. A step takes l at its
-midpoint from the slope of the last one, and advances l exactly for a tau_t that is held: second order. The loop's gain
-is below 1 where the coefficients are, and the step is then stable for every relax_time that is not below it.
+with a time constant of its own, so that the law is defined in continuous time and does not depend on the step. A step
+extrapolates l to its midpoint from the slope of the last one, and advances l exactly for a constant tau_t: second
+order.
+The loop's gain is below 1 if the coefficients are, and the step is then stable for every relax_time not below it.
 
-The part only adds to the sliding torque, so it takes nothing from the passivity of the element.
+The part only adds to the sliding torque, so it does not reduce the passivity of the element.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ import numpy as np
 
 from rx90_common.base.entries import Number
 from rx90_common.base.errors import ConfigError
-from rx90_common.friction.parts.part import LEAST_SPEED, FrictionPart
+from rx90_common.friction.parts.part import MIN_SPEED, FrictionPart
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import exponential, power
 from rx90_common.kernels.lanes import Lanes, absolute, load, select, store
@@ -53,7 +55,7 @@ DIRECTIONS = ("driving", "driven")
 """Of the power flow, in the order in which everything keeps them."""
 
 RELAX_TIME = 1e-3
-"""How long the friction takes to follow the load unless a file says so, s."""
+"""Time constant with which the friction follows the load, unless a file gives another, s."""
 
 LARGEST_COEFFICIENT: Final = 0.95
 """Largest Coulomb torque over load torque: below 1 the loop above is stable."""
@@ -93,10 +95,10 @@ class LoadPart(FrictionPart):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if 0.0 < self.omega_s < LEAST_SPEED:
+        if 0.0 < self.omega_s < MIN_SPEED:
             raise ConfigError(
                 f"load: omega_s is {self.omega_s:g} rad/s; accepted: 0 for that of the element, or a number in "
-                f"[{LEAST_SPEED:g}, 1e+06]"
+                f"[{MIN_SPEED:g}, 1e+06]"
             )
 
 
@@ -131,7 +133,7 @@ def fill_load(record: Any, parts: Sequence[LoadPart | None]) -> None:
 
 @inlined
 def load_torques(part: Any, transmitted: Lanes, velocity: Lanes, delta: Lanes, width: int) -> tuple[Lanes, Lanes]:
-    """Return what a load, Nm, adds to Coulomb and to static torque, Nm, at a velocity, rad/s.
+    """Return the increase of Coulomb and static torque, Nm, by a load, Nm, at a velocity, rad/s.
 
     A share with a Stribeck velocity of its own counts as Coulomb torque, as large as it is at this velocity.
     """
@@ -151,7 +153,7 @@ def load_torques(part: Any, transmitted: Lanes, velocity: Lanes, delta: Lanes, w
 
 @inlined
 def advance_load(part: Any, state: Any, transmitted: Lanes, step: float, width: int) -> None:
-    """Let the loads follow what was transmitted, Nm, over a step, s: exactly, for a torque that is held."""
+    """Let the loads follow the transmitted torque, Nm, over a step, s: exactly, for a constant torque."""
     before = load(state.load, width)
     change = (transmitted - before) * (1.0 - exponential(-step * load(part.rate, width)))
     store(state.load, before + change)

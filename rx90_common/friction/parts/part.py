@@ -1,4 +1,4 @@
-"""What all parts of a friction element have in common: what a file may hold, and its words."""
+"""Common base of all parts of a friction element: accepted contents of files, and their descriptions."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any, Final
 from rx90_common.base.declared import Declared, declarations, in_file
 from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, ListOf, Number, range_text
 
-LEAST_SPEED: Final = 1e-9
-"""Of Stribeck and fading velocities, rad/s: an arm that goes so far in a second stands, and 1 / v is still a number."""
+MIN_SPEED: Final = 1e-9
+"""Least Stribeck and fading velocity, rad/s: rest for all practical purposes, while 1 / v is still a number."""
 
 
 @dataclass(frozen=True)
@@ -20,12 +20,12 @@ class FrictionPart(Declared):
 
     @classmethod
     def entry(cls) -> Entry:
-        """Return what a file may hold under the name."""
+        """Return the accepted content of a file under the name."""
         return cls.group(LEFT_OUT)
 
     @classmethod
     def read(cls, content: Mapping[str, Any]) -> FrictionPart:
-        """Return the part of what `entry` read.
+        """Return the part for the values that `entry` has read.
 
         Raises:
             ConfigError: as the part itself.
@@ -38,7 +38,7 @@ class FrictionPart(Declared):
         return 1.0
 
     @property
-    def leaves_less(self) -> bool:
+    def lowers_friction(self) -> bool:
         """Return whether the part may leave less of Coulomb and static torque than the element has."""
         return self.least_factor < 1.0
 
@@ -47,9 +47,11 @@ class FrictionPart(Declared):
         return element
 
     def values(self) -> dict[str, Any]:
-        """Return the block as it stands in a file, without what has its default."""
-        held = declarations(type(self)).values()
-        return {one.name: in_file(getattr(self, one.name)) for one in held if getattr(self, one.name) != one.default}
+        """Return the block as in a file, without default values."""
+        own_entries = declarations(type(self)).values()
+        return {
+            one.name: in_file(getattr(self, one.name)) for one in own_entries if getattr(self, one.name) != one.default
+        }
 
     def numbers(self) -> dict[str, Any]:
         """Return all values by their names, those of a list one by one: share[0]."""
@@ -61,7 +63,7 @@ class FrictionPart(Declared):
 
     @classmethod
     def legend(cls) -> str:
-        """Return the table as lines of comment, as they stand at the head of friction files."""
+        """Return the table as lines of comment, for the head of friction files."""
         lines = f"# {cls.name:<8} {in_words(cls.about)}:\n"
         for key, entry in cls.group().keys.items():
             optional = "" if entry.default is REQUIRED else f"; {_default(entry)} if it is left out"

@@ -6,7 +6,7 @@
 with the element's angle q and, in the second sum, the motor's n q with the gear ratio n. Harmonic drives have most of
 it at two waves for each turn of the motor (Tuttle and Seering 1996, A nonlinear model of a harmonic drive gear
 transmission), spur gears at tooth mesh, bearings and seals at one wave for each turn of the joint. For the sixth
-element, which turns with joint 6 alone, n q is the turn of motor 6 while joint 5 stands.
+element, which turns with joint 6 alone, n q is the turn of motor 6 while joint 5 is at rest.
 
 The amplitudes sum to less than 1, so the sliding torque stays positive and the part only takes power; passive_damping
 of the element is that of its least sliding torque, (1 - sum of the amplitudes) times.
@@ -31,12 +31,12 @@ from rx90_common.kernels.elementary_arrays import sines_cosines
 from rx90_common.kernels.lanes import Lanes, fma, load
 
 ANGLES = ("joint", "motor")
-MOST_TERMS = 8
+MAX_TERMS = 8
 """Of each of both sums."""
 
 
 def _numbers(about: str, unit: str = "1", **limits: Any) -> ListOf:
-    accepted = f"a list of up to {MOST_TERMS} numbers"
+    accepted = f"a list of up to {MAX_TERMS} numbers"
     return ListOf(about, unit, item=Number(about, unit, **limits), accepted=accepted)
 
 
@@ -73,9 +73,9 @@ class RipplePart(FrictionPart):
         super().__post_init__()
         for angle in ANGLES:
             terms = len(getattr(self, f"{angle}_harmonic"))
-            if terms > MOST_TERMS:
+            if terms > MAX_TERMS:
                 raise ConfigError(
-                    f"ripple: {angle}_harmonic has {counted(terms, 'number')}; accepted: up to {MOST_TERMS}"
+                    f"ripple: {angle}_harmonic has {counted(terms, 'number')}; accepted: up to {MAX_TERMS}"
                 )
             for what, accepted in (("amplitude", (terms,)), ("phase", (terms, 0))):
                 count = len(getattr(self, f"{angle}_{what}"))
@@ -96,7 +96,7 @@ class RipplePart(FrictionPart):
 
 def ripple_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants: how many terms there are, and a row for each."""
-    rows = (len(ANGLES) * MOST_TERMS, width)
+    rows = (len(ANGLES) * MAX_TERMS, width)
     return np.dtype(
         [
             ("terms", np.int64),

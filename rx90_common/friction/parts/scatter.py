@@ -1,4 +1,4 @@
-"""Scatter: a slow random walk of Coulomb and static torque, so that two runs differ as two runs of a robot do.
+"""Scatter: a slow random walk of Coulomb and static torque, so that runs differ as those of a real robot do.
 
     tau_c (1 + w), tau_s (1 + w)
     w = deviation min(max(x, -4), 4)
@@ -10,8 +10,8 @@ exp(-|lag| / correlation_time) whatever the tick. Its start is drawn from the di
 
 The random numbers come from a seed by SplitMix64 (Steele, Lea and Flood 2014, Fast splittable pseudorandom number
 generators), whole numbers with the same bits on every machine; each element has a sequence of its own. e is the sum of
-four uniform numbers of 16 bits, of mean 0 and variance 1: over a correlation time thousands of them add up, and what
-comes of them is normal. The bound of four deviations, which w meets for 6e-5 of the time, keeps the sliding torque
+four uniform numbers of 16 bits, of mean 0 and variance 1: over a correlation time thousands of them add up, and their
+sum is normal. The bound of four deviations, which w reaches for 6e-5 of the time, keeps the sliding torque
 positive; passive_damping of the element is that of (1 - 4 deviation) times its sliding torque.
 """
 
@@ -40,10 +40,10 @@ LARGEST_SEED = 2**53
 
 
 def check_seed(seed: object) -> None:
-    """Refuse what is no seed.
+    """Refuse an invalid seed.
 
     Raises:
-        ConfigError: with what is accepted.
+        ConfigError: with the accepted values.
     """
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed <= LARGEST_SEED:
         raise ConfigError(f"seed is {quoted(seed)}; accepted: a whole number from 0 to {LARGEST_SEED}")

@@ -158,5 +158,5 @@ def parts_torque(arrays: Any, parts: Any, state: Any, z: Lanes, angle: Lanes, ve
 
 @inlined
 def parts_energy(arrays: Any, parts: Any, state: Any, z: Lanes, width: int) -> Lanes:
-    """Return what the bristles store, J."""
+    """Return the energy stored in the bristles, J."""
     return bristles_energy(load(arrays.c0, width), parts.bristles, state.bristles, z, width)

@@ -1,4 +1,4 @@
-"""Temperature: viscous friction, Stribeck velocity and static torque by the temperature of the joint, which it heats.
+"""Temperature: viscous friction, Stribeck velocity and static torque depend on the temperature of the heated joint.
 
     c2 (f + (1 - f) exp(-d / T_V)),    d = T - reference
     omega_s (1 + a d)
@@ -12,19 +12,19 @@ torque and Stribeck velocity grow linearly. With their names
     f = F_v0 / (F_v0 + F_vT exp(-reference / T_V)),    a = w_sT / (w_s0 + w_sT reference),
     b = F_sT / (F_s0 + F_sT reference)
 
-The law holds from `lowest` to `highest`. Start and surroundings must lie there, and the linear factors be positive. As
-heat only comes in, nothing gets colder than both. A joint that gets warmer than `highest` keeps the friction of that
-temperature, and whoever runs it is told (`JointTemperatures.beyond_law`).
+The law holds from `lowest` to `highest`. Start and surroundings must be in this range, and the linear factors positive.
+As the joint is only heated, it never gets colder than both. A joint that gets warmer than `highest` keeps the friction
+of that temperature, which is reported (`JointTemperatures.beyond_law`).
 
 The joint is one thermal node:
 
     capacity dT/dt = heat - (T - ambient) / resistance
     heat = friction + motor_share I^2 R
 
-The friction's heat is the work that it takes less what its bristles store more. Motor 6 turns with joints 5 and 6, as
+The friction's heat is its work less the increase of the energy in its bristles. Motor 6 turns with joints 5 and 6, as
 the seventh element does, which gets its heat; the sixth gets none from a motor. R is that of `winding` in the drives
 file, at the winding's temperature; without such a block motors give no heat. The node is advanced once in a tick,
-exactly for a heat that is held.
+exactly for a constant heat.
 
 The storage c0 z^2 / 2 does not depend on T, so an element is passive whose sliding torque is positive at every
 temperature: passive_damping is that of the least static torque and the least Stribeck velocity in the range.
@@ -98,7 +98,7 @@ class TemperaturePart(FrictionPart):
                     )
 
     @property
-    def leaves_less(self) -> bool:
+    def lowers_friction(self) -> bool:
         """Return whether static friction changes with the temperature."""
         return self.speed_slope != 0.0 or self.static_slope != 0.0
 
@@ -139,10 +139,10 @@ def temperature_state_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the state."""
     names = (
         "temperature",  # degrees Celsius
-        "viscous",  # what c2 is multiplied with
-        "speed",  # what 1 / omega_s is multiplied with
+        "viscous",  # factor of c2
+        "speed",  # factor of 1 / omega_s
         "static",  # by how much static less Coulomb torque has grown, a share of it
-        "work",  # that friction has taken in this tick, J
+        "work",  # of friction in this tick, J
         "stored",  # in the bristles at the start of the tick, J
         "heat",  # of friction and motor since the start, J
     )
@@ -185,7 +185,7 @@ def start_temperatures(part: Any, state: Any, width: int) -> None:
 
 @inlined
 def follow_temperatures(part: Any, state: Any, width: int) -> None:
-    """Write what the temperatures make of the elements."""
+    """Write the parameters of the elements at the present temperatures."""
     now, highest = load(state.temperature, width), load(part.highest, width)
     above = select(now > highest, highest, now) - load(part.reference, width)
     store(
@@ -204,7 +204,7 @@ def warm_static(state: Any, coulomb: Lanes, static: Lanes, width: int) -> Lanes:
 
 @inlined
 def add_work(state: Any, torque: Lanes, velocity: Lanes, step: float, width: int) -> None:
-    """Count what friction takes in a step: of torques, Nm, at velocities, rad/s."""
+    """Add the work of friction in a step: torques, Nm, at velocities, rad/s."""
     store(state.work, fma(step * torque, velocity, load(state.work, width)))
 
 

@@ -1,16 +1,17 @@
-"""The bandwidths of an identification: those that the spectra ask for, checked against prediction.
+"""The bandwidths of an identification: proposed by the spectra, checked by prediction.
 
-Spectra of positions say where their noise begins, but they know neither what the noise does to accelerations, nor the
-model: of a log whose jittering samples were resampled evenly, interpolation has taken the noise out of the highest
-frequencies alone, where its floor is looked for. So narrower bandwidths are tried, down to ten times the band of the
-motion, and each is asked for what counts: how well do the parameters that it gives predict times that were left out?
+The spectrum of a position shows where its noise begins, but neither the effect of the noise on accelerations nor the
+quality of the model. If a log's jittering samples were resampled evenly, for example, interpolation has removed the
+noise from the highest frequencies, where the noise floor is estimated. So narrower bandwidths are tried, down to ten
+times the band of the motion, and compared by the quantity that counts: how well do their parameters predict times that
+the fit has not used?
 
-All are compared on the same rows, those of the narrowest: its torque is what is predicted, from its motion. A narrower
-bandwidth is no better for the torque that it smooths away, for all predict the same; noise of the accelerations that
-only the wider ones let pass does not count, but what it did to their parameters does. Fitted to the very band that is
-compared in, the narrowest has a small advantage where the model is not quite right, and a wider one tells more of
-reversals. So the widest is taken whose error is not clearly larger than the least: by no more than a tenth, or by no
-more than two standard errors of the paired differences over blocks of time.
+All candidates are compared on the same rows, those of the narrowest one: each predicts its torque from its motion. So
+a narrow bandwidth gains nothing from the torque that it smooths away, and the noise of the accelerations in a wide
+bandwidth counts only by its effect on the parameters. The narrowest candidate is fitted to the band in which all are
+compared, which gives it a small advantage where the model is not quite right, and a wider one contains more of the
+reversals. So the widest candidate is selected whose error is not clearly larger than the least error: by no more than
+a tenth, or by no more than two standard errors of the paired differences over blocks of time.
 """
 
 from __future__ import annotations
@@ -31,22 +32,22 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.records import JointRecord
 
 Equations = Callable[[Sequence[JointRecord], Bandwidths], ExcitationProblem]
-"""Returns the equations of records behind filters of these bandwidths."""
+"""Returns the equations of records that were filtered with these bandwidths."""
 
-_NARROWER = 3  # bandwidths that are tried beside the widest, at most
-_LEAST_RATIO = 2.0  # between two of them
+_NARROWER = 3  # largest number of bandwidths tried beside the widest
+_MIN_RATIO = 2.0  # between two of them
 _ACCEPTED_RATIO, _ACCEPTED_SE = 1.1, 2.0  # over the least error; standard errors beyond it
 _SINGULAR = 1e-10  # relative: directions that the remaining rows do not determine stay 0
 
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """Bandwidths, their equations, and how well they predict the torque of the narrowest, which is asked for if needed.
+    """Bandwidths, their equations, and their prediction of the torque of the narrowest candidate, computed on demand.
 
     Attributes:
         bandwidths: of both filters.
         problem: the equations.
-        compared: those of the narrowest.
+        compared: equations of the narrowest candidate.
     """
 
     bandwidths: Bandwidths
@@ -55,27 +56,27 @@ class _Candidate:
 
     @cached_property
     def residual(self) -> Array:
-        """Return that of the compared rows, each by the parameters fitted without its block of time, Nm, shape (r,)."""
+        """Return residuals of the compared rows, each by the parameters fitted without its block, Nm, shape (r,)."""
         return _left_out(self.problem, self.compared)
 
     @property
     def share(self) -> float:
-        """Return the RMS of these over the RMS torque."""
+        """Return the RMS of these residuals over the RMS torque."""
         return float(np.linalg.norm(self.residual) / np.linalg.norm(self.compared.torque))
 
 
 def choose_bandwidths(
     records: Sequence[JointRecord], equations: Equations, given: float | None = None
 ) -> tuple[Bandwidths, ExcitationProblem]:
-    """Return bandwidths with the equations behind them.
+    """Return the selected bandwidths with their equations.
 
     Args:
         records: of the runs to identify from.
-        equations: makes equations of them.
-        given: bandwidth of the positions, Hz, a third of it for the torque; by default it is chosen.
+        equations: makes the equations for bandwidths.
+        given: bandwidth of the positions, Hz; that of the torque is a third of it. By default it is selected.
 
     Raises:
-        IdentificationError: for a bandwidth that the sampling rate does not carry, and runs that tell none.
+        IdentificationError: for a bandwidth too large for the sampling rate, and runs that determine none.
     """
     if given is not None:
         if not 0.0 < given < math.inf:
@@ -86,7 +87,7 @@ def choose_bandwidths(
     candidates, number = _compared(widest, records, equations)
     compared = candidates[-1].problem
     if all(run.reference is not None for run in compared.runs):
-        # The velocities of emulated drives' observers predict low frequencies better, and make rotors up to 2 % wrong.
+        # Velocities of emulated drives' observers predict low frequencies better, but bias rotor inertias by up to 2 %.
         silent = "the set-points in the bags tell more than they"
     best, reason = candidates[number], widest.reason
     if len(candidates) > 1:
@@ -111,9 +112,10 @@ def choose_bandwidths(
 def _recorded_velocity(
     records: Sequence[JointRecord], equations: Equations, first: _Candidate, compared: ExcitationProblem
 ) -> tuple[bool, str]:
-    """Return whether recorded velocities predict better than differences of positions, and how well both do, in words.
+    """Return whether recorded velocities predict better than differences of positions, and both results in words.
 
-    Both predict the same torques below the narrowest bandwidth, each from its own motion: a noisy one predicts worse.
+    Both predict the same torques below the narrowest bandwidth, each from its own motion; a noisy motion predicts
+    worse.
     """
     recorded = compared.runs[0].bandwidths._replace(recorded_velocity=True)
     twin = equations(records, recorded)
@@ -122,7 +124,7 @@ def _recorded_velocity(
         (one.run * len(one.arm.names) + one.joint) * max(len(run.rows) for run in compared.runs) + one.place
         for one in (compared, twin)
     )
-    # Where an element stops in one motion, it need not in the other.
+    # An element may stop in one motion and not in the other.
     _, rows, its = np.intersect1d(first_key, second_key, assume_unique=True, return_indices=True)
     pair = first.residual[rows], second[its]
     better = _best(pair, compared, rows) == 1
@@ -133,19 +135,19 @@ def _recorded_velocity(
 
 
 def _compared(widest: Bandwidths, records: Sequence[JointRecord], equations: Equations) -> tuple[list[_Candidate], int]:
-    """Return what is compared, the widest first, and the number of the best; the last has ten times the motion's band.
+    """Return the candidates, the widest first, and the number of the best; the last has ten times the motion's band.
 
-    What is between them is tried where the narrowest predicts clearly better than the widest.
+    Bandwidths in between are tried where the narrowest predicts clearly better than the widest.
     """
     ratio = max(widest.position / least_bandwidth(records), 1.0)
-    count = min(_NARROWER, math.floor(math.log(ratio, _LEAST_RATIO) + 1e-9))
+    count = min(_NARROWER, math.floor(math.log(ratio, _MIN_RATIO) + 1e-9))
     narrower = [widest.position * ratio ** (-step / count) for step in range(1, count + 1)]
 
     def at(position: float) -> tuple[Bandwidths, ExcitationProblem] | None:
         bandwidths = Bandwidths(position, min(widest.torque, position / 3.0))
         try:
             problem = equations(records, bandwidths)
-        except IdentificationError:  # the runs are too short for filters as long as these
+        except IdentificationError:  # the runs are too short for the long filters
             return None
         return (bandwidths, problem) if len(problem) >= ROWS_PER_PARAMETER * problem.parameters else None
 
@@ -162,9 +164,9 @@ def _compared(widest: Bandwidths, records: Sequence[JointRecord], equations: Equ
 
 
 def _best(residuals: Sequence[Array], compared: ExcitationProblem, rows: Index | slice = slice(None)) -> int:
-    """Return the first of some residuals of these rows that are not clearly larger than the least, joints alike."""
+    """Return the first candidate whose residuals on these rows are not clearly larger than the least, joints alike."""
     joint, block = compared.joint[rows], time_blocks(compared)[rows]
-    least = np.ones(joint.max() + 1)  # of each joint: the RMS of the candidate that predicts it best
+    least = np.ones(joint.max() + 1)  # for each joint: the RMS of the candidate that predicts it best
     for number in np.unique(joint).tolist():
         own = joint == number
         least[number] = max(min(float(np.sqrt(np.mean(one[own] ** 2))) for one in residuals), 1e-12)

@@ -1,7 +1,8 @@
-"""The links, rotors and springs that can exist nearest to identified base parameters: what the files hold.
+"""Physically possible links, rotors and springs nearest to identified base parameters: the values in the files.
 
-Where the search begins (the <inertial> of the URDF, or the geometry of the arm), the search, and what the bodies cost
-beside the base parameters. The mass distribution of a body is one symmetric matrix of order 4, its pseudo-inertia.
+This module has the starting point of the search (the <inertial> of the URDF, or the geometry of the arm), the search
+itself, and the cost of the bodies against the base parameters. The mass distribution of a body is one symmetric matrix
+of order 4, its pseudo-inertia.
 
     P = [[S, h], [h^T, m]],   S = integral of r r^T = tr(I) / 2 - I,   h = m c,   I the inertia about the origin.
 
@@ -13,23 +14,23 @@ weighted rows on y, the sum
 
     |R (K theta - y)|^2 + w |distance from the prior|^2
 
-is minimised. The first term is what the shift adds to the weighted squares of the torque, with the friction as it was
-identified: that is what the files hold beside the bodies. The second one decides what the data leave open. The prior
-is the <inertial> of the URDF, or the geometry of the arm where it has none.
+is minimised. The first term is the increase of the weighted squares of the torque by the shift, with the friction as
+identified, because the files contain that friction beside the bodies. The second term determines what the data leave
+open. The prior is the <inertial> of the URDF, or the geometry of the arm where it has none.
 
 With P0 of the prior, the squared distance of a body is twice the Bregman divergence of -log det (Lee, Wensing and Park
 2020, "Geometric robot dynamic identification: a convex programming approach"),
 
     2 (tr(P0^-1 P) - log det(P0^-1 P) - 4),
 
-near the prior the sum of the squared entries of log(P0^-1 P). It does not depend on units or frames, grows without
-bound towards what no body can be, and in proportion to a mass that is too large. A rotor or spring is a matrix of order
-1. The whole sum is convex in the parameters: it has one minimum.
+which near the prior is the sum of the squared entries of log(P0^-1 P). It does not depend on units or frames, grows
+without bound towards matrices that no body can have, and grows in proportion to a mass that is too large. A rotor or
+spring is a matrix of order 1. The whole sum is convex in the parameters: it has one minimum.
 
-A body is kept as its Cholesky factor, P = L L^T, and a step of the search changes the factor about itself, to first
+A body is represented by its Cholesky factor, P = L L^T. A step of the search changes the factor about itself, to first
 order as log-Cholesky parameters do (Rucker and Wensing 2022, "Smooth parameterization of rigid-body inertia"), but
-along a straight line in P: of sharp data some sums are known to 1e-3 and others not at all, and the valley that this
-makes is straight in P and bent in a factor's logarithms, where searches crawl along it.
+along a straight line in P: accurate data determine some sums to 1e-3 and others not at all, and the resulting valley is
+straight in P but curved in the logarithms of a factor, where a search would make only small steps along it.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ from rx90_emulator.identification.robot import RecordedRobot
 
 _MOMENTS = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])
 """Rows and columns of Ixx, Ixy, Iyy, Ixz, Iyz, Izz, in Pinocchio's order."""
-_MIN_EIGENVALUE = 1e-12  # of P scaled to ones on its diagonal: less is rounding
+_MIN_EIGENVALUE = 1e-12  # of P scaled to ones on its diagonal: smaller ones are rounding
 
 
 def inertial_parameters(pseudo: Array) -> Array:
@@ -94,7 +95,7 @@ def central(pseudo: Array) -> tuple[float, Array, Array]:
 
 
 def is_body(pseudo: Array) -> bool:
-    """Tell whether a body of positive density has this P, shape (4, 4), finite and positive definite."""
+    """Return whether a body of positive density has this P, shape (4, 4): finite and positive definite."""
     if not np.isfinite(pseudo).all() or not (np.diag(pseudo) > 0.0).all():
         return False
     scale = np.sqrt(np.diag(pseudo))
@@ -107,7 +108,7 @@ class MovingBody:
 
     Attributes:
         link: its name.
-        joint: which of the joints it moves with, from 0.
+        joint: number of the joint that it moves with, from 0.
         frame: its frame in the frame of that joint, homogeneous, shape (4, 4).
         pseudo: pseudo-inertia by the URDF in the joint's frame, shape (4, 4); zeros without <inertial>.
     """
@@ -124,8 +125,9 @@ _URDF_MOMENTS = ("ixx", "ixy", "ixz", "ixy", "iyy", "iyz", "ixz", "iyz", "izz")
 def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], Array]:
     """Return the links that move, and the frame farthest from each joint that moves with it, m, shape (n, 3).
 
-    Pinocchio, and so the regressor, takes all links that are fixed to each other for one body; a URDF has them apart.
-    Each joint's own link stands before those that are fixed to it. The farthest frame may be that of the next joint.
+    Pinocchio, and so the regressor, treats links that are fixed to each other as one body; a URDF lists them one by
+    one.
+    Each joint's own link comes before those that are fixed to it. The farthest frame may be that of the next joint.
 
     Raises:
         IdentificationError: for a joint that the URDF does not have.
@@ -140,8 +142,8 @@ def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], A
         if name not in own:
             raise IdentificationError(f"no joint {quoted(name)} in the URDF; accepted: {listed(own)}")
     model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
-    held = [k for k in range(1, model.njoints) if model.names[k] not in joints]
-    model = pin.buildReducedModel(model, held, pin.neutral(model))
+    fixed_joints = [k for k in range(1, model.njoints) if model.names[k] not in joints]
+    model = pin.buildReducedModel(model, fixed_joints, pin.neutral(model))
     number = [joints.index(name) if name in joints else -1 for name in model.names]
     bodies, places = [], list(zip(model.parents, model.jointPlacements, strict=True))
     for element in root.findall("link"):
@@ -175,30 +177,30 @@ def _origin(parent: ET.Element) -> Array:
     return np.asarray(pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)).homogeneous)
 
 
-_DENSITY = 1500.0  # kg/m^3: castings with motors in them, and with room left
+_DENSITY = 1500.0  # kg/m^3: castings with motors and cavities
 _SLENDERNESS = 6.0  # length over radius of a link without <inertial>
 _MIN_RADIUS_SHARE = 0.05  # its least radius, as a share of the arm's reach
 _END_RADIUS = 0.2  # radius of one that ends at its joint, as a share of the others' mean length
 _DEFAULT_REACH = 0.5  # m, of an arm whose joints all have one origin
-_MIN_EQUAL_LINKS = 3  # so many links with the same <inertial> are no chance
+_MIN_EQUAL_LINKS = 3  # number of links with the same <inertial> that is no coincidence
 _EQUAL = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class InertialPrior:
-    """Mass distributions and rotors to begin with, and to stay near to where the data say nothing.
+    """Mass distributions and rotor inertias where the search starts, and which it keeps where the data are silent.
 
     Attributes:
         joints: names of the n joints.
         bodies: the links that share the parameters, at least one for each joint; their pseudo-inertias are positive
             definite.
-        known: parameters of the bodies that stay, summed for each joint, shape (n, 10).
-        rotors: inertia of each rotor that has a column, seen at its joint, kg m^2, shape (k,); 0 for all of them
-            where the torque has no part of theirs.
-        springs: amplitude of each spring that has a column, Nm, shape (s,); 0 for one of which nothing is known.
-        guessed: which bodies, and then rotors, the description does not have, shape (b + k,).
-        replaced: in words, what is not taken from the URDF, and what stands in its place.
-        dropped: links whose <inertial> no body can have; the other links of their joint take their share.
+        known: parameters of the bodies that do not change, summed for each joint, shape (n, 10).
+        rotors: inertia of each rotor that has a column, seen at its joint, kg m^2, shape (k,); all 0 where the torque
+            does not contain the rotors'.
+        springs: amplitude of each spring that has a column, Nm, shape (s,); 0 if it is unknown.
+        guessed: which bodies, and then which rotors, are missing in the description, shape (b + k,).
+        replaced: in words, the values of the URDF that are not used, and their replacement.
+        dropped: links whose <inertial> no body can have; the other links of their joint take over their mass.
     """
 
     joints: tuple[str, ...]
@@ -224,55 +226,55 @@ class InertialPrior:
         Args:
             urdf: file, or its text.
             joints: n names from base to tip.
-            rotors: inertia of the rotors of the first k joints, seen at these, kg m^2, shape (k,); 0 for one of which
-                nothing is known: it begins at the mean moment of inertia of its joint's body. None for torques that
-                hold nothing of rotors.
+            rotors: inertia of the rotors of the first k joints, seen at these, kg m^2, shape (k,); an unknown one is 0
+                and starts at the mean moment of inertia of its joint's body. None for torques that do not contain the
+                rotors'.
             springs: as the attribute.
-            known: links whose <inertial> is known and stays, such as a tool that was weighed.
+            known: links whose <inertial> is known and does not change, such as a tool that was weighed.
 
         Raises:
-            IdentificationError: for a joint that is not there, and rotors or springs that are negative or too many.
+            IdentificationError: for an unknown joint, and rotors or springs that are negative or too many.
         """
         names, text = tuple(joints), urdf.read_text(encoding="utf-8") if isinstance(urdf, Path) else urdf
         links, ends = _moving_links(text, names)
-        stay, free = np.zeros((len(names), 10)), [body for body in links if body.link not in known]
+        fixed_parameters, free = np.zeros((len(names), 10)), [body for body in links if body.link not in known]
         for body in links:
             if body.link in known:
-                stay[body.joint] += inertial_parameters(body.pseudo)
+                fixed_parameters[body.joint] += inertial_parameters(body.pseudo)
         own = [next(body for body in free if body.joint == joint) for joint in range(len(names))]
-        # As exporters fill it in: all joints' own links the same.
+        # As exporters fill it in: all joints' own links have the same inertial.
         same = all(np.abs(one.pseudo - own[0].pseudo).max() <= _EQUAL for one in own)
         filled = len(own) >= _MIN_EQUAL_LINKS and bool(own[0].pseudo.any()) and same
         bodies: list[MovingBody] = []
         guessed, words = [], []
         for joint, name in enumerate(names):
-            mine = [body for body in free if body.joint == joint]
-            real = [] if filled else [body for body in mine if is_body(body.pseudo)]
+            of_joint = [body for body in free if body.joint == joint]
+            real = [] if filled else [body for body in of_joint if is_body(body.pseudo)]
             guessed += [False] * len(real) or [True]
             bodies += real
             if not real:
-                bodies.append(_by_geometry(mine[0], ends))
-                given = any(one.pseudo.any() for one in mine)
+                bodies.append(_by_geometry(of_joint[0], ends))
+                given = any(one.pseudo.any() for one in of_joint)
                 why = "the same for all links" if filled else "none that a body can have" if given else "missing"
                 words.append(
-                    f"{mine[0].link} at {name}: <inertial> is {why}; begins as an ellipsoid of {_DENSITY:g} kg/m^3 "
+                    f"{of_joint[0].link} at {name}: <inertial> is {why}; begins as an ellipsoid of {_DENSITY:g} kg/m^3 "
                     f"along the link, {bodies[-1].pseudo[3, 3]:.3g} kg"
                 )
         kept = {body.link for body in bodies}
         dropped = tuple(body.link for body in free if body.pseudo.any() and body.link not in kept)
         sizes: ArrayLike = np.zeros(len(names)) if rotors is None else rotors
-        begun, amplitudes = (np.array(values, dtype=np.float64).reshape(-1) for values in (sizes, springs))
-        for what, values in (("rotor inertias", begun), ("springs", amplitudes)):
+        initial, amplitudes = (np.array(values, dtype=np.float64).reshape(-1) for values in (sizes, springs))
+        for what, values in (("rotor inertias", initial), ("springs", amplitudes)):
             if len(values) > len(names) or not np.isfinite(values).all() or (values < 0.0).any():
                 accepted = f"finite numbers >= 0, at most {len(names)}"
                 raise IdentificationError(f"{what} {values.tolist()}; accepted: {accepted}")
-        unknown = (begun == 0.0) if rotors is not None else np.zeros(len(begun), dtype=np.bool_)
+        unknown = (initial == 0.0) if rotors is not None else np.zeros(len(initial), dtype=np.bool_)
         guesses = np.append(np.array(guessed, dtype=bool), unknown)
         for i in np.flatnonzero(unknown).tolist():
             total = np.sum([inertial_parameters(body.pseudo) for body in bodies if body.joint == i], axis=0)
-            begun[i] = total[[4, 6, 9]].mean()
-            words.append(f"rotor of {names[i]}: begins at {begun[i]:.3g} kg m^2, the mean moment of its link")
-        return cls(names, tuple(bodies), stay, begun, amplitudes, guesses, tuple(words), dropped)
+            initial[i] = total[[4, 6, 9]].mean()
+            words.append(f"rotor of {names[i]}: begins at {initial[i]:.3g} kg m^2, the mean moment of its link")
+        return cls(names, tuple(bodies), fixed_parameters, initial, amplitudes, guesses, tuple(words), dropped)
 
 
 def _by_geometry(body: MovingBody, ends: Array) -> MovingBody:
@@ -289,16 +291,16 @@ def _by_geometry(body: MovingBody, ends: Array) -> MovingBody:
     return replace(body, pseudo=_about_center(mass, 0.5 * end, _other(spread, 1.0)))
 
 
-_PRIOR_WEIGHT = 1.0  # of logarithms with a deviation of 1: a description is right but for factors of some e
-_GUESS_WEIGHT = 0.1  # of what the description does not have: right but for factors of some 20
+_PRIOR_WEIGHT = 1.0  # of logarithms with a deviation of 1: a description is right within a factor of about e
+_GUESS_WEIGHT = 0.1  # of values that the description does not have: right within a factor of about 20
 _MAX_STEPS = 50  # for each weight of the prior
-_DECREMENT = 1e-12  # of what is minimised, relative: a step that gains less is the last one
-_STEP_SHARE = 0.99  # of the way to where a body would lose a dimension, at most
+_DECREMENT = 1e-12  # relative: a step that lowers the minimised sum by less is the last one
+_STEP_SHARE = 0.99  # largest part of the way to where a body would lose a dimension
 _LONGEST_STEP = 2.0  # in Newton steps
-_MAX_NULL_ENTRY = 1e-6  # of a parameter in the mapping's null space, to be determined by itself
-_MIN_SINGULAR_VALUE = 1e-9  # of the mapping, relative: less is rounding
-_MIN_STEP_VALUE = 1e-14  # the same of the equations of a step
-_OPEN_SHARE = 0.5  # of the prior's variance of a mass: where the runs leave more of it, the prior decides
+_MAX_NULL_ENTRY = 1e-6  # largest entry in the mapping's null space of a parameter that is determined by itself
+_MIN_SINGULAR_VALUE = 1e-9  # of the mapping, relative: smaller ones are rounding
+_MIN_STEP_VALUE = 1e-14  # the same for the equations of a step
+_OPEN_SHARE = 0.5  # of the prior's variance of a mass: where more remains after the runs, the prior decides
 _ROWS, _COLUMNS = np.tril_indices(4)
 _BASIS = np.zeros((10, 4, 4))  # of symmetric matrices: the sum of an element's squares is that of its entries
 _BASIS[range(10), _ROWS, _COLUMNS] = _BASIS[range(10), _COLUMNS, _ROWS] = np.where(_ROWS == _COLUMNS, 1.0, 0.5**0.5)
@@ -309,9 +311,9 @@ class BaseEstimate:
     """Identified base parameters.
 
     Attributes:
-        mapping: K, shape (p, P), from P standard parameters to the base parameters: ten of each joint's body in
-            Pinocchio's order, the inertias of k rotors, the amplitudes of s springs, and others, such as offsets. Those
-            others, and springs without a prior, may be anything.
+        mapping: K, shape (p, P), from P standard parameters to the base parameters: ten for each joint's body in
+            Pinocchio's order, the inertias of k rotors, the amplitudes of s springs, and others, such as offsets. The
+            others, and springs without a prior, are unbounded.
         value: SI units, shape (p,).
         information: R, shape (m, p): R^T R is the information on them.
         determined: which parameters the data determine, shape (p,).
@@ -324,9 +326,10 @@ class BaseEstimate:
 
     @classmethod
     def of(cls, problem: ExcitationProblem, friction: Array, fit: LinearFit) -> BaseEstimate:
-        """Return those of a fit, with the information of the weighted rows, friction as it is.
+        """Return the base parameters of a fit, with the information of the weighted rows for the fitted friction.
 
-        Neighbouring rows share their errors: it is scaled to variances that are those of the covariance, in the median.
+        Errors of neighbouring rows are correlated: the information is scaled so that in the median its variances are
+        those of the covariance.
 
         Args:
             problem: r rows.
@@ -345,18 +348,18 @@ class BaseEstimate:
 
 @dataclass(frozen=True, eq=False)
 class ConsistentInertias:
-    """Bodies and rotors that can exist, near to what was identified.
+    """Possible bodies and rotors near the identified values.
 
     Attributes:
-        prior: where they began.
+        prior: where the search started.
         pseudo: of each body, in the frame of its joint, shape (b, 4, 4).
-        rotors: kg m^2, > 0 where the torque holds theirs, else 0, shape (k,).
-        parameters: the standard parameters, bodies that stay included, shape (P,).
+        rotors: kg m^2, > 0 where the torque contains the rotors', else 0, shape (k,).
+        parameters: the standard parameters, unchanged bodies included, shape (P,).
         base: their base parameters, shape (p,).
         shift: base parameters less the identified ones, shape (p,).
         distance: length of the shift in standard deviations, RMS: at most about 1 within the noise.
-        alone: which standard parameters the data determine by themselves, not only as part of a sum, shape (P,).
-        open: joints of which the prior, rather than the data, decides the mass of the bodies, shape (n,).
+        alone: which standard parameters the data determine individually, not only as part of a sum, shape (P,).
+        open: joints where the prior, not the data, determines the mass of the bodies, shape (n,).
     """
 
     prior: InertialPrior
@@ -381,19 +384,20 @@ def consistent_inertias(
         weight: w, of the prior.
 
     Raises:
-        IdentificationError: if nothing is determined.
+        IdentificationError: if no parameter is determined.
     """
     if not estimate.determined.any():
         count = len(estimate.determined)
         raise IdentificationError(f"none of {count} base parameters is determined; accepted: runs that determine some")
     mapping, known = estimate.mapping, estimate.mapping[estimate.determined]
     search = _Search(prior, estimate.information @ mapping, estimate.information @ estimate.value)
-    # Sharp data would end the first steps where a body loses a dimension: the prior begins with a weight as sharp.
+    # With accurate data the first steps would end where a body loses a dimension: the prior begins with a similar
+    # weight.
     squares = float(np.sum(search.residual**2))
     for decade in range(max(0, math.ceil(math.log10(max(squares, 1.0) / weight))), -1, -1):
         search.minimise(weight * 10.0**decade)
     base = mapping @ search.parameters
-    # Those that the null space of the mapping has not are determined by themselves.
+    # Parameters without an entry in the null space of the mapping are determined individually.
     _, sizes, rows = np.linalg.svd(known / np.maximum(np.linalg.norm(known, axis=0), 1e-300))
     null = rows[int((sizes > _MIN_SINGULAR_VALUE * sizes[0]).sum()) :]
     alone = np.asarray(np.linalg.norm(null, axis=0) < _MAX_NULL_ENTRY)
@@ -412,7 +416,7 @@ def consistent_inertias(
 
 
 class _Search:
-    """Newton's method for bodies and what stands behind them in the parameters, from the prior on.
+    """Newton's method for the bodies and the other parameters behind them, starting from the prior.
 
     Attributes:
         pseudo: of the bodies, shape (b, 4, 4).
@@ -423,13 +427,13 @@ class _Search:
         self._joint, self._known = [body.joint for body in prior.bodies], prior.known.ravel()
         self._whitened, self._target = whitened, target
         self.pseudo = np.array([body.pseudo for body in prior.bodies])
-        begun = np.concatenate([prior.rotors, prior.springs])
-        self.behind = np.append(begun, np.zeros(whitened.shape[1] - len(self._known) - len(begun)))
+        initial = np.concatenate([prior.rotors, prior.springs])
+        self.behind = np.append(initial, np.zeros(whitened.shape[1] - len(self._known) - len(initial)))
         self._positive = self.behind > 0.0
-        self._inverse, self._begun = np.linalg.inv(self.pseudo), np.where(self._positive, self.behind, 1.0)
+        self._inverse, self._initial = np.linalg.inv(self.pseudo), np.where(self._positive, self.behind, 1.0)
         share = np.where(prior.guessed, _GUESS_WEIGHT, 1.0)
-        rest = np.append(share[len(self.pseudo) :], np.ones(len(self.behind) - len(prior.rotors)))
-        self._share = np.append(np.repeat(share[: len(self.pseudo)], 10), np.where(self._positive, rest, 0.0))
+        other_shares = np.append(share[len(self.pseudo) :], np.ones(len(self.behind) - len(prior.rotors)))
+        self._share = np.append(np.repeat(share[: len(self.pseudo)], 10), np.where(self._positive, other_shares, 0.0))
 
     @property
     def parameters(self) -> Array:
@@ -440,11 +444,11 @@ class _Search:
 
     @property
     def residual(self) -> Array:
-        """Return what is left of the data, in standard deviations, shape (m,)."""
+        """Return the residual of the data, in standard deviations, shape (m,)."""
         return np.asarray(self._whitened @ self.parameters - self._target)
 
     def _tangent(self, factors: Array) -> Array:
-        """Return the derivatives of the residual by a step: ten for each body, then one each; shape (m, 10 b + ...)."""
+        """Return the residual's derivatives by a step: ten for each body, then one each; shape (m, 10 b + ...)."""
         moves = inertial_parameters(factors[:, None] @ _BASIS @ np.swapaxes(factors, 1, 2)[:, None])
         links = self._whitened[:, : len(self._known)].reshape(len(self._target), -1, 10)[:, self._joint]
         bodies = np.einsum("mbp,bkp->mbk", links, moves).reshape(len(self._target), -1)
@@ -457,13 +461,13 @@ class _Search:
         near = np.sqrt(weights)
         for _ in range(_MAX_STEPS):
             factors, residual = np.linalg.cholesky(self.pseudo), self.residual
-            turned = np.swapaxes(factors, 1, 2)
-            slopes = np.einsum("kij,bij->bk", _BASIS, turned @ self._inverse @ factors - np.eye(4)).ravel()
-            slopes = np.append(slopes, np.where(self._positive, self.behind / self._begun - 1.0, 0.0))
+            transposed = np.swapaxes(factors, 1, 2)
+            slopes = np.einsum("kij,bij->bk", _BASIS, transposed @ self._inverse @ factors - np.eye(4)).ravel()
+            slopes = np.append(slopes, np.where(self._positive, self.behind / self._initial - 1.0, 0.0))
             tangent = self._tangent(factors)
             rows, sides = np.vstack([tangent, np.diag(near)]), np.append(residual, near * slopes)
             size, step = np.linalg.norm(rows, axis=0), np.zeros(rows.shape[1])
-            there = size > 0.0  # all but the rotors and offsets that no row holds
+            there = size > 0.0  # all but the rotors and offsets that no row contains
             step[there] = -np.linalg.lstsq(rows[:, there] / size[there], sides, rcond=_MIN_STEP_VALUE)[0] / size[there]
             moves = np.tensordot(step[:count].reshape(-1, 10), _BASIS, 1)
             stretch = np.append(np.linalg.eigvalsh(moves), step[count:])
@@ -472,17 +476,17 @@ class _Search:
             gain = -float(residual @ change + (weights * slopes) @ step)
             length = _best_length(gain, float(change @ change), own, stretch)
             shares = np.where(self._positive, self.behind, 1.0)
-            self.pseudo = factors @ (np.eye(4) + length * moves) @ turned
+            self.pseudo = factors @ (np.eye(4) + length * moves) @ transposed
             self.pseudo = 0.5 * (self.pseudo + np.swapaxes(self.pseudo, 1, 2))
             self.behind = self.behind + length * shares * step[count:]
             if gain < _DECREMENT * float(residual @ residual + weights.sum()):
                 break
 
     def open_masses(self, weight: float) -> Mask:
-        """Return at which joints the data leave more than half of the variance that the prior gives the mass alone."""
+        """Return the joints where the data leave more than half of the variance that the prior gives the mass alone."""
         factors, near = np.linalg.cholesky(self.pseudo), np.sqrt(weight * self._share)
         inverse = np.linalg.pinv(np.vstack([self._tangent(factors), np.diag(near)]))
-        # A step's change of the mass that moves with each joint.
+        # The change by a step of the mass that moves with each joint.
         masses = (factors[:, None] @ _BASIS @ np.swapaxes(factors, 1, 2)[:, None])[:, :, 3, 3]
         moved = np.zeros((len(self._known) // 10, len(near)))
         for b, joint in enumerate(self._joint):
@@ -493,13 +497,13 @@ class _Search:
 
 
 def _best_length(gain: float, square: float, weights: Array, stretch: Array) -> float:
-    """Return how far to go in a direction, in Newton steps.
+    """Return the step length along a direction, in Newton steps.
 
     Args:
-        gain: minus the slope of the minimised sum where it begins.
+        gain: minus the slope of the minimised sum at the beginning.
         square: of the change of the residual over one step.
         weights: of the logarithms, shape (k,).
-        stretch: change over one step of what these are of, 1 where it begins, shape (k,).
+        stretch: change over one step of their arguments, which are 1 at the beginning, shape (k,).
     """
 
     def slope(length: float) -> float:
@@ -511,13 +515,13 @@ def _best_length(gain: float, square: float, weights: Array, stretch: Array) -> 
 
 
 FAR = 2.0
-"""Standard deviations, RMS, from which on bodies are far from the base parameters."""
+"""Standard deviations, RMS, beyond which bodies are far from the base parameters."""
 _TOOL = "tool"  # the link that a tool file adds: its inertial is known
 
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
-    """Inertias that bodies can have, and what they cost: RMS along the runs at each of n joints, Nm, shape (n,).
+    """Possible inertias, and their cost: RMS along the runs at each of n joints, Nm, shape (n,).
 
     Attributes:
         inertias: nearest to the identified base parameters.
@@ -544,7 +548,7 @@ class Consistency:
 
     @property
     def open_text(self) -> str:
-        """Return in words at which joints the runs tell no mass, and where it stays; "" if there are none."""
+        """Return in words the joints whose masses the runs do not determine, and the values used; "" if none."""
         prior, words = self.inertias.prior, []
         real = {body.joint for body, guess in zip(prior.bodies, prior.guessed, strict=False) if not guess}
         for described, near in ((True, "the description's"), (False, "plausible ones, ellipsoids along the links")):
@@ -574,7 +578,7 @@ def make_consistent(
     Args:
         problem: the equations.
         friction: the fit.
-        robot: whose description says where inertias, rotors and springs begin.
+        robot: whose description gives the initial inertias, rotors and springs.
         options: that describe it.
 
     Raises:
@@ -598,7 +602,7 @@ def make_consistent(
 
 
 def written_arm(problem: ExcitationProblem, consistency: Consistency) -> RigidArm:
-    """Return the arm that the files hold, with the offsets of its torques."""
+    """Return the arm that the files describe, with the offsets of its torques."""
     arm, columns, values = problem.arm, problem.columns, consistency.inertias.parameters
     n, spring = len(arm.names), arm.spring.copy()
     spring[columns.springs] = values[11 * n : 11 * n + len(columns.springs)]

@@ -1,14 +1,13 @@
 """Whether signs and encoder zeros are right, by the simplest model: rigid body, Coulomb and viscous friction.
 
-A wrong zero bends the arm in the wrong place, and no inertia makes good for it; `zeros.find_zeros` decides. A zero that
-base parameters can make good for (a vertical first axis, the last joint) changes no torque, and is never blamed.
-
-A motor's torque constant of the wrong sign turns its torque round: the drive seems to be driven by friction. A gear of
-the wrong sign turns torque and motion round: power and friction are right, and the joint bends the other way. Both,
-and a motion alone that is turned round, are tried one motor after the other, friction being no less than 0. Some gears
-cannot be told: an arm whose joints all turn about vertical and parallel axes moves as its mirror image does. Only runs
-with one payload, or none, are asked for signs: it counts as a part of the last link, so that a wrong payload passes for
-no wrong sign.
+With a wrong zero the model bends the arm at a wrong angle, which no inertia can compensate; `zeros.find_zeros` decides.
+A zero whose error base parameters can compensate (that of a vertical first axis, or of the last joint) changes no
+torque and is never reported. A torque constant of the wrong sign reverses its motor's torque: the drive seems to be
+driven by friction. A gear of the wrong sign reverses torque and motion: power and friction are right, and the joint
+bends the other way. Both errors, and a reversed motion alone, are tried one motor after the other, with friction
+bounded to 0 or more. Some signs of gears cannot be determined: an arm whose joints all turn about vertical and parallel
+axes moves as its mirror image does. Signs are checked with runs of a single payload, or none: it counts as a part of
+the last link, so that a wrong payload is not taken for a wrong sign.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from rx90_emulator.identification.excitation.fit import nonnegative, solve, time
 from rx90_emulator.identification.excitation.law import COULOMB, VISCOUS, ElementShape, joint_columns
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.options import RobotOptions
-from rx90_emulator.identification.zeros import ROUNDS, SMALLEST, Left, ZeroCheck, find_zeros, is_error
+from rx90_emulator.identification.zeros import ROUNDS, SMALLEST, ResidualPower, ZeroCheck, find_zeros, is_error
 
 _NO_OPTIONS = RobotOptions()
 
@@ -46,15 +45,15 @@ class WrongSign(NamedTuple):
 
     Attributes:
         motor: its number, from 0 at the base.
-        motion: whether its position and velocity are turned round.
-        torque: whether its torque is.
-        alike: numbers of other motors that explain it as well, turned round in its place: mirror images do.
+        motion: whether its position and velocity are reversed.
+        torque: whether its torque is reversed.
+        interchangeable: numbers of other motors whose reversal explains the runs equally well, as mirror images do.
     """
 
     motor: int
     motion: bool
     torque: bool
-    alike: tuple[int, ...] = ()
+    interchangeable: tuple[int, ...] = ()
 
     @property
     def what(self) -> str:
@@ -62,8 +61,8 @@ class WrongSign(NamedTuple):
         return "gear" if self.motion and self.torque else "position" if self.motion else "effort"
 
 
-_TURNED_ROUND = ((False, True), (True, True), (True, False))
-"""Motion and torque: a wrong sign of the torque constant, of the gear, of the position alone."""
+_SIGN_ERRORS = ((False, True), (True, True), (True, False))
+"""Motion and torque: wrong sign of the torque constant, of the gear, of the position alone."""
 _MIN_SIGN_GAIN = 0.15  # share of the torque error, at least, that a right sign explains
 ROWS_PER_PARAMETER = 2.0
 """Of the simplest model, at least: fewer predict nothing, and fit any sign."""
@@ -71,36 +70,36 @@ _CLEAR_SE = 3.0  # standard errors by which a sign, or a zero, must explain more
 
 
 def check_signs(problem: ExcitationProblem, options: RobotOptions = _NO_OPTIONS) -> None:
-    """Refuse runs in which motors' torques or motions have the wrong sign, beyond any doubt; not very short ones.
+    """Refuse runs in which torques or motions of motors clearly have the wrong sign; not by very short ones.
 
     Args:
-        problem: equations with the signs as they were given.
-        options: which gears and torque constants were.
+        problem: equations with the signs as given.
+        options: with the given gears and torque constants.
 
     Raises:
-        IdentificationError: naming the joints, what is left of the torque either way, and what to write instead.
+        IdentificationError: naming the joints, the unexplained torque with either sign, and the options to use instead.
     """
     if len(problem) < ROWS_PER_PARAMETER * problem.parameters:
         return
     wrong, before, after = _Search(problem).wrong_signs()
     if not wrong:
         return
-    names, said, choices = problem.arm.names, [], [wrong]
+    names, descriptions, choices = problem.arm.names, [], [wrong]
     for k, one in enumerate(wrong):
-        said.append(f"{one.what} of {names[one.motor]}")
-        if one.alike:
-            said[-1] = f"{one.what} of one of {', '.join(names[motor] for motor in sorted((one.motor, *one.alike)))}"
-            said[-1] += " (either fits as well, as mirror images do)"
-        choices += [(*wrong[:k], one._replace(motor=motor), *wrong[k + 1 :]) for motor in one.alike]
+        descriptions.append(f"{one.what} of {names[one.motor]}")
+        if one.interchangeable:
+            motors = ", ".join(names[motor] for motor in sorted((one.motor, *one.interchangeable)))
+            descriptions[-1] = f"{one.what} of one of {motors} (either fits as well, as mirror images do)"
+        choices += [(*wrong[:k], one._replace(motor=motor), *wrong[k + 1 :]) for motor in one.interchangeable]
     better = " or ".join(filter(None, (_right_signs(one, options, len(names)) for one in choices)))
     raise IdentificationError(
-        f"wrong sign of the {' and the '.join(said)}: {before:.1%} of the torque there are unexplained, with the other "
-        f"sign {after:.1%}; accepted: {better}, there or in the signal map"
+        f"wrong sign of the {' and the '.join(descriptions)}: {before:.1%} of the torque there are unexplained, with "
+        f"the other sign {after:.1%}; accepted: {better}, there or in the signal map"
     )
 
 
 def _right_signs(wrong: Sequence[WrongSign], options: RobotOptions, count: int) -> str:
-    """Return the options that turn signs of `count` motors round."""
+    """Return the options that reverse the signs of some of `count` motors."""
     gear, constant = (list(given or [1.0] * count) for given in (options.gear, options.torque_constant))
     for motor, motion, torque, _ in wrong:
         gear[motor] *= -1.0 if motion else 1.0
@@ -114,26 +113,26 @@ def _right_signs(wrong: Sequence[WrongSign], options: RobotOptions, count: int) 
     )
 
 
-_SCREENING_ROWS = 2500  # that quarter turns are compared on, at most: evenly taken from all
+_SCREENING_ROWS = 2500  # largest number of rows that quarter turns are compared on, evenly spread over all
 _STEP = 1e-4  # rad, of differences by an angle
-_MIN_TORQUE_GAIN = 0.02  # share of the torque error that a change must explain, at least
-_MIN_INDEPENDENT_SHARE = 1e-4  # share of a derivative's squares that the other columns must leave, to tell the zero
+_MIN_TORQUE_GAIN = 0.02  # minimal share of the torque error that a change must explain
+_MIN_INDEPENDENT_SHARE = 1e-4  # minimal share of a derivative's squares outside the other columns, to determine a zero
 
 
 def check_zeros(problem: ExcitationProblem, zero: Array | None = None) -> ZeroCheck:
     """Look for zeros that explain the torques of runs clearly better.
 
     Args:
-        problem: equations with the zeros as they were given.
-        zero: these, recorded angles where those of the URDF are 0, rad, shape (n,); by default 0.
+        problem: equations with the zeros as given.
+        zero: the given zeros: recorded angles in the zero pose of the URDF, rad, shape (n,); by default 0.
     """
     fits = _Search(problem)
-    return find_zeros(fits, problem.arm.names, zero, fits.doubtful)
+    return find_zeros(fits, problem.arm.names, zero, fits.independent)
 
 
 @dataclass(frozen=True, eq=False)
 class _Signed:
-    """Equations of s rows, friction no less than 0: their joints, regressor, columns of friction, torque, Nm."""
+    """Equations of s rows with friction bounded to 0 or more: joints, regressor, columns of friction, torque, Nm."""
 
     joint: Index
     regressor: Array
@@ -141,7 +140,7 @@ class _Signed:
     torque: Array
 
     def residual(self, sigma: Array) -> Array:
-        """Return what is left of the torque by the fit with these deviations of the rows, Nm, shape (s,)."""
+        """Return the residual of the fit with these standard deviations of the rows, Nm, shape (s,)."""
         weight = 1.0 / sigma
         friction, target = self.friction * weight[:, None], self.torque * weight
         columns = self.regressor * weight[:, None]
@@ -151,7 +150,7 @@ class _Signed:
 
     @cached_property
     def sigma(self) -> Array:
-        """Return the deviation of each row, that of its joint's residuals, Nm, shape (s,)."""
+        """Return the standard deviation of each row, that of its joint's residuals, Nm, shape (s,)."""
         return self._by_joint(self.residual(self._by_joint(self.torque)))
 
     @property
@@ -166,7 +165,7 @@ class _Signed:
 
 
 class _Search:
-    """Fits with other angles; the motion passes the parallel filter in place of each of its columns, which is cheap."""
+    """Fits with shifted angles; to save time, the parallel filter is applied to the motion, not to each column."""
 
     def __init__(self, problem: ExcitationProblem) -> None:
         self._problem, self._friction = problem, coulomb_viscous(problem)
@@ -177,7 +176,7 @@ class _Search:
         self._block, self._all = time_blocks(problem), np.arange(len(problem))
         fit = solve(problem, np.hstack([problem.regressor, self._friction]))
         self._weight = (1.0 / fit.sigma[problem.joint])[:, None]
-        # Whole instants are taken, so that no more regressors are computed than rows are compared.
+        # Whole instants are selected, so that no more regressors are computed than rows are compared.
         self._some = self._screened(np.arange(len(problem)))
 
     def _screened(self, rows: Index) -> Index:
@@ -185,33 +184,33 @@ class _Search:
 
     @cached_property
     def _of_one_payload(self) -> Index:
-        """Return the rows that signs are compared on: of the runs with one payload, or none, that have most rows."""
+        """Return the rows for the comparison of signs: of the runs with the payload, or none, that most rows have."""
         bodies = [np.zeros(10) if body is None else body.parameters() for body in self._problem.payloads]
         kind = np.unique(bodies, axis=0, return_inverse=True)[1].reshape(-1)[self._problem.run]
         return self._screened(np.flatnonzero(kind == np.argmax(np.bincount(kind))))
 
     @cached_property
-    def doubtful(self) -> Mask:
-        """Return the joints whose zero the torques tell: no base parameter makes good for its error, shape (n,)."""
+    def independent(self) -> Mask:
+        """Return the joints whose zero the torques determine: no base parameter compensates its error, shape (n,)."""
         arm = self._problem.arm
         columns, slopes = (values * self._weight for values in self._derivatives(np.zeros(len(arm.names))))
-        left = slopes - _projected(columns, slopes)
+        independent = slopes - _projected(columns, slopes)
         size = np.sum(slopes**2, axis=0)
         return np.asarray(
-            arm.identified & (np.sum(left**2, axis=0) > _MIN_INDEPENDENT_SHARE * np.maximum(size, 1e-300))
+            arm.identified & (np.sum(independent**2, axis=0) > _MIN_INDEPENDENT_SHARE * np.maximum(size, 1e-300))
         )
 
-    def told(self, _deviation: Array) -> Mask:
-        """Return the same, which no deviation changes."""
-        return self.doubtful
+    def identifiable(self, _deviation: Array) -> Mask:
+        """Return `independent`, which does not depend on the deviation."""
+        return self.independent
 
     @property
     def torque(self) -> Array:
         """Return the mean square of the torque of each joint, Nm^2, shape (n,)."""
         return self._mean_square(self._problem.torque)
 
-    def left(self, shift: Array) -> Left:
-        """Return the same of what rigid body, Coulomb and viscous friction leave of it with shifted angles."""
+    def residual_power(self, shift: Array) -> ResidualPower:
+        """Return the mean square residual of rigid body, Coulomb and viscous friction with shifted angles."""
         return {"": self._mean_square(solve(self._problem, self._columns(shift, self._all)).residual)}
 
     def _mean_square(self, values: Array) -> Array:
@@ -219,53 +218,54 @@ class _Search:
         return np.asarray(squares / len(self._problem))
 
     def best(self, trials: list[Array], _start: Array) -> Array:
-        """Return those of some angles that leave least."""
+        """Return the trial with the smallest residual."""
         return min(trials, key=lambda shift: float(self._squares(shift).sum()))
 
     def clearly_better(self, shift: Array, than: Array) -> bool:
-        """Return whether some angles explain more than others: block by block, and by a share that counts."""
+        """Return whether one shift explains clearly more than another: block by block, and by a relevant share."""
         return self._explains(self._squares(than), self._squares(shift), _CLEAR_SE, _MIN_TORQUE_GAIN)
 
     def small(self, start: Array) -> tuple[Array, Array]:
         """Return small errors beside quarter turns and their deviations, rad, each shape (n,)."""
-        told, (shift, spread) = self.doubtful, np.zeros((2, len(start)))
-        for _ in range(ROUNDS if told.any() else 0):
+        identifiable, (shift, spread) = self.independent, np.zeros((2, len(start)))
+        for _ in range(ROUNDS if identifiable.any() else 0):
             columns, slopes = self._derivatives(start + shift)
-            fit, first = solve(self._problem, np.hstack([columns, slopes[:, told]])), columns.shape[1]
-            shift[told] += fit.value[first:]
-            spread[told] = fit.deviation[first:]
+            fit, first = solve(self._problem, np.hstack([columns, slopes[:, identifiable]])), columns.shape[1]
+            shift[identifiable] += fit.value[first:]
+            spread[identifiable] = fit.deviation[first:]
             if np.abs(fit.value[first:]).max() < 0.1 * SMALLEST or not is_error(shift, spread).any():
                 break
         return shift, spread
 
     def wrong_signs(self) -> tuple[tuple[WrongSign, ...], float, float]:
-        """Return the motors whose signs are wrong, and what is unexplained of their torque before and without that."""
+        """Return the motors with wrong signs, and the unexplained share of their torque before and after the change."""
         motors, wrong, first = range(len(self._problem.arm.names)), tuple[WrongSign, ...](), self._signed(())
         now = first
         for _ in motors:
             there = {one.motor for one in wrong}
-            tried = [(*wrong, WrongSign(k, *how)) for k in motors if k not in there for how in _TURNED_ROUND]
+            tried = [(*wrong, WrongSign(k, *how)) for k in motors if k not in there for how in _SIGN_ERRORS]
             best, other = min(((one, self._signed(one)) for one in tried), key=lambda pair: pair[1].deficit)
-            # Its own joints, too: another one that is quiet and gets a little quieter weighs as much.
+            # The joint itself must improve as well: a small gain on another, quiet joint would weigh as much.
             own = self._problem.arm.coupling[best[-1].motor, other.joint] != 0.0
             left, less = (float(np.linalg.norm(one.residual(other.sigma)[own])) for one in (now, other))
             clearly = self._explains(*self._compared(now, other), _CLEAR_SE, _MIN_SIGN_GAIN)
             if not clearly or less > (1.0 - _MIN_SIGN_GAIN) * left:
                 break
-            # Where nothing tells which way the joint bends, the torque is more often wrong than the position.
+            # Where the direction of the joint's motion cannot be determined, the torque is more often wrong than the
+            # position.
             plain = (*wrong, best[-1]._replace(motion=False, torque=True))
-            same = self._signed(plain)
-            if not self._beats(other, same):
-                best, other = plain, same
+            torque_only = self._signed(plain)
+            if not self._beats(other, torque_only):
+                best, other = plain, torque_only
             wrong, now = best, other
         others = [motor for motor in motors if motor not in {one.motor for one in wrong}]
         for k, one in enumerate(wrong):
             swapped = [(*wrong[:k], one._replace(motor=motor), *wrong[k + 1 :]) for motor in others]
-            alike = [
+            interchangeable = [
                 motor for motor, way in zip(others, swapped, strict=True) if not self._beats(now, self._signed(way))
             ]
-            wrong = (*wrong[:k], one._replace(alike=tuple(alike)), *wrong[k + 1 :])
-        named = [motor for one in wrong for motor in (one.motor, *one.alike)]
+            wrong = (*wrong[:k], one._replace(interchangeable=tuple(interchangeable)), *wrong[k + 1 :])
+        named = [motor for one in wrong for motor in (one.motor, *one.interchangeable)]
         own = np.isin(self._problem.joint[self._of_one_payload], named)
         size = max(float(np.linalg.norm(first.torque[own])), 1e-300)
         before, after = (float(np.linalg.norm(one.residual(now.sigma)[own])) / size for one in (first, now))
@@ -276,9 +276,9 @@ class _Search:
         return self._explains(*self._compared(now, other), _CLEAR_SE, _MIN_TORQUE_GAIN)
 
     def _compared(self, now: _Signed, other: _Signed) -> tuple[Array, Array]:
-        """Return the squares that two hypotheses leave in each block, weighted by the noise that the other one finds.
+        """Return the squared residuals of two hypotheses by block, weighted by the noise of the other hypothesis.
 
-        A wrong sign hides in the large noise that it makes of its joint; the right one does not.
+        A wrong sign makes the noise of its joint large and so hides in it; the right one does not.
         """
         block, count = self._block[self._of_one_payload], int(self._block.max()) + 1
         left = ((one.residual(other.sigma) / other.sigma) ** 2 for one in (now, other))
@@ -286,9 +286,9 @@ class _Search:
         return first, second
 
     def _signed(self, wrong: Sequence[WrongSign]) -> _Signed:
-        """Return the equations of rows of one payload with some signs turned round: the last link holds it.
+        """Return the equations of the rows of one payload, a part of the last link, with some signs reversed.
 
-        The friction's columns are those of the filtered velocities, which is near enough.
+        The friction's columns are those of the filtered velocities, which is accurate enough here.
         """
         problem, rows, coupling = self._problem, self._of_one_payload, self._problem.arm.coupling
         signs = np.ones((2, len(coupling)))
@@ -307,7 +307,7 @@ class _Search:
 
     @staticmethod
     def _explains(squares: Array, less: Array, errors: float, share: float) -> bool:
-        """Return whether less is left clearly: block by block, by more than chance and by a share that counts."""
+        """Return whether residuals fall clearly: block by block, by more than chance and by a relevant share."""
         gain = squares - less
         filled = gain[squares > 0.0]
         error = float(np.std(filled, ddof=1)) * math.sqrt(len(filled)) if len(filled) > 1 else math.inf
@@ -336,6 +336,6 @@ class _Search:
 
 
 def _projected(columns: Array, target: Array) -> Array:
-    """Return the part of some values, shape (r, ...), in the space of columns, shape (r, q)."""
+    """Return the projection of values, shape (r, ...), on the space of columns, shape (r, q)."""
     basis = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))[0]
     return np.asarray(basis @ (basis.T @ target))

@@ -1,21 +1,21 @@
-"""Which parts the friction of each element has: those with which the model predicts better what it was not fitted to.
+"""Select the parts of each element's friction: those with which the model predicts unseen rows better.
 
-From Coulomb and viscous friction on, parts are tried in the order of their physical plausibility: viscous exponent,
-Stribeck rise, bristle, bristle damping. A part is given to all elements at once, since a part missing on one joint
-disturbs those it is coupled with; then it is taken from one element after the other that predicts as well without it.
-Earlier parts of an element are judged anew with each later one, which may replace them.
+Starting from Coulomb and viscous friction, parts are tried in the order of their physical plausibility: viscous
+exponent, Stribeck rise, bristle, bristle damping. A part is given to all elements at once, since a part missing on one
+joint disturbs the joints it is coupled with; then it is removed from one element after the other that predicts as well
+without it. Earlier parts of an element are tested again with each later one, which may replace them.
 
-A Stribeck rise and a bristle are both in the rows after a reversal, and alone each takes the other's torque for its
-own: bristle, damping and rise are tried together. Asked for or not, bristles are tried where a rise shows, and where
-rows of reversals fit worse than others: left out, a bristle biases all that is fitted.
+A Stribeck rise and a bristle both act in the rows after a reversal, and each alone takes over the other's torque:
+bristle, damping and rise are tried together. Whether requested or not, bristles are tried where a rise was found, and
+where rows of reversals fit worse than others: a neglected bristle biases all other parameters.
 
-What predicts better is asked of blocks of time and whole runs that were left out. A block is long against the
-autocorrelation of the residuals, and what is near it is left out with it. The model without a block is a Gauss-Newton
+Prediction is measured on blocks of time and on whole runs that were left out. A block is long compared with the
+autocorrelation of the residuals, and its neighbourhood is left out with it. The model without a block is a Gauss-Newton
 step away from that of all rows, so that no fit is repeated.
 
-A viscous exponent near the lower bound of its range makes the viscous torque nearly a Coulomb torque, and the runs do
-not tell one from the other: such an exponent is not kept. Where a person names the parts, every element has them, and
-only those go of which a parameter ends at a bound.
+A viscous exponent near the lower bound of its range makes the viscous torque nearly a Coulomb torque, so that the runs
+cannot distinguish the two: such an exponent is dropped. If the user names the parts, every element has them, and a part
+is dropped only if one of its parameters ends at a bound.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from rx90_emulator.identification.excitation.law import (
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 _CORRELATION_TIMES = 4.0  # in a block
-_MIN_BLOCKS, _MAX_BLOCKS = 8, 60  # blocks of all runs
+_MIN_BLOCKS, _MAX_BLOCKS = 8, 60  # of all runs together
 _MAX_LAG_SHARE = 0.2  # of a run
-_CUTOFF = 1e-10  # relative: directions that the remaining rows do not determine stay where they are
+_CUTOFF = 1e-10  # relative: directions that the remaining rows do not determine keep their values
 
 Folds = list[tuple[Index, Index]]
-"""Groups of rows to predict, each with the rows that the model does not see then: its own, and their neighbours."""
+"""Groups of rows to predict, each with the rows that are left out for it: the group, and its neighbours."""
 
 
 def left_out(residual: Array, tangent: Array, folds: Folds) -> Array:
@@ -65,7 +65,7 @@ def left_out(residual: Array, tangent: Array, folds: Folds) -> Array:
     result = np.empty_like(residual)
     for rows, near in folds:
         gram, right = whole - tangent[near].T @ tangent[near], gradient - tangent[near].T @ residual[near]
-        # A Cholesky factor takes a hundredth of the time of singular values, which are left for what it cannot tell.
+        # A Cholesky factor takes a hundredth of the time of singular values, which are used where it fails.
         factor, failed = dpotrf(gram, lower=1)
         if failed or np.diag(factor).min() ** 2 < _CUTOFF:
             step = np.linalg.lstsq(gram, right, rcond=_CUTOFF)[0]
@@ -102,22 +102,22 @@ class TimeBlocks:
     def of(cls, problem: ExcitationProblem, residual: Array) -> TimeBlocks:
         """Choose the blocks from the residuals of a model, shape (r,).
 
-        A block is long against the autocorrelation of the residuals, so that the errors of blocks are independent; and
-        what lies within a correlation time of it is left out with it, so that its neighbours do not tell of it (Burman,
-        Chow and Nolan 1994: h-block cross-validation). A time that is repeated, in another period or run, brings back
-        the same misfit: it is in the block, too.
+        A block is long compared with the autocorrelation of the residuals, so that errors of blocks are independent.
+        Rows within a correlation time of a block are left out with it, so that neighbours contain no information on it
+        (Burman, Chow and Nolan 1994: h-block cross-validation). A repetition of a time, in another period or run, has
+        the same misfit and belongs to the same block.
         """
         correlation = _correlation_time(problem, residual)
         motion = np.unique(problem.motion, return_inverse=True)[1].ravel()
         time = problem.phase * np.array([run.down / run.rate for run in problem.runs])[problem.run]
-        durations = np.array([max(rows.max(), 1e-9) for rows in _grouped(time, motion)])  # of one instant: 0
+        durations = np.array([max(rows.max(), 1e-9) for rows in _grouped(time, motion)])  # 0 for a single instant
         whole = float(durations.sum())
-        wanted = _CORRELATION_TIMES * correlation
-        length = min(max(wanted, whole / _MAX_BLOCKS), whole / _MIN_BLOCKS)
+        requested = _CORRELATION_TIMES * correlation
+        length = min(max(requested, whole / _MAX_BLOCKS), whole / _MIN_BLOCKS)
         reason = f"{_CORRELATION_TIMES:g} correlation times of the residuals, {correlation:.3g} s"
-        if length > wanted:
+        if length > requested:
             reason = f"a {_MAX_BLOCKS}th of the motions, more than {reason}"
-        elif length < wanted:
+        elif length < requested:
             reason = f"an {_MIN_BLOCKS}th of the motions, less than {reason}: the motions are short"
         counts = np.maximum(1, np.round(durations / length)).astype(np.intp)
         place = (time / durations[motion] * counts[motion]).astype(np.intp)
@@ -144,7 +144,7 @@ def _correlation_time(problem: ExcitationProblem, residual: Array) -> float:
     lags = max(int(_MAX_LAG_SHARE * len(run.rows)) for run in problem.runs)
     period = problem.runs[-1].down / problem.runs[-1].rate
     for joint in range(int(problem.joint.max()) + 1):
-        products = np.zeros(lags)  # of residuals so many samples apart, summed over the runs
+        products = np.zeros(lags)  # of residuals at a distance of so many samples, summed over the runs
         for number, run in enumerate(problem.runs):
             rows = (problem.run == number) & (problem.joint == joint)
             series = np.zeros(len(run.rows))
@@ -160,12 +160,12 @@ def _correlation_time(problem: ExcitationProblem, residual: Array) -> float:
 
 
 class CrossValidation(NamedTuple):
-    """How well a model predicts what it was not fitted to.
+    """Accuracy of a model's prediction of rows that it was not fitted to.
 
     Attributes:
-        error: weighted RMS of the residuals of what was left out, in noise deviations of the joints.
+        error: weighted RMS of the residuals of the rows left out, in noise deviations of the joints.
         relative: RMS of these residuals over the RMS torque, all joints together.
-        gain: by how much `error` is less than that of the model it is compared with; 0 for the first model.
+        gain: reduction of `error` against the model it is compared with; 0 for the first model.
         gain_deviation: standard error of `gain`, from paired differences over the blocks.
     """
 
@@ -177,19 +177,19 @@ class CrossValidation(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """A model with its errors on what was left out.
+    """A model with its errors on rows left out.
 
     Attributes:
         fit: to all rows.
         residual: of all rows, Nm, shape (r,).
-        left: by "blocks", and by "runs" where there are several: squared weighted residuals of what was left out,
+        held_out: by "blocks", and by "runs" if there are several: squared weighted residuals of the rows left out,
             summed in each block, shape (b,), and their RMS over the RMS torque.
         rows: in each block, shape (b,).
     """
 
     fit: SeparableFit
     residual: Array
-    left: dict[str, tuple[Array, float]]
+    held_out: dict[str, tuple[Array, float]]
     rows: Array
 
     @classmethod
@@ -199,28 +199,28 @@ class Scored:
         problem, folds = weighted.problem, {"blocks": time.folds}
         if len(problem.runs) > 1:
             folds["runs"] = [(rows, rows) for rows in _grouped(np.arange(len(problem)), problem.run)]
-        left = {}
+        held_out = {}
         for kind, groups in folds.items():
             errors = left_out(residual, tangent, groups)
             relative = np.linalg.norm(errors / weighted.weight) / np.linalg.norm(problem.torque)
-            left[kind] = (np.bincount(time.block, errors**2).astype(np.float64), float(relative))
-        return cls(fit, residual / weighted.weight, left, np.bincount(time.block).astype(np.float64))
+            held_out[kind] = (np.bincount(time.block, errors**2).astype(np.float64), float(relative))
+        return cls(fit, residual / weighted.weight, held_out, np.bincount(time.block).astype(np.float64))
 
     def validations(self, against: Scored | None = None) -> dict[str, CrossValidation]:
         """Return the figures by "blocks", and by "runs" where both have them, with the gain over another model."""
         other, found = self if against is None else against, {}
-        for kind, (own, relative) in self.left.items():
-            if kind in other.left:
-                errors = HeldOutErrors({"own": own, "other": other.left[kind][0]}, self.rows)
+        for kind, (own, relative) in self.held_out.items():
+            if kind in other.held_out:
+                errors = HeldOutErrors({"own": own, "other": other.held_out[kind][0]}, self.rows)
                 found[kind] = CrossValidation(errors.rms("own")[0], relative, *errors.gain("own", "other"))
         return found
 
     def better_than(self, other: Scored) -> bool:
         """Return whether this model predicts better: by blocks, and by runs where there are several.
 
-        By blocks the gain must exceed the standard error of the paired differences. One standard error, not two: a part
-        that is there and left out biases all others, a part too much widens their deviations. By runs the loss, if
-        there is one, must lie within that error: few runs say less than many blocks.
+        By blocks the gain must exceed the standard error of the paired differences. One standard error, not two: a
+        neglected part biases all other parameters, a superfluous part only widens their deviations. By runs a loss, if
+        there is one, must lie within that error: few runs contain less information than many blocks.
         """
         figures = self.validations(other)
         blocks, runs = figures["blocks"], figures.get("runs")
@@ -245,7 +245,7 @@ class ModelRow(NamedTuple):
         relative_all: RMS residual over RMS torque, all joints together.
         by_blocks: cross-validation by blocks of time, with the gain over the last model that was kept.
         by_runs: cross-validation by runs; None where there is one run.
-        kept: whether the model goes on into the next comparison.
+        kept: whether later models are compared with this one.
         reason: why it is kept or not.
     """
 
@@ -261,18 +261,18 @@ class ModelRow(NamedTuple):
 PartKey = tuple[int, Part]
 """Number of an element, and a part of its friction."""
 
-_BESIDE = {
-    # Seen without it, a Stribeck rise hides an exponent below 1.
+_COMPANIONS = {
+    # If the rise is fitted first, it hides an exponent below 1.
     Part.STRIBECK: frozenset({Part.EXPONENT}),
     Part.BRISTLE: frozenset({Part.STRIBECK, Part.DAMPING}),
 }
-"""Which parts are tried together with another one."""
+"""Parts that are tried together with another one."""
 _STAGES = ("starts", "fit of all elements", "elements without it", "weights")
-"""Of the attempt with each part."""
-_START_COUNT = 5  # Stribeck velocities, and presliding distances, to start from
+"""Stages of the trial of each part."""
+_START_COUNT = 5  # number of Stribeck velocities, and of presliding distances, to start from
 _START_RISE = 0.3  # to start from
-_REVERSAL_MISFIT = 1.2  # RMS residual of reversals over that of other rows, from which on bristles are tried
-_BOUND_SE = 2.0  # deviations of an exponent from the lower bound of its range, below which the runs do not tell it
+_REVERSAL_MISFIT = 1.2  # RMS residual of reversals over that of other rows, above which bristles are tried
+_BOUND_SE = 2.0  # deviations of an exponent from its lower bound, below which the runs do not determine it
 
 
 def select_parts(
@@ -282,34 +282,38 @@ def select_parts(
     *,
     fixed: bool = False,
 ) -> Selection:
-    """Try parts in the order given and keep those with which the model predicts better, or give them to all elements.
+    """Try parts in the given order and keep those with which the model predicts better; or give them to all elements.
 
-    `progress` is called with the name of each of `stages(parts, fixed)` stages before it. With `fixed` no part is tried
-    beside those given, and none goes because the model predicts as well without it.
+    `progress` is called with the name of each of `stages(parts, fixed)` stages before it. With `fixed`, no part is
+    tried beside the given ones, and none is dropped because the model predicts as well without it.
     """
     search = Selection(problem, parts, fixed=fixed)
     for part in _attempts(parts, fixed):
-        left = iter([f"{part.value}: {stage}" for stage in _STAGES])
+        remaining = iter([f"{part.value}: {stage}" for stage in _STAGES])
         if part in parts or _wants_bristles(problem, search.now):
-            search.attempt(part, lambda left=left: progress(next(left)))  # type: ignore[misc]
-        for stage in left:  # of a part that no element can have
+            search.attempt(part, lambda remaining=remaining: progress(next(remaining)))  # type: ignore[misc]
+        for stage in remaining:  # of a part that no element can have
             progress(stage)
     return search
 
 
 def stages(parts: Sequence[Part], fixed: bool = False) -> int:
-    """Return how many stages of the choice of parts are reported."""
+    """Return how many stages the selection of parts reports."""
     return len(_attempts(parts, fixed)) * len(_STAGES)
 
 
 def _attempts(parts: Sequence[Part], fixed: bool) -> tuple[Part, ...]:
-    """Return the parts that are tried one after the other, if only where it is needed: bristles come after a rise."""
-    asked = tuple(part for part in parts if part is not Part.DAMPING)
-    return asked if fixed or Part.STRIBECK not in asked or Part.BRISTLE in asked else (*asked, Part.BRISTLE)
+    """Return the parts that are tried one after the other, bristles included that are tried only after a rise."""
+    requested = tuple(part for part in parts if part is not Part.DAMPING)
+    return (
+        requested
+        if fixed or Part.STRIBECK not in requested or Part.BRISTLE in requested
+        else (*requested, Part.BRISTLE)
+    )
 
 
 class Selection:
-    """The model so far, and what was compared.
+    """The model so far, and the table of the compared models.
 
     Attributes:
         weighted: the rows with their last weights.
@@ -328,8 +332,8 @@ class Selection:
         self.refused: dict[PartKey, str] = {}
         elements = element_rows(problem)
         shapes = [ElementShape() for _ in elements]
-        flat = WeightedProblem.of(problem, elements, np.ones(len(problem)))
-        self.weighted = _reweighted(flat, fit_shapes(flat, shapes))
+        unweighted = WeightedProblem.of(problem, elements, np.ones(len(problem)))
+        self.weighted = _reweighted(unweighted, fit_shapes(unweighted, shapes))
         fit = fit_shapes(self.weighted, shapes)
         self.blocks = TimeBlocks.of(problem, self.weighted.linearised(fit)[0])
         self.now = self._scored(fit)
@@ -341,7 +345,7 @@ class Selection:
         return self.now.fit
 
     def attempt(self, part: Part, stage: Callable[[], None]) -> None:
-        """Give a part to all elements, take it from those that do not need it, and keep it where it predicts better.
+        """Give a part to all elements, remove it where it is not needed, and keep it if the model predicts better.
 
         `stage` is called before each of the stages.
         """
@@ -352,7 +356,7 @@ class Selection:
         if not keys:
             return
         stage()
-        # Weights of the larger model: those of the smaller one play down the rows in which the part shows.
+        # Weights of the larger model: the smaller model's would reduce the weight of the rows in which the part acts.
         fit = fit_shapes(self.weighted, shapes)
         self.weighted = _reweighted(self.weighted, fit)
         before = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
@@ -360,19 +364,19 @@ class Selection:
         stage()
         trimmed = self.within_bounds(everywhere, part)
         if not self._fixed:
-            # Without the parts that go, others may come to a bound.
+            # Without the removed parts, others may come to a bound.
             trimmed = self.within_bounds(self._trimmed(trimmed, keys), part)
-        left = [e for e, shape in enumerate(trimmed.fit.shapes) if part in shape.parts]
-        kept = bool(left) and (self._fixed or trimmed.better_than(before))
+        remaining = [e for e, shape in enumerate(trimmed.fit.shapes) if part in shape.parts]
+        kept = bool(remaining) and (self._fixed or trimmed.better_than(before))
         if trimmed.fit.shapes != everywhere.fit.shapes:
             none = "it ends at a bound on all elements" if self._fixed else "no element predicts better with it"
-            gone = "kept on some elements, see below" if kept else none
-            self._add(f"+ {part.value}: all", everywhere, before, kept=False, reason=gone)
-        if left:
+            reason = "kept on some elements, see below" if kept else none
+            self._add(f"+ {part.value}: all", everywhere, before, kept=False, reason=reason)
+        if remaining:
             text, names = "asked for; " * self._fixed + trimmed.verdict(before), self._problem.arm.element_names
-            where = "all" if len(left) == len(given) else ", ".join(names[e] for e in left)
+            where = "all" if len(remaining) == len(given) else ", ".join(names[e] for e in remaining)
             self._add(f"+ {part.value}: {where}", trimmed, before, kept=kept, reason=text)
-            self.refused |= {} if kept else {(e, part): text for e in left}
+            self.refused |= {} if kept else {(e, part): text for e in remaining}
         if kept:
             self.now = trimmed
         stage()
@@ -383,24 +387,24 @@ class Selection:
         return Scored.of(self.weighted, fit, self.blocks)
 
     def _started(self, part: Part) -> list[ElementShape]:
-        """Return the shapes with a part, and others tried with it, on every element that moves, from the best start."""
-        tried = {part, *(_BESIDE.get(part, frozenset()) & self._allowed)}
+        """Return the shapes with a part, and its companions, on every moving element, from the best start values."""
+        tried = {part, *(_COMPANIONS.get(part, frozenset()) & self._allowed)}
         shapes = list(self.now.fit.shapes)
         for e, shape in enumerate(shapes):
             if len(self.weighted.elements[e].rows):
-                # A rise that was fitted without a bristle has the bristle's torque in it.
+                # A rise that was fitted without a bristle contains the bristle's torque.
                 fresh = shape.without(Part.STRIBECK) if Part.STRIBECK in tried else shape
-                begun = replace(fresh, parts=fresh.parts | tried)
-                shapes[e] = best_start(self.weighted, shapes, e, candidates(self.weighted, begun, e, part))
+                extended = replace(fresh, parts=fresh.parts | tried)
+                shapes[e] = best_start(self.weighted, shapes, e, candidates(self.weighted, extended, e, part))
         return shapes
 
     def within_bounds(self, model: Scored, part: Part | None = None) -> Scored:
-        """Return a model of which no parameter ends at a bound of its range: there it says nothing.
+        """Return a model in which no parameter lies at a bound of its range, where it has no meaning.
 
-        A Stribeck rise is tried again with delta = 1, the exponent that literature gives; then `part`, which is being
-        tried, goes, and else the part that the parameter belongs to.
+        A Stribeck rise is tried again with delta = 1, the exponent in the literature; then `part`, the one on trial, is
+        dropped, and otherwise the part that the parameter belongs to.
         """
-        while any(ended := _ended(model.fit)) or any(ended := self._untold_exponents(model.fit)):
+        while any(ended := _ended(model.fit)) or any(ended := self._indeterminate_exponents(model.fit)):
             shapes = list(model.fit.shapes)
             for e, bound in enumerate(ended):
                 if bound:
@@ -409,19 +413,21 @@ class Selection:
         return model
 
     def _inside(self, fit: SeparableFit, e: int, bound: Sequence[str], part: Part | None) -> ElementShape:
-        """Return another shape for an element of which these parameters end at a bound."""
+        """Return another shape for an element whose parameters `bound` lie at a bound."""
         shape, before = fit.shapes[e], self.now.fit.shapes[e]
         if Part.STRIBECK in shape.parts and "delta" not in shape.fixed:
-            begun = replace(shape, delta=1.0, fixed=shape.fixed | {"delta"}, alpha=before.alpha)
-            return best_start(self.weighted, fit.shapes, e, candidates(self.weighted, begun, e, Part.STRIBECK))
+            exponent_one = replace(shape, delta=1.0, fixed=shape.fixed | {"delta"}, alpha=before.alpha)
+            return best_start(self.weighted, fit.shapes, e, candidates(self.weighted, exponent_one, e, Part.STRIBECK))
         tried = part if part in shape.parts else None
         own = [name for name in bound if tried is None or name in tried.shape]
         name = (own or bound)[0]
         whose = PART_OF[name]
-        beside = (
-            part is not None and whose in _BESIDE.get(part, ()) and (part is Part.BRISTLE or whose not in before.parts)
+        is_companion = (
+            part is not None
+            and whose in _COMPANIONS.get(part, ())
+            and (part is Part.BRISTLE or whose not in before.parts)
         )
-        gone, element = whose if beside else tried or whose, self._problem.arm.element_names[e]
+        dropped, element = whose if is_companion else tried or whose, self._problem.arm.element_names[e]
         at = f"{round(getattr(shape, name), 6):.3g}"
         if name in fit.at_bound[e]:
             why = f"{name} of {element} ends at the bound of its range, {at}"
@@ -434,14 +440,14 @@ class Selection:
                 f"alpha of {element}, {at}, is within {_BOUND_SE:g} deviations of the bound of its range: the runs do "
                 "not tell such a viscous torque from Coulomb torque"
             )
-        self.refused[e, gone] = why
-        return shape.without(gone) if own or beside else before
+        self.refused[e, dropped] = why
+        return shape.without(dropped) if own or is_companion else before
 
-    def _untold_exponents(self, fit: SeparableFit) -> list[frozenset[str]]:
-        """Return "alpha" for each element whose exponent is too near its lower bound to be told from Coulomb torque."""
+    def _indeterminate_exponents(self, fit: SeparableFit) -> list[frozenset[str]]:
+        """Return "alpha" for each element whose exponent is too near its bound to differ from Coulomb torque."""
         inner, found = fit.inner(), [frozenset[str]()] * len(fit.shapes)
         places = [(k, e) for k, (e, name) in enumerate(inner) if name == "alpha"]
-        # Where a person asks for an exponent, its deviation says how well it is known.
+        # An exponent that the user requested is kept: its deviation shows how well it is determined.
         if places and not self._fixed:
             linear = solve(self._problem, self.weighted.tangent(fit, inner))
             for k, e in places:
@@ -451,9 +457,9 @@ class Selection:
         return found
 
     def _trimmed(self, model: Scored, keys: Sequence[PartKey]) -> Scored:
-        """Take parts away, the most useless first, until each that is left makes the model predict better.
+        """Remove parts, the most useless first, until the model predicts better with each remaining one.
 
-        Elements that act on no joint together are judged side by side.
+        Groups of elements that share no joint are processed side by side.
         """
         todo = {group: [key for key in keys if key[0] in group] for group in self._groups}
         while any(todo.values()):
@@ -471,7 +477,8 @@ class Selection:
     def _most_useless(self, model: Scored, keys: Iterable[PartKey], group: Sequence[int]) -> PartKey | None:
         """Return the part without which the model predicts as well or better, by the most; None if there is none.
 
-        The non-linear parameters of elements that act on none of the group's joints stay: they hardly change.
+        The non-linear parameters of elements that share no joint with the group are not fitted again: they hardly
+        change.
         """
         gains: dict[PartKey, float] = {}
         for e, part in keys:
@@ -505,9 +512,9 @@ def _wants_bristles(problem: ExcitationProblem, model: Scored) -> bool:
 
 
 def _ended(fit: SeparableFit) -> list[frozenset[str]]:
-    """Return the parameters of each element that end at a bound, or shape a torque that is 0, or leave no Coulomb one.
+    """Return each element's parameters at a bound, and those that shape no torque or leave no Coulomb torque.
 
-    An exponent leaves none where the viscous torque is all of the friction.
+    An exponent leaves no Coulomb torque if the viscous torque is all of the friction.
     """
     found = []
     for shape, linear, bound in zip(fit.shapes, fit.linear.tolist(), fit.at_bound, strict=True):
@@ -517,7 +524,7 @@ def _ended(fit: SeparableFit) -> list[frozenset[str]]:
 
 
 def candidates(weighted: WeightedProblem, shape: ElementShape, element: int, part: Part) -> list[ElementShape]:
-    """Return the shapes to start from with a part that an element is given."""
+    """Return the start shapes for an element with a new part."""
     if part is Part.EXPONENT:
         return [shape]
     low, high = weighted.bounds(element, "omega_s" if part is Part.STRIBECK else "stiffness")
@@ -531,7 +538,7 @@ def candidates(weighted: WeightedProblem, shape: ElementShape, element: int, par
 
 
 def element_groups(elements: Array) -> list[tuple[int, ...]]:
-    """Return elements that act on joints together, directly or by way of others, for E of shape (n_el, n)."""
+    """Return groups of elements that share joints, directly or through others, for E of shape (n_el, n)."""
     together = (elements != 0.0) @ (elements != 0.0).T
     for _ in range(len(together)):
         together = together @ together

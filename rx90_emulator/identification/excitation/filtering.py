@@ -1,17 +1,17 @@
-"""Runs at an even rate, differentiated without delay, the low-pass that torque and model share, and what is left out.
+"""Runs at an even rate, differentiated without delay, the common low-pass of torque and model, and excluded samples.
 
-Positions pass a Butterworth filter forwards and backwards, which delays nothing; velocity and acceleration are the
+Positions pass a Butterworth filter forwards and backwards, which causes no delay; velocity and acceleration are the
 derivatives of the quintic spline through the filtered samples (central differences lose a quarter of the velocity at a
-fifth of the sampling rate, the spline less than a hundredth). The torque is not filtered with them: it passes one
-low-pass together with everything that is to explain it (Gautier 1997, "Dynamic identification of robots with power
-model": parallel filtering), so that the filter distorts both sides of the equation alike.
+fifth of the sampling rate, the spline less than a hundredth). The torque does not pass this filter: it passes one
+low-pass together with all columns of the model (Gautier 1997, "Dynamic identification of robots with power model":
+parallel filtering), so that the filter distorts both sides of the equation in the same way.
 
-Gaps that are short beside the bandwidth of the positions hide no motion that it lets pass: they are bridged. The
-samples of a shock are no torque of the arm's: that torque is bridged, too, by a straight line, as is what is to explain
-it. A controller that loses its beat for some milliseconds gives such a torque, tens of Nm for 10 to 15 ms, and the
-parallel filter would spread it over a period of its bandwidth. The pulse stands far out of the
-torque's usual scatter about its running median, and is over within 30 ms. Where a joint reverses, friction and bristles
-give pulses of their own: there it must be half as large as all that the torque does.
+Gaps that are short compared with the bandwidth of the positions hide no motion that this filter passes: they are
+bridged. During a shock the measured torque is not the arm's: it is replaced by a straight line, and so are the columns
+of the model. A controller that misses its period for some milliseconds, for example, produces a torque of tens of Nm
+for 10 to 15 ms, which the parallel filter would spread over a period of its bandwidth. Such a pulse stands far out of
+the torque's usual scatter about its running median, and ends within 30 ms. Where a joint reverses, friction and
+bristles cause pulses of their own: there a shock must be half as large as the range of the torque.
 """
 
 from __future__ import annotations
@@ -37,31 +37,31 @@ from rx90_emulator.identification.records import BagSource, JointRecord
 
 _FILTER_ORDER = 4  # of the Butterworth filter, in each direction
 _STOPBAND_DB = 60.0  # dB, of the parallel filter beyond twice its bandwidth
-_SIGNAL_OVER_FLOOR = 10.0  # power of a motion over the noise of its positions, up to which the filter lets it pass
-_MOVING_PEAK_OVER_FLOOR = 1e3  # power at its peak over that floor, from which a joint counts as moving
-_MIN_SPECTRUM_SAMPLES = 64  # samples of a stretch whose spectrum is looked at
+_SIGNAL_OVER_FLOOR = 10.0  # power of a motion over the noise of its positions at the edge of the passband
+_MOVING_PEAK_OVER_FLOOR = 1e3  # power at its peak over that floor, above which a joint counts as moving
+_MIN_SPECTRUM_SAMPLES = 64  # least length of a stretch for a spectrum
 _SPECTRUM_TIME = 4.0  # s, of the pieces that spectra are averaged over
-_POSITION_OVER_MOTION_BAND = 10.0  # bandwidth of the positions over the motion's, at least: Gautier's rule is 5 to 10
-_MAX_BANDWIDTH_OVER_RATE = 0.3  # bandwidth of the positions over the sampling rate, at most
+_POSITION_OVER_MOTION_BAND = 10.0  # least bandwidth of the positions over the motion's: Gautier's rule is 5 to 10
+_MAX_BANDWIDTH_OVER_RATE = 0.3  # largest bandwidth of the positions over the sampling rate
 _ROWS_PER_HZ = 2.5  # rows per second over the bandwidth of the torque: neighbours' noise is nearly independent
-_MAX_ROWS = 30_000  # of all joints and runs: what more of them tell is not worth the time of their fits
+_MAX_ROWS = 30_000  # of all joints and runs: more rows improve the fit less than they slow it down
 _SMOOTHED_FALL = 4.0**-6  # power of a torque at four times a frequency over that at it: a fall as f^-6
 _GAP_PERIODS = 3.5  # periods without a sample that are a gap
-_BRIDGED_PERIODS = 0.25  # periods of the positions' bandwidth that a gap may last, not to split a run
-_LEAST_BESIDE_GAP = 4  # samples on either side that tell a bridge's cubic
-_STAMP_TOLERANCE = 1e-3  # periods that a stamp may lie off an even grid, to be taken as on it
+_BRIDGED_PERIODS = 0.25  # longest gap, in periods of the positions' bandwidth, that does not split a run
+_MIN_GAP_CONTEXT = 4  # samples on either side that a bridge's cubic is fitted to
+_STAMP_TOLERANCE = 1e-3  # largest distance of a stamp from an even grid, in periods
 _SPLINE_END = 10  # samples in which the error at a quintic spline's end fades
-_BLOCK_SAMPLES = 8192  # samples whose columns are held at a time
+_BLOCK_SAMPLES = 8192  # samples whose columns are in memory at a time
 
 
 class Bandwidths(NamedTuple):
-    """Of the two filters.
+    """Bandwidths of the two filters.
 
     Attributes:
         position: of the positions' Butterworth filter (both directions together: half the amplitude), Hz.
         torque: of the low-pass that torque and model share (half the amplitude at 1.5 times it), Hz.
-        reason: what in the data they come from, one sentence.
-        recorded_velocity: whether velocity and acceleration come from recorded velocities in place of positions.
+        reason: how they follow from the data, in one sentence.
+        recorded_velocity: whether velocity and acceleration come from recorded velocities instead of positions.
     """
 
     position: float
@@ -71,16 +71,17 @@ class Bandwidths(NamedTuple):
 
     @classmethod
     def of(cls, records: Sequence[JointRecord]) -> Bandwidths:
-        """Choose them from records.
+        """Choose the bandwidths from records.
 
         The spectrum of a position falls with frequency until it meets the floor of its noise (encoder steps, mostly),
-        which is flat. Below, samples tell of the motion; above, their second derivative is noise. The positions'
-        bandwidth is where the power is ten times the floor, in the median of joints that move; at least ten times the
-        band that holds 95 % of the velocity's power (Gautier's rule), and at most 0.3 times the sampling rate. The
-        torque gets a third of it: where its low-pass ends, the positions' filter has hardly begun (gain 0.96). Long
-        runs with hardly any noise would give more rows than a fit needs: then the torque gets what 30,000 rows carry,
-        down to a third of ten times the motion's band. Torques that were smoothed before they were recorded get no
-        more than that smoothing left (`smoothed_above`).
+        which is flat. Below this frequency samples contain the motion; above it their second derivative is noise. The
+        positions' bandwidth is where the power is ten times the floor, in the median of joints that move; at least ten
+        times the band that holds 95 % of the velocity's power (Gautier's rule), and at most 0.3 times the sampling
+        rate.
+        The torque's bandwidth is a third of it: where its low-pass ends, the positions' filter has hardly begun (gain
+        0.96). Long runs with hardly any noise would give more rows than a fit needs: then the torque's bandwidth is the
+        one that gives 30,000 rows, but at least a third of ten times the motion's band. If torques were smoothed before
+        they were recorded, the bandwidth is at most that of the smoothing (`smoothed_above`).
 
         Raises:
             IdentificationError: if no joint moves, or the runs are too short.
@@ -91,15 +92,15 @@ class Bandwidths(NamedTuple):
             if longest >= _MIN_SPECTRUM_SAMPLES:
                 raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
             samples = f"{longest} sample{'s' * (longest != 1)} without a gap"
-            said = f"{records[0].source}: {samples}; accepted: {_MIN_SPECTRUM_SAMPLES} or more in a run"
-            raise IdentificationError(said)
+            reason = f"{records[0].source}: {samples}; accepted: {_MIN_SPECTRUM_SAMPLES} or more in a run"
+            raise IdentificationError(reason)
         crossing, motion = np.median(found, axis=0).tolist()
-        wanted = max(crossing, _POSITION_OVER_MOTION_BAND * motion)
-        position = min(wanted, _MAX_BANDWIDTH_OVER_RATE * min(_rate(record.time) for record in records))
+        suitable = max(crossing, _POSITION_OVER_MOTION_BAND * motion)
+        position = min(suitable, _MAX_BANDWIDTH_OVER_RATE * min(_rate(record.time) for record in records))
         source = f"the motion stands out of the positions' noise up to {crossing:.3g} Hz"
-        if wanted > crossing:
-            source += f", and {_POSITION_OVER_MOTION_BAND:g} times its own band is {wanted:.3g} Hz"
-        if position < wanted:
+        if suitable > crossing:
+            source += f", and {_POSITION_OVER_MOTION_BAND:g} times its own band is {suitable:.3g} Hz"
+        if position < suitable:
             source += f"; no more than {_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"
         torque = position / 3.0
         lasting = sum(record.time[-1] - record.time[0] for record in records) * records[0].position.shape[1]
@@ -113,35 +114,35 @@ class Bandwidths(NamedTuple):
 
 
 def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:
-    """Yield, for each joint that moves, where its spectrum meets the noise, and the band of its velocity, Hz."""
+    """Yield for each moving joint the frequency where its spectrum meets the noise, and its velocity's band, Hz."""
     frequency, power, edges = _spectrum(record, record.position, 3, "hann")
     for column in power.T:
         floor = max(float(np.median(column[frequency > 0.25 * _rate(record.time)])), 1e-30)
         typical = np.array([np.median(part) for part in np.split(column, edges[1:])])
         peak = int(np.argmax(typical))
-        lost = np.flatnonzero(typical[peak:] < _SIGNAL_OVER_FLOOR * floor)
+        below_floor = np.flatnonzero(typical[peak:] < _SIGNAL_OVER_FLOOR * floor)
         if typical[peak] > _MOVING_PEAK_OVER_FLOOR * floor:
-            crossing = float(frequency[edges[peak + lost[0]] if len(lost) else -1])
+            crossing = float(frequency[edges[peak + below_floor[0]] if len(below_floor) else -1])
             velocity = np.cumsum(np.where(frequency < crossing, column, 0.0) * frequency**2)
             yield crossing, float(frequency[np.searchsorted(velocity, 0.95 * velocity[-1])])
 
 
 def least_bandwidth(records: Sequence[JointRecord]) -> float:
-    """Return ten times the band of the motion of records in which joints move, Hz: what the positions need at least."""
+    """Return ten times the band of the joints' motion in records, Hz: the least bandwidth for the positions."""
     return _POSITION_OVER_MOTION_BAND * float(np.median([pair[1] for one in records for pair in _crossings(one)]))
 
 
 def smoothed_above(records: Sequence[JointRecord]) -> float | None:
-    """Return from where on torques were smoothed before they were recorded, Hz; None where they were not.
+    """Return the frequency above which torques were smoothed before they were recorded, Hz; None if they were not.
 
     Coulomb friction steps, and noise is flat: the power of a measured torque falls with the square of the frequency at
-    most, beside the motion's own edge. A zero-phase low-pass of second order falls with its eighth power. A torque
-    counts as smoothed where, of the joints of all runs, half or more have a power that falls from some frequency to
-    four times that by more than with the sixth power; the least such frequency is where the low-pass has hardly begun.
+    most, apart from the edge of the motion's band. A zero-phase low-pass of second order falls with the eighth power. A
+    torque counts as smoothed if for at least half of the joints of all runs the power falls faster than with the sixth
+    power from some frequency to four times it; at the least such frequency the low-pass has hardly begun.
     """
     found = []
     for record in records:
-        # Of the leakage of this window, 92 dB below the peak, nothing hides a fall.
+        # The leakage of this window, 92 dB below the peak, hides no fall.
         frequency, power, edges = _spectrum(record, record.torque, 1, "blackmanharris")
         band = frequency[edges]
         for column in power.T:
@@ -155,9 +156,10 @@ def smoothed_above(records: Sequence[JointRecord]) -> float | None:
 
 
 def _spectrum(record: JointRecord, values: Array, degree: int, window: str) -> tuple[Array, Array, Index]:
-    """Return frequencies, power of each column, and where bands of them begin, of the longest piece without a gap.
+    """Return frequencies, power of each column, and the first indices of bands, of the longest piece without a gap.
 
-    Bands are a fifth of an octave wide at least: the median in a band ignores lines of ripple. All are empty for a
+    Bands are at least a fifth of an octave wide: the median in a band ignores lines of ripple. All results are empty
+    for a piece that is too short.
     piece that is too short.
     """
     start, stop = max(_pieces(record.time), key=lambda piece: piece[1] - piece[0])
@@ -173,10 +175,10 @@ def _spectrum(record: JointRecord, values: Array, degree: int, window: str) -> t
 
 
 class TorqueStamps(NamedTuple):
-    """Where the torque was recorded, if that is not at a run's even times, and its way from there to these.
+    """Motion at the instants at which the torque was recorded, if these are not a run's even times, and the resampling.
 
-    A torque that steps at a reversal is resampled to something between both its values, in one sample near it. What is
-    to explain it must go the same way: from the velocity at the stamps, resampled as the torque was.
+    A torque step at a reversal is resampled to a value between both levels, in one sample near it. The columns of the
+    model must be resampled in the same way: from the velocity at the stamps.
 
     Attributes:
         velocity: of the joints at s stamps, rad/s, shape (s, n).
@@ -189,7 +191,7 @@ class TorqueStamps(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FilteredRun:
-    """One run at its full, even rate; what the filter's edges spoil is cut off.
+    """One run at its full, even rate, without the ends that the filters distort.
 
     Attributes:
         source: the bag.
@@ -201,8 +203,8 @@ class FilteredRun:
         torque: as recorded, at the joints, Nm, shape (m, n).
         reference: position set-points, rad, shape (m, n); None where none were recorded.
         bandwidths: of both filters.
-        stamps: where the torque was recorded; None where that is at `time`.
-        shocks: begin and end of times whose torque is not used, s.
+        stamps: where the torque was recorded; None if that is at `time`.
+        shocks: begin and end of the times whose torque is not used, s.
     """
 
     source: BagSource
@@ -225,7 +227,7 @@ class FilteredRun:
     @cached_property
     def down(self) -> int:
         """Return how many samples lie between two rows."""
-        # Rates of the same recording, cut elsewhere, differ by rounding: its rows must not.
+        # Parts of the same recording have rates that differ by rounding; their rows must not differ.
         return max(1, math.floor(self.rate / (_ROWS_PER_HZ * self.bandwidths.torque) + 1e-6))
 
     @cached_property
@@ -235,13 +237,13 @@ class FilteredRun:
 
     @cached_property
     def rows(self) -> Index:
-        """Return the samples that the rows lie at, shape (k,): those around which the filter has its whole length."""
+        """Return the samples of the rows, those with a whole length of the filter around them, shape (k,)."""
         half = len(self.taps) // 2
         return np.arange(half, len(self.time) - half, self.down)
 
     @property
     def whole(self) -> Mask:
-        """Return which rows lie outside of the shocks, by a quarter of a period of the torque's bandwidth, (k,)."""
+        """Return the rows that lie outside of all shocks, by a quarter of a period of the torque's bandwidth, (k,)."""
         time, margin = self.time[self.rows], 0.25 / self.bandwidths.torque
         inside = [(time > begin - margin) & (time < end + margin) for begin, end in self.shocks]
         return np.asarray(~np.any([np.zeros(len(time), dtype=np.bool_), *inside], axis=0))
@@ -252,18 +254,18 @@ class FilteredRun:
         return self.velocity if self.stamps is None else self.stamps.velocity
 
     def evened(self, values: Array) -> Array:
-        """Return at the run's samples what is known where the torque was recorded, shapes (m, ...) and (s, ...)."""
+        """Resample values from where the torque was recorded, (s, ...), to the run's samples, (m, ...)."""
         if self.stamps is None:
             return values
         even = self.stamps.resampling @ values.reshape(len(values), -1)
         return np.asarray(even).reshape(len(even), *values.shape[1:])
 
     def parallel(self, values: Array) -> Array:
-        """Return values at the full rate, shape (m, ...), low-passed as the torque is, at the rows, shape (k, ...)."""
+        """Return values at the full rate, (m, ...), with the torque's low-pass, at the rows, shape (k, ...)."""
         return low_pass(values, self.taps, self.down)
 
     def smooth(self, values: Array, bandwidth: float) -> Array:
-        """Return values at the full rate without delay below another bandwidth, Hz, shape (m, n)."""
+        """Return values at the full rate, low-passed without delay at another bandwidth, Hz, shape (m, n)."""
         sections = butter(_FILTER_ORDER, bandwidth, fs=self.rate, output="sos")
         return np.asarray(sosfiltfilt(sections, values, axis=0))
 
@@ -278,18 +280,18 @@ class FilteredRun:
 def filter_record(
     record: JointRecord, bandwidths: Bandwidths, reference: Array | None = None, torque_lead: float = 0.0
 ) -> tuple[FilteredRun, ...]:
-    """Return the runs of a record: a gap that is not short beside the bandwidths ends one and begins the next.
+    """Return the runs of a record: gaps that are too long to be bridged separate them.
 
     Args:
         record: with any rate and jitter.
         bandwidths: of the filters.
         reference: position set-points at the record's samples, shape (m, n).
-        torque_lead: by how much a torque acted before its stamp, s. Viscous friction makes a torque that is late by d
-            look like a rotor inertia that is too small by c2 d.
+        torque_lead: by how much a torque acted before its stamp, s. With viscous friction c2, a torque that is late by
+            d makes a rotor inertia appear too small by c2 d.
 
     Raises:
-        IdentificationError: for bandwidths that the sampling rate does not carry, and if no piece is longer than the
-            edges of the filters.
+        IdentificationError: for bandwidths that are too large for the sampling rate, and if all pieces are shorter than
+            the edges of the filters.
     """
     rate = _rate(record.time)
     if bandwidths.position > 0.45 * rate or bandwidths.torque > 0.22 * rate:
@@ -317,7 +319,7 @@ def _filtered(
     even = _even(time, rate)
     inner = slice(edge, len(even) - edge)
     sections = butter(_FILTER_ORDER, bandwidths.position, fs=rate, output="sos")
-    # From 0 on: stamps of the wall clock are rounded to 0.2 us, which second derivatives at 5 kHz do not bear.
+    # From 0 on: stamps of the wall clock are rounded to 0.2 us, too coarse for second derivatives at 5 kHz.
     count = np.arange(len(even)) / rate
 
     def smoothed(values: Array) -> Array:
@@ -352,7 +354,7 @@ def _filtered(
 
 
 def _rate(time: Array) -> float:
-    """Return samples per second; a gap does not count."""
+    """Return samples per second, gaps excluded."""
     if len(time) < 2:
         raise IdentificationError(f"a run of {len(time)} samples; accepted: a second of motion or more")
     steps = np.diff(time)
@@ -361,33 +363,33 @@ def _rate(time: Array) -> float:
 
 
 def gaps(time: Array) -> Index:
-    """Return the samples before which stamps have a gap of more than 3.5 periods."""
+    """Return the indices of samples after a gap of more than 3.5 periods."""
     steps = np.diff(time)
     return np.flatnonzero(steps > _GAP_PERIODS * np.median(steps)) + 1 if len(steps) else np.empty(0, dtype=np.intp)
 
 
 def bridged_gap(bandwidths: Bandwidths) -> float:
-    """Return how long a gap may be to be bridged, s."""
+    """Return the longest gap that is bridged, s."""
     return _BRIDGED_PERIODS / bandwidths.position
 
 
 def _pieces(time: Array, bridged: float = 0.0) -> list[tuple[int, int]]:
-    """Return the first sample and the one after the last of each piece without a gap that is longer than `bridged`."""
+    """Return first index and end of each piece without a gap that is longer than `bridged`."""
     breaks = [k for k in gaps(time).tolist() if time[k] - time[k - 1] > bridged]
     return list(pairwise([0, *breaks, len(time)]))
 
 
 def _bridged(time: Array, values: Array) -> tuple[Array, Array]:
-    """Return stamps and values with those that gaps lack, by the cubics that fit best to what lies beside them.
+    """Return stamps and values with the samples that gaps lack, by cubics fitted to the samples on both sides.
 
-    A spline through the samples alone would swing in a gap as their noise has it.
+    A spline through the samples alone would extrapolate their noise into a gap.
     """
     added: list[tuple[int, Array, Array]] = []
     for k in gaps(time).tolist():
         begin, end = time[k - 1], time[k]
         period = float(np.median(np.diff(time)))
         missing = np.linspace(begin, end, max(2, round((end - begin) / period)) + 1)[1:-1]
-        reach = max(_LEAST_BESIDE_GAP, len(missing))
+        reach = max(_MIN_GAP_CONTEXT, len(missing))
         near = slice(max(0, k - reach), k + reach)
         powers = np.vander((time[near] - begin) / (end - begin), 4)
         cubic = np.linalg.lstsq(powers, values[near], rcond=None)[0]
@@ -404,12 +406,12 @@ def _even(time: Array, rate: float) -> Array:
 
 
 def _resampled(time: Array, values: Array, even: Array, degree: int) -> Array:
-    """Return values at even times; those whose stamps are even stay as they are."""
+    """Return values at even times; values whose stamps are even do not change."""
     return values if _is_even(time, even) else np.asarray(make_interp_spline(time, values, k=degree)(even))
 
 
 def _is_even(time: Array, even: Array) -> bool:
-    """Return whether stamps are at even times, but for rounding."""
+    """Return whether stamps are at even times, except for rounding."""
     tolerance = _STAMP_TOLERANCE * (even[1] - even[0]) + 2.0 * float(np.spacing(np.abs(time[-1])))
     return len(time) == len(even) and float(np.abs(time - even).max()) < tolerance
 
@@ -432,12 +434,12 @@ def _kaiser(rate: float, bandwidth: float) -> tuple[int, float]:
 
 
 def low_pass(values: Array, taps: Array, down: int = 1) -> Array:
-    """Return every down-th sample of the filtered values at which the filter has its whole length.
+    """Return every down-th filtered sample, where the filter has its whole length.
 
     Args:
         values: shape (m, ...).
-        taps: shape (2 h + 1,); the first sample that is returned lies at index h.
-        down: samples from one to the next.
+        taps: shape (2 h + 1,); the first returned sample belongs to index h.
+        down: samples from one returned sample to the next.
     """
     count = max(0, (len(values) - len(taps)) // down + 1)
     result = np.empty((count, math.prod(values.shape[1:])))
@@ -451,9 +453,9 @@ def filter_columns(columns: Array, taps: Array, down: int, result: Array) -> Non
 
     Args:
         columns: at the full rate, shape (c, m).
-        taps: by which samples are multiplied, shape (t,).
+        taps: weights of the samples, shape (t,).
         down: samples from one result to the next.
-        result: takes the sums, of which the first begins at sample 0, shape (k, c).
+        result: receives the sums, shape (k, c); the first sum begins at sample 0.
     """
     whole = len(taps) - len(taps) % 16
     parts = np.empty(8)
@@ -475,21 +477,22 @@ def filter_columns(columns: Array, taps: Array, down: int, result: Array) -> Non
             result[row, number] = total
 
 
-_SHOCK_RATE = 250.0  # samples per second that shocks are sought at, about: means of 4 ms
+_SHOCK_RATE = 250.0  # approximate rate for the search of shocks, samples per second: means of 4 ms
 _SHOCK_WINDOW = 0.06  # s, of the running median: pulses of up to half of it stand out
 _SHOCK_OVER_SCATTER = 6.0  # least size over the 97.5th percentile of the scatter
-_SHOCK_OVER_RANGE, _REVERSING_SHOCK_OVER_RANGE = 0.1, 0.5  # and over the torque's range; where a joint reverses
-_SHOCK_MARGIN = 5e-3  # s, left out on both sides with it
-_LOW_RATE = 67.0  # samples per second, of the slowest recordings that intervals are proven for
+_SHOCK_OVER_RANGE, _REVERSING_SHOCK_OVER_RANGE = 0.1, 0.5  # least size over the torque's range; at reversals
+_SHOCK_MARGIN = 5e-3  # s, excluded on both sides, too
+_LOW_RATE = 67.0  # samples per second, of the slowest recordings for which intervals were validated
 SLOW_SPEED, SLOW_SHARE = 0.05, 0.1
-"""Below, an element is near a reversal or at rest: rad/s, or a share of the speed exceeded in a tenth of the run.
+"""Below one of these speeds an element is near a reversal or at rest: rad/s; share of the speed that is exceeded in a
+tenth of the run.
 
-On real arms, rows below it pull Coulomb friction 10 to 25 % low.
+On real arms, rows below it bias Coulomb friction low by 10 to 25 %.
 """
 
 
 def without_shocks(record: JointRecord, elements: Array) -> tuple[JointRecord, tuple[str, ...]]:
-    """Return a record with the times of its shocks, and in words what was found.
+    """Return a record with the times of its shocks, and the findings in words.
 
     Args:
         record: of n joints.
@@ -528,21 +531,21 @@ def without_shocks(record: JointRecord, elements: Array) -> tuple[JointRecord, t
         texts.append(f"{height:.3g} Nm at {record.names[joint]} {begin - float(record.time[0]):.3g} s after the begin")
     if not found:
         return record, ()
-    lost = 1e3 * sum(end - begin for begin, end in found)
+    removed = 1e3 * sum(end - begin for begin, end in found)
     shown = ", ".join(texts[:6]) + (", ..." if len(texts) > 6 else "")
     what = f"{len(found)} shock{'s' * (len(found) > 1)}"
-    text = f"{record.source.name}: {what} of the torque left out, {lost:.0f} ms with margins: {shown}"
+    text = f"{record.source.name}: {what} of the torque left out, {removed:.0f} ms with margins: {shown}"
     return replace(record, shocks=tuple(found)), (text,)
 
 
 def stretches(there: Mask) -> list[tuple[int, int]]:
-    """Return where each stretch of samples begins and ends, the end excluded, of a condition, shape (m,)."""
+    """Return begin and end (exclusive) of each stretch of samples that meet a condition, shape (m,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]).astype(np.int8)))
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
 def _near_rest(velocity: Array, width: int) -> Mask:
-    """Return where elements are slow or reverse within a window of so many samples, shape (m, n_el)."""
+    """Return the samples at which elements are slow or reverse within a window of `width` samples, shape (m, n_el)."""
     least = np.minimum(SLOW_SPEED, SLOW_SHARE * np.quantile(np.abs(velocity), 0.9, axis=0))
     turns = np.sign(minimum_filter1d(velocity, width, axis=0)) != np.sign(maximum_filter1d(velocity, width, axis=0))
     return np.asarray(maximum_filter1d((np.abs(velocity) < least) | turns, width, axis=0))

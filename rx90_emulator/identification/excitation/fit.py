@@ -1,23 +1,23 @@
-"""Least squares of the rows: robust ones with deviations that hold under misfit, and separable non-linear ones.
+"""Least squares: a robust linear fit with deviations that hold under misfit, and a separable non-linear fit.
 
-Every linear fit of excitation runs is one call of `solve`: the base fit, drive gains, load parts, exponents that are
-left open, parts that may be there, load dependence.
+Every linear fit of excitation runs is one call of `solve`: the base fit, drive gains, load parts, free exponents, parts
+that may exist, load dependence.
 
-Residuals of an excitation run are no white noise: what the model leaves out (ripple, load, temperature) returns with
-the motion. A fit is seen here as the sum of what every instant contributes to it, its influence: inverse curvature
+Residuals of an excitation run are not white noise: effects outside the model (ripple, load, temperature) return with
+the motion. So a fit is written as the sum of the contributions of all instants, their influences: inverse curvature
 times score, all joints of an instant together. Its variance follows from these contributions and their correlation in
-time alone, whatever the residuals are. Repetitions of a motion count as one (`problem.phases`): their contributions are
+time alone, for residuals of any kind. Repetitions of a motion count as one (`problem.phases`): their contributions are
 added before they are squared.
 
-The residuals of a fit are smaller than the errors that they stand for, and most of all at the low frequencies that its
-columns consist of. Each block of time is therefore judged by the fit to all other blocks (as in the jackknife of Bell
-and McCaffrey 2002, there for clusters); without that, 95 % intervals of random arms hold 91 to 93 % of the true values.
+The residuals of a fit are smaller than the errors that they represent, most of all at the low frequencies of its
+columns. Each block of time is therefore evaluated with the fit to all other blocks (as in the jackknife of Bell and
+McCaffrey 2002, there for clusters); without that, 95 % intervals of random arms contain 91 to 93 % of the true values.
 
-Where shapes of friction are sought, the linear parameters are eliminated, and SciPy optimises the others.
-
-Variable projection (Golub and Pereyra 1973) with Kaufman's derivatives (1975). All joints and elements are fitted
-together, so that a friction parameter answers for the inertias with which it is correlated. The search works on inner
-products of columns: an element has rows on its own joints only, and a change of one element leaves those of the others.
+When shapes of friction are fitted, the linear parameters are eliminated, and SciPy optimises the others. Variable
+projection (Golub and Pereyra 1973) with Kaufman's derivatives (1975). All joints and elements are fitted together, so
+that friction parameters and the inertias that they are correlated with are found jointly. The search works on inner
+products of columns: an element has rows on its own joints only, and a change of one element does not change the inner
+products of the others.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ from rx90_emulator.identification.excitation.law import (
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, Prior
 
 _MAX_ROUNDS = 30
-_CONVERGED = 1e-2  # change of a value in its deviations; what is left to change is some three times as much
+_CONVERGED = 1e-2  # change of a value in its deviations; the remaining change is some three times as much
 _HUBER = 1.345  # deviations beyond which a residual weighs less: 95 % efficient for normal noise
-_MIN_SINGULAR_VALUE = 1e-6  # singular value of scaled columns over the largest, below which a direction is unknown
-_MAX_NULL_SHARE = 1e-6  # of such a direction's square in a parameter, from which on that is not determined
+_MIN_SINGULAR_VALUE = 1e-6  # singular value of scaled columns over the largest, below which a direction is undetermined
+_MAX_NULL_SHARE = 1e-6  # share of undetermined directions in a parameter (squared) above which it is undetermined
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +57,10 @@ class LinearFit:
     """Parameters that are linear in the torque.
 
     Attributes:
-        value: shape (q,); where the rows do not determine it, the shortest solution.
+        value: shape (q,); for undetermined directions, the shortest solution.
         covariance: of the values, shape (q, q): autocorrelation-consistent, residuals of each block of time from the
-            fit to the others; infinite on the diagonal of what is not determined.
-        residual: torque less what the fit predicts, Nm, shape (r,).
+            fit to the others; infinite on the diagonal of undetermined parameters.
+        residual: torque less the fit's prediction, Nm, shape (r,).
         sigma: standard deviation of each joint's residuals by which its rows are weighted, Nm, shape (n,).
         weights: robust weights between 0 and 1, shape (r,).
         determined: whether the rows determine each parameter, shape (q,).
@@ -89,14 +89,14 @@ def solve(
     prior: Prior | None = None,
     instruments: Array | None = None,
 ) -> LinearFit:
-    """Fit a torque by columns, each joint weighted by its own residuals; rows far off weigh less (Huber).
+    """Fit a torque by columns, each joint weighted by its own residuals; outlying rows weigh less (Huber).
 
-    Solved is instruments^T W (torque - columns @ value) + precision (mean - value) = 0.
+    The equation solved is instruments^T W (torque - columns @ value) + precision (mean - value) = 0.
 
     Args:
         problem: r rows of n joints.
         columns: shape (r, q).
-        torque: to explain, Nm, shape (r,); by default that of the problem.
+        torque: torque to explain, Nm, shape (r,); by default that of the problem.
         prior: of the first of the q parameters.
         instruments: shape (r, q): columns that share the motion with `columns`, but not their noise. By default the
             columns themselves: least squares.
@@ -111,25 +111,25 @@ def solve(
         precision[:count, :count], known[:count] = prior.precision, prior.precision @ prior.value
 
     def solved(weights: Array) -> tuple[Array, Array, Mask, Array]:
-        """Return values, the inverse of the equations' derivative, what is determined, and the joints' leverages.
+        """Return values, the inverse of the equations' derivative, determined parameters, and joints' leverages.
 
         Directions that the rows do not determine stay 0.
         """
         weighted = instruments * weights[:, None]
-        # Of each joint by itself: its part tells its rows' leverages without a product of all rows with the inverse.
+        # Joint by joint: this gives the leverages of its rows without a product of all rows with the inverse.
         parts = [weighted[rows].T @ own for rows, own in zip(joints, own_columns, strict=True)]
         gram = np.sum(parts, axis=0) + precision
         scale = np.sqrt(np.abs(np.diag(gram)))
         scale[scale == 0.0] = 1.0
-        left, values, directions = np.linalg.svd(gram / np.outer(scale, scale))
+        left_vectors, values, directions = np.linalg.svd(gram / np.outer(scale, scale))
         there = values > _MIN_SINGULAR_VALUE**2 * values[0]
-        inverse = (directions[there].T / values[there]) @ left[:, there].T / np.outer(scale, scale)
+        inverse = (directions[there].T / values[there]) @ left_vectors[:, there].T / np.outer(scale, scale)
         determined = (directions[~there] ** 2).sum(axis=0) < _MAX_NULL_SHARE
         leverage = [np.sum(inverse * part.T) / max(len(rows), 1) for part, rows in zip(parts, joints, strict=True)]
         return inverse @ (weighted.T @ target + known), inverse, determined, np.array(leverage)
 
     sigma = np.full(len(joints), max(float(np.std(target)), 1e-12))
-    floor = max(1e-9 * float(np.abs(problem.torque).max()), 1e-12)  # keeps the weights of data without noise finite
+    floor = max(1e-9 * float(np.abs(problem.torque).max()), 1e-12)  # keeps the weights finite for data without noise
     weights = np.ones(len(target))
     value, inverse, determined, leverage = solved(weights / sigma[problem.joint] ** 2)
     for _ in range(_MAX_ROUNDS):
@@ -146,25 +146,25 @@ def solve(
     residual, per_row = target - columns @ value, 1.0 / sigma[problem.joint] ** 2
     weighted = instruments * (per_row * weights)[:, None]
     outside = outside_residuals(columns, weighted, residual, time_blocks(problem))
-    # Huber's criterion is quadratic where the weight is 1 and straight beyond.
+    # Huber's criterion is quadratic where the weight is 1 and linear beyond.
     curvature = solved(per_row * (weights == 1.0))[1]
     influence = _influence_by_time(problem, (weighted * outside[:, None]) @ curvature.T)
-    # What all rows share is no noise: it moves the values as it moves the torque.
+    # Errors common to all rows are no noise: they shift the values as they shift the torque.
     shared = inverse @ (weighted.T @ problem.uncertain)
     covariance = hac(influence) + curvature @ precision @ curvature.T + shared @ shared.T
     covariance[~determined, ~determined] = np.inf
     return LinearFit(value, covariance, residual, sigma, weights, determined, influence)
 
 
-_MIN_BANDWIDTH = 2.0  # bandwidth of the kernel in instants, at least
-_MAX_BANDWIDTH_SHARE = 0.25  # share of a run that it takes, at most
-_TIME_BLOCKS = 20  # of time, about, of all runs together
+_MIN_BANDWIDTH = 2.0  # least bandwidth of the kernel, in instants
+_MAX_BANDWIDTH_SHARE = 0.25  # largest bandwidth, as a share of a run
+_TIME_BLOCKS = 20  # approximate number of blocks of all runs together
 _MIN_RUN_BLOCKS = 4  # of a run
-_MAX_AUTOCORRELATION = 0.97  # first-order autocorrelation: above, a series has no finite bandwidth
+_MAX_AUTOCORRELATION = 0.97  # first-order autocorrelation, above which a series has no finite bandwidth
 
 
 def time_blocks(problem: ExcitationProblem) -> Index:
-    """Return the number of each row's block of time, shape (r,): some twenty; repetitions of a motion share theirs."""
+    """Return the number of each row's block of time, shape (r,): about twenty blocks; repetitions share theirs."""
     lengths = problem.motion_lengths
     counts = np.maximum(_MIN_RUN_BLOCKS, np.round(_TIME_BLOCKS * lengths / lengths.sum()).astype(np.intp))
     first = np.cumsum(counts) - counts
@@ -193,7 +193,7 @@ def outside_residuals(columns: Array, instruments: Array, residual: Array, block
 
 
 def _influence_by_time(problem: ExcitationProblem, influence: Array) -> tuple[Array, ...]:
-    """Return for each motion the rows' influences, shape (r, q), instant by instant, repetitions added: (k, q) each."""
+    """Return the rows' influences, shape (r, q), by motion and instant, repetitions added, shape (k, q) each."""
     ends = np.cumsum(problem.motion_lengths)
     whole = np.zeros((ends[-1], influence.shape[1]))
     np.add.at(whole, (ends - problem.motion_lengths)[problem.motion] + problem.phase, influence)
@@ -204,8 +204,8 @@ def hac(series: Sequence[Array]) -> Array:
     """Return the heteroscedasticity- and autocorrelation-consistent covariance of sums of influences, shape (q, q).
 
     Quadratic spectral kernel (Andrews 1991, equation 2.7); instants of different motions are independent. The bandwidth
-    is that of his equations 6.2 and 6.4, with a first-order autoregression of each parameter's series, each parameter
-    counting alike.
+    follows his equations 6.2 and 6.4, with a first-order autoregression of each parameter's series and equal weights of
+    the parameters.
 
     Args:
         series: of each motion, shape (k, q).
@@ -234,7 +234,7 @@ Key = tuple[int, str]
 _RANGES = {"alpha": (0.2, 2.0), "rise": (0.0, 1.5), "delta": (0.5, 2.5)}
 _STRIBECK_OVER_SPEED = (1.0, 0.1)  # Stribeck velocity: over the least and over the greatest speed with data
 _LONGEST_PRESLIDING = 0.3  # rad, 1 / stiffness
-_CACHED_SHAPES = 6  # shapes of an element whose inner products are kept
+_CACHED_SHAPES = 6  # number of an element's shapes whose inner products are cached
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +243,7 @@ class SeparableFit:
 
     Attributes:
         shapes: of the elements.
-        linear: tau_c, c2 and c1 of each, none negative, shape (n_el, 3).
+        linear: tau_c, c2 and c1 of each element, none negative, shape (n_el, 3).
         at_bound: names of the free parameters of each element that lie on a bound.
     """
 
@@ -252,11 +252,11 @@ class SeparableFit:
     at_bound: tuple[frozenset[str], ...]
 
     def inner(self) -> tuple[Key, ...]:
-        """Return element and name of everything in the friction that is fitted and not at a bound."""
+        """Return element and name of every fitted parameter of the friction that is not at a bound."""
         found = []
         for e, (shape, values) in enumerate(zip(self.shapes, self.linear, strict=True)):
             found += [(e, name) for name, value in zip(LINEAR, values, strict=True) if value > 0.0]
-            # Without a torque that they shape, such parameters have no meaning.
+            # Parameters that shape a zero torque have no meaning.
             found += [(e, name) for name in shape.free if name not in self.at_bound[e] and values[SHAPED[name]] > 0.0]
         return tuple(found)
 
@@ -271,15 +271,15 @@ class _Columns(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WeightedProblem:
-    """The rows of a problem with their weights; what is linear but friction is eliminated once.
+    """The rows of a problem with their weights; the linear parameters beside friction are eliminated once.
 
     Attributes:
         problem: the rows.
-        elements: where each friction element acts.
-        weight: square roots of the weights: residuals times them have unit noise, shape (r,).
+        elements: the rows of each friction element.
+        weight: square roots of the weights: residuals times these have unit noise, shape (r,).
         basis: orthonormal columns that span the weighted regressor, shape (r, p).
         rest: weighted torque less its projection on the basis, shape (r,).
-        shared: of pairs of elements that act on a joint together, the places of their common rows in each.
+        shared: for pairs of elements that act on a joint together, the places of their common rows in each.
     """
 
     problem: ExcitationProblem
@@ -315,20 +315,21 @@ class WeightedProblem:
         return float(np.log(least)), float(np.log(max(_STRIBECK_OVER_SPEED[1] * high, 2.0 * least)))
 
     def gram(self, shapes: Sequence[ElementShape]) -> tuple[Array, Array, Array]:
-        """Return inner products of all elements' columns, without what the regressor explains.
+        """Return inner products of all elements' columns, with the regressor projected out.
 
         The columns of an element are those of LINEAR, then their derivatives by each free parameter: k in all.
 
         Returns:
-            Of columns with columns, shape (k, k), and with the torque, shape (k,), and where each element's begin.
+            Products of columns with columns, shape (k, k), and with the torque, shape (k,), and the first column of
+            each element.
         """
         blocks = [self._columns(e, shape) for e, shape in enumerate(shapes)]
         edges = np.cumsum([0, *(block.values.shape[1] for block in blocks)])
         places = [slice(*pair) for pair in pairwise(edges)]
         projected = np.hstack([block.projected for block in blocks])
         gram = -projected.T @ projected
-        for block, mine in zip(blocks, places, strict=True):
-            gram[mine, mine] += block.values.T @ block.values
+        for block, place in zip(blocks, places, strict=True):
+            gram[place, place] += block.values.T @ block.values
         for (e, f), (first, second) in self.shared.items():
             product = blocks[e].values[first].T @ blocks[f].values[second]
             gram[places[e], places[f]] += product
@@ -348,18 +349,18 @@ class WeightedProblem:
         if name in LINEAR:
             result[rows] = self._columns(element, shapes[element]).values[:, LINEAR.index(name)]
         else:
-            shape = shapes[element].opened(name)
+            shape = shapes[element].with_free(name)
             place = len(LINEAR) * (1 + shape.free.index(name))
             result[rows] = self._columns(element, shape).values[:, place : place + len(LINEAR)] @ linear[element]
         return result
 
     def tangent(self, fit: SeparableFit, inner: Sequence[Key]) -> Array:
-        """Return the columns of the whole model, without weights and linear around a fit, shape (r, q).
+        """Return the unweighted columns of the whole model, linear around a fit, shape (r, q).
 
         Args:
-            fit: around which.
+            fit: the point of linearisation.
             inner: the friction's parameters, whose columns follow the regressor. Those of non-linear parameters belong
-                to their changes.
+                to changes of these.
         """
         return np.hstack([self.problem.regressor, self._friction(fit, inner) / self.weight[:, None]])
 
@@ -370,8 +371,8 @@ class WeightedProblem:
     def linearised(self, fit: SeparableFit) -> tuple[Array, Array]:
         """Return weighted residuals of a fit, shape (r,), and the model's tangent there, shape (r, k).
 
-        The tangent are weighted derivatives of the torques by everything that is fitted and not at a bound, columns of
-        length 1: the basis of the regressor, then friction.
+        The tangent consists of the weighted derivatives of the torques by every fitted parameter that is not at a
+        bound, as columns of length 1: the basis of the regressor, then friction.
         """
         inner = fit.inner()
         friction = self._friction(fit, inner)
@@ -396,7 +397,7 @@ _MAX_EVALUATIONS = 40
 _TOLERANCE = 1e-8  # of cost and parameters
 _AT_BOUND = 1e-3  # of the width of the range
 _ROUNDING = 1e-13  # of a column's square over the greatest
-_MIN_EIGENVALUE = 1e-10  # relative: what is less of a Gram matrix is rounding
+_MIN_EIGENVALUE = 1e-10  # of a Gram matrix, relative: smaller ones are rounding
 
 
 def fit_shapes(
@@ -418,7 +419,7 @@ def fit_shapes(
             found[e] = found[e].with_values(x[first:last])
         return found
 
-    @lru_cache(1)  # residuals and derivatives are asked for at the same values, one after the other
+    @lru_cache(1)  # residuals and derivatives are requested at the same values, one after the other
     def at(*x: float) -> Array:
         return _projected(weighted, shapes_at(np.array(x)), moving)[2]
 
@@ -444,11 +445,11 @@ def fit_shapes(
 def best_start(
     weighted: WeightedProblem, shapes: Sequence[ElementShape], element: int, candidates: Sequence[ElementShape]
 ) -> ElementShape:
-    """Return which of an element's candidate shapes fits best, the other elements as they are."""
+    """Return the candidate shape of an element that fits best, with the other elements unchanged."""
 
     def cost(candidate: ElementShape) -> float:
         there = [*shapes[:element], candidate, *shapes[element + 1 :]]
-        # Costs need no derivatives, of which a bristle has one more deflection each.
+        # Costs need no derivatives: for a bristle each of them would take one more deflection.
         return _projected(weighted, [replace(shape, fixed=frozenset(FITTED)) for shape in there], ())[1]
 
     return min(candidates, key=cost)
@@ -457,10 +458,10 @@ def best_start(
 def _projected(
     weighted: WeightedProblem, shapes: Sequence[ElementShape], only: Sequence[int]
 ) -> tuple[Array, float, Array]:
-    """Return the best linear parameters, (n_el, 3), the sum of squares that they leave, and Kaufman's derivatives.
+    """Return the best linear parameters, (n_el, 3), the remaining sum of squares, and Kaufman's derivatives.
 
-    These, by the t free parameters of the elements `only`, and behind them the residuals have shape (t + 1, t + 1): up
-    to a rotation, which changes no sum of squares.
+    The derivatives, by the t free parameters of the elements `only`, with the residuals behind them, have shape
+    (t + 1, t + 1): up to a rotation, which changes no sum of squares.
     """
     gram, product, edges = weighted.gram(shapes)
     keys = [(e, k) for e, shape in enumerate(shapes) for k in range(3 if Part.DAMPING in shape.parts else 2)]
@@ -472,14 +473,14 @@ def _projected(
     slopes = np.zeros((len(free), len(gram))).T
     for column, (e, first) in enumerate(free):
         slopes[first : first + len(LINEAR), column] = linear[e]
-    # A root of the inner products of derivatives and residual, less what the active linear columns take.
+    # A root of the inner products of derivatives and residual, with the active linear columns projected out.
     active, values = columns[values > 0.0], values[values > 0.0]
     mixed = gram[active] @ slopes
     inverse = np.linalg.pinv(gram[np.ix_(active, active)], rcond=_MIN_EIGENVALUE, hermitian=True)
     cost = max(float(weighted.rest @ weighted.rest) - float(product[active] @ values), 0.0)
     table = np.empty((len(free) + 1,) * 2)
     table[:-1, :-1] = slopes.T @ gram @ slopes - mixed.T @ inverse @ mixed
-    # The derivatives of the residual are minus those of the torque; the residual has no part in active columns.
+    # The derivatives of the residual are minus those of the torque; the residual is orthogonal to active columns.
     table[-1, :-1] = table[:-1, -1] = mixed.T @ values - slopes.T @ product
     table[-1, -1] = cost
     scale = np.sqrt(np.maximum(np.diag(table), 1e-300))
@@ -489,7 +490,7 @@ def _projected(
 
 def nonnegative(gram: Array, product: Array) -> Array:
     """Return the x >= 0 that minimises x' gram x / 2 - product' x, shape (k,), of a Gram matrix of shape (k, k)."""
-    # Of a column that the regressor explains, as of a joint that turns one way, rounding is left, of either sign.
+    # Of a column that the regressor explains, such as that of a joint that turns one way, only rounding remains.
     square = np.diag(gram)
     scale = np.sqrt(np.where(square > _ROUNDING * square.max(initial=0.0), square, 1.0))
     size, vectors = np.linalg.eigh(gram / np.outer(scale, scale))

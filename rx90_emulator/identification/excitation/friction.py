@@ -1,7 +1,7 @@
-"""The friction of all elements from excitation runs: chosen parts, values with deviations, and what is not known.
+"""The friction of all elements from excitation runs: selected parts, values with deviations, and reasons for gaps.
 
-The selected model is fitted once more, linear around its shapes, with deviations that contain what it leaves out; its
-values become the parameters of FrictionElement, or the reason why one is not known.
+The selected model is fitted once more, linear around its shapes, with deviations that include neglected effects; its
+values are converted to the parameters of FrictionElement, or to the reason why a parameter is not identifiable.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ _CURVE_POINTS = 60  # of each direction
 WITHOUT_BRISTLES = (Part.EXPONENT, Part.STRIBECK)
 ALL_PARTS = tuple(Part)
 Refusal = Callable[[Part], str]
-"""Says why an element does not have a part."""
+"""Returns why an element does not have a part."""
 
 
 class FrictionCurve(NamedTuple):
-    """Steady friction torque of an element against its velocity, over velocities at which there were data.
+    """Steady friction torque of an element over its velocity, in the range of velocities with data.
 
     Attributes:
         element: its name.
@@ -70,17 +70,17 @@ class FrictionCurve(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FittedElement:
-    """The friction of one element as it was fitted.
+    """The fitted friction of one element.
 
     Attributes:
         element: its name.
-        shape: the parameters that are not linear, and the parts it has.
-        linear: tau_c, c2 and c1, in Nm, Nm (s/rad)^alpha, Nm s/rad; 0 for what it does not have, shape (3,).
-        covariance: of the parameters in FITTED, shape (8, 8); 0 for what is not fitted. The exponent of a viscous
-            part is free in it where the runs were asked for exponents, also if it is left at 1: what is not known of
-            it is not known of tau_c and c2 either.
-        ranges: least and greatest speed of its data in each direction, positive and negative: ((low, high),
-            (low, high)), rad/s; (0, 0) for a direction in which it did not move.
+        shape: its parts, and the parameters that are not linear.
+        linear: tau_c, c2 and c1, in Nm, Nm (s/rad)^alpha, Nm s/rad; 0 for parts it does not have, shape (3,).
+        covariance: of the parameters in FITTED, shape (8, 8); 0 for those not fitted. If exponents were requested, the
+            viscous exponent is free in it even where the value stays 1, because its uncertainty adds to that of tau_c
+            and c2.
+        ranges: least and greatest speed of its data in positive and negative direction: ((low, high), (low, high)),
+            rad/s; (0, 0) for a direction in which it did not move.
     """
 
     element: str
@@ -93,10 +93,10 @@ class FittedElement:
         """Return the steady friction torque with its deviation.
 
         Args:
-            velocity: rad/s, shape (k,); by default over all velocities at which there were data.
+            velocity: rad/s, shape (k,); by default over all velocities with data.
 
         Raises:
-            IdentificationError: for a velocity at which there were no data.
+            IdentificationError: for a velocity outside the data.
         """
         (low, high), (low_back, high_back) = self.ranges
         if velocity is None:
@@ -119,14 +119,14 @@ class FittedElement:
 
 
 def steady_columns(shape: ElementShape, velocity: Array) -> tuple[Array, dict[str, Array]]:
-    """Return what the linear parameters multiply in steady sliding, shape (m, 3), and derivatives of it.
+    """Return the factors of the linear parameters in steady sliding, shape (m, 3), and their derivatives.
 
     Args:
         shape: of the element.
         velocity: rad/s, shape (m,).
 
     Returns:
-        Columns of LINEAR, and derivatives by the other parameters of the one that each shapes, as SHAPED has it.
+        Columns of LINEAR, and by each other parameter the derivative of the column that it shapes, as in SHAPED.
     """
     speeds = Speeds.of(velocity)
     (dry, slopes), (wet, by_alpha) = coulomb(shape, speeds), viscous(shape, speeds)
@@ -135,20 +135,20 @@ def steady_columns(shape: ElementShape, velocity: Array) -> tuple[Array, dict[st
 
 @dataclass(frozen=True, eq=False)
 class FrictionSelection:
-    """The friction of all elements with the parts that predict better, and the models that were compared.
+    """The friction of all elements with the selected parts, and the compared models.
 
     Attributes:
         models: rows of the table, in the order in which they were compared.
         blocks: of the cross-validation.
-        fitted: elements as they were fitted, in the arm's order.
+        fitted: the fitted elements, in the arm's order.
         elements: their estimates by the names of FrictionElement, with the reason for each that is not identifiable.
-        fit: of the kept model, linear around the non-linear parameters (whose values there are their last changes):
+        fit: of the selected model, linear around the non-linear parameters (whose values in it are their last changes):
             the problem's parameters, then the friction's, with HAC covariance. Its last values may be exponents that
-            are left at 1, and whose uncertainty the covariance knows.
+            stay at 1, and whose uncertainty the covariance includes.
         names: of the values of `fit`; a friction parameter is `element.parameter`.
-        predicted: torque of every row by the kept model, Nm, shape (r,).
-        remarks: what a reader of the figures must know.
-        warnings: on elements whose friction is not what the model says.
+        predicted: torque of every row by the selected model, Nm, shape (r,).
+        remarks: notes for readers of the figures.
+        warnings: on elements whose friction deviates from the model.
     """
 
     models: tuple[ModelRow, ...]
@@ -167,7 +167,7 @@ class FrictionSelection:
         return tuple(one.shape.parts for one in self.fitted)
 
     def curves(self) -> tuple[FrictionCurve, ...]:
-        """Return the curves of all elements, over the velocities at which there were data."""
+        """Return the curves of all elements over the velocities with data."""
         return tuple(one.curve() for one in self.fitted)
 
 
@@ -179,26 +179,26 @@ def identify_friction_parts(
     *,
     fixed: bool = False,
 ) -> FrictionSelection:
-    """Identify rigid body and friction together, and choose the friction's parts by cross-validation.
+    """Identify rigid body and friction together, and select the friction's parts by cross-validation.
 
     Args:
         problem: the rows.
         parts: to try beside Coulomb and viscous friction, in this order; bristles take several times as long.
-        prior: of the base parameters, for the values; the parts are chosen by the runs alone.
-        progress: called with the name of each stage of the choice before it, `choice.stages(parts, fixed)` times.
-        fixed: whether all elements have the parts, without a choice.
+        prior: of the base parameters, for the values; the parts are selected by the runs alone.
+        progress: called with the name of each stage of the selection before it, `choice.stages(parts, fixed)` times.
+        fixed: whether all elements have the parts, without selection.
 
     Returns:
-        The selection. Parameters that the runs do not tell are unknown, with a reason.
+        The selection. Parameters that the runs do not determine are unknown, with a reason.
     """
     selected = select_parts(problem, parts, progress, fixed=fixed)
     final = FinalFit(selected, parts, prior)
     names, models = problem.arm.element_names, zip(selected.fit.shapes, selected.weighted.elements, strict=True)
     nothing = np.zeros(len(LINEAR)), np.zeros((len(FITTED),) * 2)
-    begun = [
+    initial = [
         FittedElement(name, shape, *nothing, rows.speeds) for name, (shape, rows) in zip(names, models, strict=True)
     ]
-    fitted = _with_values(begun, final.inner, final.fit.value, final.fit.covariance)
+    fitted = _with_values(initial, final.inner, final.fit.value, final.fit.covariance)
     sources = tuple(run.source for run in problem.runs)
     refusals = [_refusal(selected, e, parts, final.rises.get(e)) for e in range(len(fitted))]
     reasons = [_torque_reasons(selected, e, final.unbounded) for e in range(len(fitted))]
@@ -248,11 +248,11 @@ def predicted_torque(selection: FrictionSelection, problem: ExcitationProblem) -
 
 
 def linear_columns(selection: FrictionSelection, problem: ExcitationProblem) -> tuple[tuple[str, ...], Array]:
-    """Return names and columns of the linear friction parameters that a selection has, by its shapes, shape (r, f).
+    """Return names and columns of the linear friction parameters of a selection, for its shapes, shape (r, f).
 
     Args:
         selection: the shapes.
-        problem: of the same arm, along whose motion the columns are.
+        problem: of the same arm; the columns are along its motion.
     """
     names = [f"{one.element}.{name}" for one in selection.fitted for name in LINEAR]
     there = [k for k, name in enumerate(names) if name in selection.names]
@@ -263,13 +263,13 @@ def linear_columns(selection: FrictionSelection, problem: ExcitationProblem) -> 
 def with_linear(
     selection: FrictionSelection, problem: ExcitationProblem, names: Sequence[str], fit: LinearFit
 ) -> FrictionSelection:
-    """Return a selection with the linear parameters of another fit, the shapes as they are.
+    """Return a selection with the linear parameters of another fit and unchanged shapes.
 
     Args:
-        selection: as it was.
+        selection: the selection before.
         problem: the rows of both.
         names: of the values of the other fit: all linear ones of the selection.
-        fit: for the selection's shapes. What is not known of these is added to its covariance.
+        fit: for the selection's shapes. The uncertainty of the shapes is added to its covariance.
     """
     covariance, places = selection.fit.covariance.copy(), np.array([selection.names.index(name) for name in names])
     shapes = np.setdiff1d(np.arange(len(covariance)), places)
@@ -291,11 +291,11 @@ def with_linear(
     return replace(other, fit=whole, predicted=predicted)
 
 
-_CONSTANT_RESIDUAL = 1e-6  # share of a constant torque that the regressor may leave, to explain it
+_CONSTANT_RESIDUAL = 1e-6  # largest unexplained share of a constant torque that the regressor explains
 
 
 def _refusal(selected: Selection, element: int, parts: Sequence[Part], rise: tuple[float, float] | None) -> Refusal:
-    """Return the function that says why an element does not have a part; `rise` is a Stribeck rise it may have."""
+    """Return the function that gives the reason why an element lacks a part; `rise` is a Stribeck rise it may have."""
     low, high = selected.weighted.elements[element].speed_range
 
     def reason(part: Part) -> str:
@@ -317,7 +317,7 @@ def _refusal(selected: Selection, element: int, parts: Sequence[Part], rise: tup
 def _torque_reasons(
     selected: Selection, element: int, unbounded: Mapping[Key, tuple[float, float]]
 ) -> Mapping[str, str]:
-    """Return why an element has no Coulomb or no viscous torque, by parameter; none for one that it has."""
+    """Return why an element has no Coulomb or no viscous torque, by parameter; empty if it has both."""
     if not len(selected.weighted.elements[element].rows):
         return dict.fromkeys(LINEAR[:2], "at rest in all runs")
     sizes = {name: unbounded[element, name] for name in LINEAR[:2] if (element, name) in unbounded}
@@ -338,29 +338,29 @@ def _torque_reasons(
 
 
 def _constant_remarks(problem: ExcitationProblem, selected: Selection, fit: LinearFit) -> Iterable[str]:
-    """Say for which joints tau_c is the mean of both directions: no motion tells their difference from an offset."""
+    """Yield for which joints tau_c is the mean of both directions: their difference equals an offset in all motions."""
     weighted = selected.weighted
     for joint, name in enumerate(problem.arm.names):
         constant = np.where(problem.joint == joint, weighted.weight, 0.0)
-        left = constant - weighted.basis @ (weighted.basis.T @ constant)
-        if constant.any() and np.linalg.norm(left) <= _CONSTANT_RESIDUAL * np.linalg.norm(constant):
+        residual = constant - weighted.basis @ (weighted.basis.T @ constant)
+        if constant.any() and np.linalg.norm(residual) <= _CONSTANT_RESIDUAL * np.linalg.norm(constant):
             value = ""
             if (offset := f"offset_{joint + 1}") in problem.names:
                 k = problem.names.index(offset)
                 value = f", {fit.value[k]:.3g} Nm with a standard deviation of {fit.deviation[k]:.2g} Nm"
             yield (
-                f"{name}: tau_c is the mean of both directions; their difference is a constant torque, which no motion "
-                f"tells from the offset of the joint{value}"
+                f"{name}: tau_c is the mean of both directions; their difference is a constant torque, which no "
+                f"motion distinguishes from the offset of the joint{value}"
             )
 
 
 _DRIVING_SE = 4.0  # deviations of a negative friction torque from 0
-_MAX_ALPHA_SD = 0.3  # deviation of an exponent that says nothing about it
+_MAX_ALPHA_SD = 0.3  # deviation above which an exponent is not identifiable
 _MAX_RELATIVE_SD = {"omega_s": 0.5, "delta": 0.5, "c0": 0.5, "c1": 0.25}
-"""Relative deviation up to which one of these counts as known.
+"""Relative deviation up to which one of these is identifiable.
 
-Damping is kept where it happens to come out large: of values that stand out by less than four deviations, most are too
-large.
+The damping is selected where it happens to come out large: most values that exceed 0 by less than four deviations are
+too large.
 """
 _PART_OF = {
     "tau_s_positive": Part.STRIBECK, "tau_s_negative": Part.STRIBECK, "omega_s": Part.STRIBECK, "delta": Part.STRIBECK,
@@ -375,8 +375,8 @@ def element_estimate(
 
     Args:
         one: the element as it was fitted.
-        refusal: why it does not have a part.
-        torques: why its tau_c or c2 is 0, where it is.
+        refusal: gives the reason why it does not have a part.
+        torques: why its tau_c or c2 is 0, if it is.
         sources: the runs.
     """
     shape = one.shape
@@ -411,12 +411,12 @@ def element_estimate(
 def _reason(
     one: FittedElement, name: str, value: float, deviation: float, refusal: Refusal, torques: Mapping[str, str]
 ) -> str:
-    """Return why a parameter is not known; empty if it is."""
+    """Return why a parameter is not identifiable; empty if it is."""
     part = _PART_OF.get(name)
     if part is not None and part not in one.shape.parts:
         return refusal(part)
     if name == "delta" and "delta" in one.shape.fixed:
-        return "not told from the size of the rise; 1 was assumed"
+        return "not distinguished from the size of the rise; 1 was assumed"
     limit = _MAX_ALPHA_SD if name == "alpha" else _MAX_RELATIVE_SD.get(name, math.inf) * value
     checks = (
         (name.startswith("tau") and value <= 0.0, torques["tau_c"] or "no Coulomb friction shows"),

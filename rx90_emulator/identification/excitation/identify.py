@@ -1,6 +1,6 @@
 """From bags of excitation runs to an arm's dynamics, for Python users and the command alike.
 
-Beside `identify_excitation`, what an identification of one's own is built on: regressor, equations, torques by files.
+Beside `identify_excitation`, the building blocks of an own identification: regressor, equations, torques by files.
 
 columns = rx.regressor(rx.RigidArm.from_urdf("arm.urdf"), position, velocity, acceleration)
 problem = rx.excitation_problem(["run.csv"], rx.RobotOptions(urdf="arm.urdf"))
@@ -89,32 +89,34 @@ def identify_excitation(
 ) -> ExcitationIdentification:
     """Identify the dynamics of an arm from runs in which all joints move, without plateaus of constant velocity.
 
-    Links, rotors, springs and offsets are unknown; of the robot's description the kinematics are taken.
+    Links, rotors, springs and offsets are unknown; only the kinematics of the robot's description are used.
 
     Args:
         bags: one or more excitation runs.
-        robot: that they come from; by default this project's.
-        validation: runs to predict, which are not used.
-        tolerances: what counts as agreement with them.
-        bristles: whether bristles along the motion are tried also where neither a Stribeck rise nor the rows of
-            reversals ask for them; a trial takes some times as long as all other parts.
-        model: parts that all elements have, without a choice: "coulomb-viscous", which all have, and the names in
-            `options.MODEL_PARTS`; by default what predicts better is chosen. Only a part that ends at a bound goes.
+        robot: that the bags come from; by default this project's.
+        validation: runs to predict, which the identification does not use.
+        tolerances: limits for agreement with them.
+        bristles: whether bristles along the motion are tried even where neither a Stribeck rise nor the rows of
+            reversals suggest them; a trial takes several times as long as all other parts.
+        model: parts that all elements have, without selection: "coulomb-viscous", which every model contains, and the
+            names in `options.MODEL_PARTS`; by default parts are selected by prediction. Only a part that ends at a
+            bound is dropped.
         payloads: known bodies at the last link, by name or path of the bag; runs that are not named carry none. Runs
-            with and without one tell the drive gains.
-        load_part: whether they tell load parts of the friction in place of the gains, which then count as right.
-        rotors: whether the recorded torques hold those of the rotors; those of sensors between gear and link do not.
-        prior: relative standard deviation of the description's inertials, where they are to count; by default they do
-            not, but for what no run tells.
-        bandwidth: of the low-pass of the positions, Hz; the torque gets a third. By default the widest of a few that
-            predicts as well as the best of them (`bandwidths.choose_bandwidths`).
+            with and without a payload determine the drive gains.
+        load_part: whether they determine load parts of the friction instead of the gains, which then count as right.
+        rotors: whether the recorded torques contain those of the rotors; torques of sensors between gear and link do
+            not.
+        prior: relative standard deviation of the description's inertials, if they are to be used; by default they are
+            used only for values that the runs do not determine.
+        bandwidth: of the low-pass of the positions, Hz; that of the torque is a third of it. By default the widest of a
+            few that predicts as well as the best of them (`bandwidths.choose_bandwidths`).
         progress: called with the name of each step before it, `count_steps` times.
 
     Returns:
         Base parameters and friction with standard deviations, how well they fit, and a verdict for each validation run.
 
     Raises:
-        IdentificationError: for bags or options that do not fit each other, and data that do not suffice.
+        IdentificationError: for bags or options that contradict each other, and for insufficient data.
         BagError: for a bag that cannot be read.
         ConfigError: for a file of the robot that cannot be used.
     """
@@ -123,13 +125,13 @@ def identify_excitation(
     if not by_use["excitation"]:
         raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
     check_given_once(by_use)
-    parts, fixed = _asked(bristles, model)
+    parts, fixed = _requested_parts(bristles, model)
     carried = payloads_of(everything, payloads)
     _check_robot(robot, rotors=rotors)
     source = RecordedRobot.load(robot, everything, massless=True, follow=True)
     records = read_records(by_use, source, progress, currents=True)
     progress("filters and equations")
-    notes = _leave_shocks_out(records, source)
+    notes = _without_shock_rows(records, source)
 
     def equations(some: Sequence[JointRecord], bandwidths: Bandwidths) -> ExcitationProblem:
         return recorded_equations(some, source, bandwidths, carried, rotors=rotors)
@@ -155,8 +157,8 @@ def identify_excitation(
     friction = identify_friction_parts(problem, parts, known, progress, fixed=fixed)
     progress("instrumental variables")
     closed_loop, friction = check_closed_loop(problem, friction, known)
-    said = [closed_loop.remark, *([] if loads is None else [loads.remark(problem.arm.element_names)])]
-    friction = replace(friction, remarks=(*friction.remarks, *said))
+    remarks = [closed_loop.remark, *([] if loads is None else [loads.remark(problem.arm.element_names)])]
+    friction = replace(friction, remarks=(*friction.remarks, *remarks))
     progress("consistent inertias")
     consistency = make_consistent(problem, friction, source, robot)
     elements = simulated_elements(friction.elements, source.fallback, loads)
@@ -193,18 +195,18 @@ def identify_excitation(
     )
 
 
-def _leave_shocks_out(records: Mapping[str, list[JointRecord]], robot: RecordedRobot) -> list[str]:
-    """Put into the records of each use the times of their shocks, and return in words what was found."""
+def _without_shock_rows(records: Mapping[str, list[JointRecord]], robot: RecordedRobot) -> list[str]:
+    """Mark the times of shocks in the records of each use, and return the findings in words."""
     texts: list[str] = []
     for some in records.values():
         for k, record in enumerate(some):
-            some[k], said = without_shocks(record, robot.arm.element_matrix)
-            texts += said
+            some[k], shock_notes = without_shocks(record, robot.arm.element_matrix)
+            texts += shock_notes
     return texts
 
 
 def log_warnings(problem: ExcitationProblem, held: Sequence[str] = ()) -> list[str]:
-    """Return warnings of fewer instants than parameters, over which nothing averages out, and of joints held at 0.
+    """Return warnings of fewer instants than parameters, which leave no redundancy, and of joints fixed at 0.
 
     Raises:
         IdentificationError: for no more equations than parameters.
@@ -233,13 +235,13 @@ def count_steps(
     model: Sequence[str] | None = None,
     payloads: bool = False,
 ) -> int:
-    """Return how often `identify_excitation` calls `progress` for so many bags and validation runs."""
-    choices = 1 + payloads  # of the friction's parts: known payloads take one for the drive gains or load parts
-    return bags + 2 * validation + 3 + choices * (1 + stages(*_asked(bristles, model)))
+    """Return how often `identify_excitation` calls `progress` for a number of bags and validation runs."""
+    choices = 1 + payloads  # of the friction's parts: known payloads need one more, for the drive gains or load parts
+    return bags + 2 * validation + 3 + choices * (1 + stages(*_requested_parts(bristles, model)))
 
 
-def _asked(bristles: bool, model: Sequence[str] | None) -> tuple[tuple[Part, ...], bool]:
-    """Return the parts of the friction to try or to give to all elements, and whether it is the latter."""
+def _requested_parts(bristles: bool, model: Sequence[str] | None) -> tuple[tuple[Part, ...], bool]:
+    """Return the parts of the friction to try, or to give to all elements, and whether the latter applies."""
     if model is not None:
         if bristles:
             raise IdentificationError("--bristles with --model; accepted: --model with bristle among its parts")
@@ -248,7 +250,7 @@ def _asked(bristles: bool, model: Sequence[str] | None) -> tuple[tuple[Part, ...
 
 
 def _check_robot(robot: RobotOptions, *, rotors: bool) -> None:
-    """Refuse late torques, and a model without rotors for an arm whose drives' torques move them."""
+    """Refuse late torques, and a model without rotors if the drives' torques accelerate them."""
     if robot.torque_delay:
         raise IdentificationError(
             f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
@@ -259,7 +261,7 @@ def _check_robot(robot: RobotOptions, *, rotors: bool) -> None:
 
 
 def _gears(layout: BagLayout, robot: RecordedRobot) -> Sequence[float] | None:
-    """Return the gear of each motor, given or this project's robot's; None where messages hold the joints' states."""
+    """Return the gear of each motor, given or this project's; None where messages contain the joints' states."""
     if layout.turns is None or robot.options.gear is not None or robot.setup is None:
         return robot.options.gear
     return tuple(float(value) for value in robot.setup.drives.gear)
@@ -271,8 +273,8 @@ class Regressor:
 
     Attributes:
         values: Nm per unit of the parameter, shape (m, n, b): torque = values @ parameters.
-        base: the b base parameters; `base.names`, `base.groups` and `base.combination` say what they are made of.
-        described: their values by the arm's description, SI units, shape (b,); of offsets 0.
+        base: the b base parameters; `base.names`, `base.groups` and `base.combination` describe their composition.
+        described: their values by the arm's description, SI units, shape (b,); 0 for offsets.
     """
 
     values: Array
@@ -281,7 +283,7 @@ class Regressor:
 
 
 def regressor(arm: RigidArm, position: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Regressor:
-    """Return the columns that the rigid-body torque is linear in: links, rotors, springs and offsets, grouped.
+    """Return the columns that the rigid-body torque is linear in, for base parameters of the whole arm.
 
     Base parameters are the combinations of inertial parameters that the torque depends on (Gautier 1991).
 
@@ -307,19 +309,19 @@ def regressor(arm: RigidArm, position: ArrayLike, velocity: ArrayLike, accelerat
 def excitation_problem(
     bags: Sequence[Path | str], robot: RobotOptions = _DEFAULT_ROBOT, bandwidths: Bandwidths | None = None
 ) -> ExcitationProblem:
-    """Return the equations of recorded runs, as `identify_excitation` begins with: filtered torque, regressor, rows.
+    """Return the equations of recorded runs, the first step of `identify_excitation`: filtered torque, regressor, rows.
 
-    Shocks are not left out here, and the bandwidths of the spectra are not checked against prediction.
-    `identify_friction_parts(problem, parts=())` fits the simplest friction to them, other parts by name more.
+    Shocks are not excluded, and the bandwidths from the spectra are not checked by prediction.
+    `identify_friction_parts(problem, parts=())` fits the simplest friction to them; `parts` adds others by name.
 
     Args:
         bags: bags or tables.
-        robot: that they come from; by default this project's.
-        bandwidths: of the filters; by default those that the runs' spectra ask for. Those of `identify_excitation` are
+        robot: that the bags come from; by default this project's.
+        bandwidths: of the filters; by default those of the runs' spectra. Those of `identify_excitation` are
             `result.problem.runs[0].bandwidths`.
 
     Raises:
-        IdentificationError: for runs that do not fit or in which no joint moves.
+        IdentificationError: for runs that do not belong to the robot or in which no joint moves.
         BagError: for a bag that cannot be read.
     """
     paths = {"excitation": [Path(bag) for bag in bags], "validation": []}
@@ -340,10 +342,9 @@ def predict_torque(
     *,
     robot: RobotOptions = _DEFAULT_ROBOT,
 ) -> Array:
-    """Return the torque that the drives give at the joints along a motion, by a friction file and an arm's description.
+    """Return the drive torque at the joints along a motion, by a friction file and an arm's description.
 
-    As in `check_friction`, offsets in the file's `joints` are added, and rotors and springs there take the place of the
-    robot's.
+    As in `check_friction`, offsets in the file's `joints` are added, and rotors and springs in it replace the robot's.
 
     Args:
         friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's, and
@@ -358,7 +359,7 @@ def predict_torque(
         Nm, shape (m, n).
 
     Raises:
-        IdentificationError: for times that are not even, arrays of another shape, and a file of another arm.
+        IdentificationError: for uneven times, arrays of another shape, and a file of another arm.
         ConfigError: for a file that cannot be used.
     """
     arm, at, angle = RecordedRobot.load(robot).arm, np.asarray(time, dtype=np.float64), np.asarray(position, np.float64)

@@ -1,18 +1,18 @@
 """Instrumental variables against the bias of noisy closed-loop data (IDIM-IV).
 
-Least squares take the columns for exact. In a closed loop the noise of the measured positions moves the arm, and is in
-torque and columns alike: values are biased, however long the run. Janot, Vandanjon and Gautier (2014, "A generic
-instrumental variable approach for industrial robot identification", IEEE Transactions on Control Systems Technology)
-multiply the equations by the columns of a simulated motion instead, which shares the motion but not the noise, and
-repeat that with the new values.
+Least squares treat the columns as exact. In a closed loop the noise of the measured positions moves the arm, and is
+contained in torque and columns alike: values are biased, however long the run. Janot, Vandanjon and Gautier (2014, "A
+generic instrumental variable approach for industrial robot identification", IEEE Transactions on Control Systems
+Technology) multiply the equations by the columns of a simulated motion instead, which has the same motion but not the
+noise, and repeat that with the new values.
 
-The test of Durbin, Wu and Hausman says whether the two differ by more than chance; if not, least squares are taken,
-whose deviations are smaller. They are also taken where no set-points were recorded: a measured path in their place
-keeps some of the noise, and where the model does not fit, the test answers to that as well.
+The test of Durbin, Wu and Hausman decides whether the two differ by more than chance; if not, least squares are used,
+whose deviations are smaller. They are also used if no set-points were recorded: a measured path in their place contains
+some of the noise, and where the model does not fit, the test reacts to that as well.
 
-In the simulation the identified arm follows what the real one was commanded to. The simulated controller is a stated
-one, for nobody knows the real one: it compensates weight and velocity terms exactly, and answers an error of position e
-and velocity de/dt with the acceleration omega^2 e + 2 omega de/dt. Friction it does not compensate, as in the real
+In the simulation the identified arm follows the commands of the real one. The simulated controller is an assumed one,
+because the real one is not known: it compensates weight and velocity terms exactly, and answers an error of position e
+and velocity de/dt with the acceleration omega^2 e + 2 omega de/dt. It does not compensate friction, as in the real
 loop.
 """
 
@@ -44,7 +44,7 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem, M
 _MAX_ROUNDS = 6
 _CONVERGED = 0.2  # change of a value in its deviations
 _LEVEL = 0.05  # of the test, over all parameters together
-_RELEVANT_SD = 0.25  # deviations of the value itself: smaller differences are significant in long runs, and of no use
+_RELEVANT_SD = 0.25  # least relevant difference in deviations: in long runs smaller ones are significant, too
 _WEAK_F = 10.0  # F statistic of the weakest direction, below which instruments are weak (Staiger and Stock 1997)
 
 
@@ -53,13 +53,13 @@ class InstrumentalComparison:
     """Least squares and instrumental variables.
 
     Attributes:
-        least_squares: the one fit.
-        instrumental: the other.
-        biased: whether least squares differ by more than chance, and the instruments carry an answer: they are not
-            weak, the simulated arm followed recorded set-points, which hold nothing of the loop's noise, and they give
-            each element positive friction.
-        reason: which of both is taken, and why, one sentence.
-        controller: what the simulated arm follows, and how, in words.
+        least_squares: the fit by least squares.
+        instrumental: the fit by instrumental variables.
+        biased: whether least squares differ by more than chance, and the instruments are trustworthy: they are not
+            weak, the simulated arm followed recorded set-points, which contain no noise of the loop, and they give each
+            element positive friction.
+        reason: which of both is used, and why, one sentence.
+        controller: in words, the controller and the reference of the simulated arm.
     """
 
     least_squares: LinearFit
@@ -70,7 +70,7 @@ class InstrumentalComparison:
 
     @property
     def remark(self) -> str:
-        """Return in one sentence what the comparison says, and which values are reported."""
+        """Return in one sentence the result of the comparison, and which values are reported."""
         which = "instrumental variables" if self.biased else "least squares"
         return f"{self.reason}; {self.controller}; all values written are by {which}"
 
@@ -78,26 +78,26 @@ class InstrumentalComparison:
 def check_closed_loop(
     problem: ExcitationProblem, friction: FrictionSelection, prior: Prior | None = None
 ) -> tuple[InstrumentalComparison, FrictionSelection]:
-    """Compare least squares with instrumental variables, all linear parameters free and the friction's shapes kept.
+    """Compare least squares with instrumental variables for all linear parameters, with fixed shapes of the friction.
 
     Args:
         problem: r rows.
-        friction: that was selected on them.
+        friction: selected on these rows.
         prior: of the base parameters.
 
     Returns:
-        The comparison, and the friction with the values that it speaks for.
+        The comparison, and the friction with the values of the fit that is used.
     """
     size, (linear, own) = len(problem.names), linear_columns(friction, problem)
     names, columns = problem.names + linear, np.hstack([problem.regressor, own])
     plain = solve(problem, columns, prior=prior)
     known = [run.reference for run in problem.runs if run.reference is not None]
     recorded = len(known) == len(problem.runs)
-    # Most of the noise of velocities and accelerations lies above the band of a path that stands in for set-points.
+    # Most of the noise of velocities and accelerations lies above the band of a path that replaces set-points.
     paths = [run.smooth(run.position, _PATH_BANDWIDTH_SHARE * run.bandwidths.torque) for run in problem.runs]
     targets = known if recorded else paths
     pairs = list(zip(targets, problem.runs, strict=True))
-    # That leads nearest to the path.
+    # The controller whose motion is nearest to the path.
     bandwidth = min(_LOOP_BANDWIDTHS, key=lambda loop: sum(
         float(np.sum((_followed(target, run.rate, loop) - run.position) ** 2)) for target, run in pairs))  # fmt: skip
     motions = [_ideal(target, run, bandwidth) for target, run in pairs]
@@ -106,8 +106,8 @@ def check_closed_loop(
         other = problem.moved(motions)
         instruments = np.hstack([other.regressor, linear_columns(friction, other)[1]])
         before, fit = fit, solve(problem, columns, prior=prior, instruments=instruments)
-        sure = fit.determined & (fit.deviation > 0.0)
-        change = np.max(np.abs(fit.value - before.value)[sure] / fit.deviation[sure], initial=0.0)
+        determined = fit.determined & (fit.deviation > 0.0)
+        change = np.max(np.abs(fit.value - before.value)[determined] / fit.deviation[determined], initial=0.0)
         if rounds == _MAX_ROUNDS or (rounds > 0 and change < _CONVERGED):
             break
         rounds += 1
@@ -130,10 +130,10 @@ def check_closed_loop(
 def _hausman_test(
     names: tuple[str, ...], plain: LinearFit, fit: LinearFit, strength: float, *, recorded: bool
 ) -> tuple[bool, str]:
-    """Return whether least squares are biased, and which of both fits is taken and why (robust Hausman test).
+    """Return whether least squares are biased, and which of both fits is used and why (robust Hausman test).
 
-    The deviation of the difference is that of the difference of both influences; its largest size over the deviation is
-    judged by Bonferroni's bound over all parameters.
+    The deviation of the difference follows from the difference of both influences; the largest ratio of a difference to
+    its deviation is compared with Bonferroni's bound over all parameters.
     """
     if strength < _WEAK_F:
         reason = f"the instruments are weak (F = {strength:.2g}; from {_WEAK_F:g} on they count)"
@@ -170,11 +170,11 @@ def _strength(problem: ExcitationProblem, columns: Array, instruments: Array, fi
     return len(columns) * smallest**2 / (1.0 - smallest**2)
 
 
-_MAX_STEP = 2e-3  # s, at most
-_REST_SPEED = 1e-3  # rad/s: below, friction is taken as proportional to the velocity
+_MAX_STEP = 2e-3  # s
+_REST_SPEED = 1e-3  # rad/s, below which friction is taken as proportional to the velocity
 _LOOP_BANDWIDTHS = (3.0, 5.0, 8.0, 12.0, 20.0, 30.0, 50.0)  # Hz, of the controllers that are tried
-_PATH_BANDWIDTH_SHARE = 0.25  # bandwidth of a path that stands in for set-points, over that of the torque
-_DIVERGED_SPEED = 1e3  # rad/s: no arm is
+_PATH_BANDWIDTH_SHARE = 0.25  # bandwidth of a path that replaces set-points, over that of the torque
+_DIVERGED_SPEED = 1e3  # rad/s: no arm is so fast
 _MIN_MASS = 1e-6  # kg, of a link of the simulated arm: its other parameters are divided by it
 _TABLE_STEP = 2e-3  # rad/s, of the table of the simulated friction
 _TABLE_END = 30.0  # rad/s, where it ends
@@ -191,19 +191,19 @@ def _followed(target: Array, rate: float, loop: float) -> Array:
 
 
 def _ideal(target: Array, run: FilteredRun, bandwidth: float) -> Motion:
-    """Return the motion of an arm without friction in a run, which needs no parameters: a start."""
+    """Return the motion of an arm without friction in a run: a start that needs no parameters."""
     path = _followed(target, run.rate, bandwidth)
     velocity = np.gradient(path, run.time, axis=0)
     return path, velocity, np.gradient(velocity, run.time, axis=0)
 
 
 def _steady_law(friction: FrictionSelection, names: tuple[str, ...], values: Array) -> Friction:
-    """Return the elements' sliding friction for values of their linear parameters; bristles are left out.
+    """Return the elements' sliding friction for values of their linear parameters, without bristles.
 
-    A simulation asks for it at every step: it is read off a table of speeds.
+    A simulation evaluates it at every step, so it is interpolated in a table of speeds.
     """
     known = dict(zip(names, values.tolist(), strict=True))
-    speeds = np.arange(0.0, _TABLE_END, _TABLE_STEP) + 1e-9  # just above rest, where the sign counts already
+    speeds = np.arange(0.0, _TABLE_END, _TABLE_STEP) + 1e-9  # just above rest, where the sign is defined
     table = np.array([
         steady_columns(one.shape, speeds)[0] @ [known.get(f"{one.element}.{name}", 0.0) for name in LINEAR]
         for one in friction.fitted
@@ -221,10 +221,10 @@ def _steady_law(friction: FrictionSelection, names: tuple[str, ...], values: Arr
 
 
 def _arm(problem: ExcitationProblem, parameters: Array) -> RigidArm:
-    """Return an arm that moves as the base parameters say.
+    """Return an arm whose torques are those of the base parameters.
 
-    Standard parameters are those of the description, the leading ones of each group corrected such that the group has
-    the identified value. Single links need not be possible; the mass matrix is that of the base parameters.
+    Standard parameters are those of the description, with the leading one of each group corrected such that the group
+    has the identified value. Single links need not be physical; the mass matrix is that of the base parameters.
     """
     base, n = problem.base, len(problem.arm.names)
     standard = problem.columns.values()
@@ -237,7 +237,7 @@ def _arm(problem: ExcitationProblem, parameters: Array) -> RigidArm:
 def _simulated(arm: RigidArm, friction: Friction, target: Array, run: FilteredRun, bandwidth: float) -> Motion:
     """Return position, velocity and acceleration of one run, at its samples.
 
-    The step is implicit in friction and control, so that neither limits it:
+    The step is implicit in friction and control, so that neither limits its length:
     M ((1 + 2 w h + w^2 h^2) v' - v - h (w^2 (q_r - q) + 2 w v_r)) = -h E^T D E v', D the friction over the velocity.
 
     Raises:
@@ -260,8 +260,8 @@ def _simulated(arm: RigidArm, friction: Friction, target: Array, run: FilteredRu
         inputs = elements @ v
         inputs = np.where(np.abs(inputs) < _REST_SPEED, np.where(inputs < 0.0, -_REST_SPEED, _REST_SPEED), inputs)
         damping = (elements.T * (friction(inputs) / inputs)) @ elements
-        wanted = v + h * (omega**2 * (path[k] - q) + 2.0 * omega * speed[k])
-        after = np.linalg.solve(stiff * mass + h * damping, mass @ wanted)
+        reference = v + h * (omega**2 * (path[k] - q) + 2.0 * omega * speed[k])
+        after = np.linalg.solve(stiff * mass + h * damping, mass @ reference)
         if not np.abs(after).max() < _DIVERGED_SPEED:
             raise IdentificationError("the simulation of the identified arm diverges; accepted: positive inertias")
         q = q + h * after

@@ -1,13 +1,13 @@
-"""The friction law of one element as the fit writes it: what is linear, what is not, and its columns along a motion.
+"""The friction law of one element in the form of the fit: linear and non-linear parameters, and columns along a motion.
 
 Equations 17 to 19 and the viscous exponent, with the bristle's torque over the Coulomb torque u = c0 z / tau_c:
 
     tau_f = tau_c u + c1 dz/dt + c2 |v|^alpha sign(v)
     du/dt = stiffness (v - |v| u / h(v)),  h(v) = 1 + rise exp(-(|v| / omega_s)^delta)
 
-Linear are tau_c, c2 and c1; not linear are alpha, rise = tau_s / tau_c - 1, omega_s, delta and stiffness = c0 / tau_c,
-the inverse of the presliding distance. Without a bristle u is sign(v) h(v). A difference of tau_c between the
-directions is a constant torque, which no motion tells from a joint's offset; tau_c is the mean of both directions.
+tau_c, c2 and c1 are linear; alpha, rise = tau_s / tau_c - 1, omega_s, delta and stiffness = c0 / tau_c, the inverse of
+the presliding distance, are not. Without a bristle u is sign(v) h(v). A difference of tau_c between the directions is a
+constant torque, which cannot be distinguished from a joint's offset; tau_c is the mean of both directions.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 COULOMB, VISCOUS, DAMPING = 0, 1, 2
-"""Places of the linear parameters tau_c, c2 and c1."""
+"""Indices of the linear parameters tau_c, c2 and c1."""
 LINEAR = ("tau_c", "c2", "c1")
 SHAPED = {"alpha": VISCOUS, "rise": COULOMB, "omega_s": COULOMB, "delta": COULOMB, "stiffness": COULOMB}
-"""The other parameters, and which linear parameter's torque each of them shapes."""
+"""The other parameters, with the linear parameter whose torque each of them shapes."""
 FITTED = (*LINEAR, *SHAPED)
-"""All parameters of an element as the fit writes them: omega_s and stiffness stand for their logarithms."""
+"""All parameters of an element in the fit, with the logarithms of omega_s and stiffness in place of these."""
 
 
 class Part(Enum):
-    """What an element's friction may have beside Coulomb and viscous friction."""
+    """Parts that an element's friction may have beside Coulomb and viscous friction."""
 
     EXPONENT = "viscous exponent"
     STRIBECK = "Stribeck rise"
@@ -48,7 +48,7 @@ class Part(Enum):
 
     @classmethod
     def named(cls, name: str) -> Part:
-        """Return the part that a command line or a person's code names: in small letters, with hyphens."""
+        """Return the part with a name of command lines and Python code: in small letters, with hyphens."""
         return next(part for part in cls if part.value.lower().replace(" ", "-") == name)
 
     @property
@@ -64,22 +64,22 @@ _SHAPE_OF = {
     Part.DAMPING: (),
 }
 PART_OF = {name: part for part, names in _SHAPE_OF.items() for name in names}
-"""The part that each parameter of a shape belongs to."""
+"""The part to which each parameter of a shape belongs."""
 _LOGARITHMIC = frozenset({"omega_s", "stiffness"})
 
 
 @dataclass(frozen=True)
 class ElementShape:
-    """The parameters of an element that are not linear; the defaults are those of a part that is off.
+    """The non-linear parameters of an element; the defaults are those of a part that is off.
 
     Attributes:
-        parts: which parts the element has.
+        parts: the element's parts.
         alpha: viscous exponent, 1.
         rise: static over Coulomb torque, less 1.
         omega_s: Stribeck velocity, rad/s.
         delta: Stribeck exponent, 1.
         stiffness: bristle stiffness over Coulomb torque, 1/rad.
-        fixed: names of those that the data do not tell: they stay as they are, though their part is there.
+        fixed: names of parameters that the data do not determine: they keep their values although their part is on.
     """
 
     parts: frozenset[Part] = frozenset()
@@ -92,29 +92,29 @@ class ElementShape:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Return the names of the parameters that its parts leave open, in the order of `values`."""
+        """Return the names of the free parameters, in the order of `values`."""
         return tuple(name for name, part in PART_OF.items() if part in self.parts and name not in self.fixed)
 
     @property
     def values(self) -> Array:
-        """Return the free parameters as the fit writes them: logarithms of omega_s and stiffness."""
+        """Return the free parameters in the form of the fit: logarithms of omega_s and stiffness."""
         pairs = [(name, getattr(self, name)) for name in self.free]
         return np.array([math.log(value) if name in _LOGARITHMIC else value for name, value in pairs])
 
     def with_values(self, values: Array) -> ElementShape:
-        """Return the shape with other free parameters, written as `values`."""
+        """Return the shape with other free parameters, in the form of `values`."""
         pairs = zip(self.free, values.tolist(), strict=True)
         changed: dict[str, Any] = {name: math.exp(x) if name in _LOGARITHMIC else x for name, x in pairs}
         return replace(self, **changed)
 
     def without(self, part: Part) -> ElementShape:
-        """Return the shape without a part; bristle damping goes with the bristle."""
+        """Return the shape without a part; bristle damping is removed with the bristle."""
         gone = {part, Part.DAMPING} if part is Part.BRISTLE else {part}
         neutral: dict[str, Any] = {name: getattr(_NEUTRAL, name) for name in part.shape}
         return replace(self, parts=self.parts - gone, fixed=self.fixed - set(part.shape), **neutral)
 
-    def opened(self, name: str) -> ElementShape:
-        """Return the shape with a parameter among its free ones, its value as it is."""
+    def with_free(self, name: str) -> ElementShape:
+        """Return the shape with one more free parameter, its value unchanged."""
         part = PART_OF[name]
         closed = frozenset() if part in self.parts else frozenset(part.shape)
         return replace(self, parts=self.parts | {part}, fixed=(self.fixed | closed) - {name})
@@ -123,18 +123,18 @@ class ElementShape:
 _NEUTRAL = ElementShape()
 _REST = 1e-300  # rad/s
 LARGEST_POWER = math.log(700.0)
-"""Of (|v| / omega_s)^delta, its logarithm: beyond, a Stribeck rise has faded."""
+"""Largest logarithm of (|v| / omega_s)^delta: beyond it a Stribeck rise has faded."""
 
 
 class Speeds(NamedTuple):
-    """Velocities, rad/s, shape (m,), and the logarithms of their sizes, bounded so that rest gives no infinity."""
+    """Velocities, rad/s, shape (m,), and the logarithms of their absolute values, bounded to be finite at rest."""
 
     velocity: Array
     logarithm: Array
 
     @classmethod
     def of(cls, velocity: Array) -> Speeds:
-        """Return velocities with what all shapes make use of."""
+        """Return velocities with the logarithms that all shapes use."""
         return cls(velocity, np.log(np.maximum(np.abs(velocity), _REST)))
 
 
@@ -147,7 +147,7 @@ def viscous(shape: ElementShape, speeds: Speeds) -> tuple[Array, Array]:
 def coulomb(shape: ElementShape, speeds: Speeds) -> tuple[Array, dict[str, Array]]:
     """Return sign(v) h(v) and its derivatives by the parameters of a Stribeck part, where there is one, each (m,).
 
-    The curve is that of `rx90_common.friction.curves`, from the logarithm of the speed, which no fit takes anew.
+    The curve is that of `rx90_common.friction.curves`, here from the logarithm of the speed, computed only once.
     """
     sign = np.sign(speeds.velocity)
     if Part.STRIBECK not in shape.parts:
@@ -162,7 +162,7 @@ def coulomb(shape: ElementShape, speeds: Speeds) -> tuple[Array, dict[str, Array
 
 @inlined
 def _product(speed: Number, logarithm: Number, rise: float, begin: float, delta: float, reach: float) -> Number:
-    """Return the bristle's rate |v| / g times the step, of which `reach` is the part without |v| and h."""
+    """Return the bristle's rate |v| / g times the step; `reach` is its factor without |v| and h."""
     product = reach * absolute(speed)
     if rise == 0.0:
         return product
@@ -173,17 +173,18 @@ def _product(speed: Number, logarithm: Number, rise: float, begin: float, delta:
 
 @kernel
 def deflect_bristles(speed: Array, logarithm: Array, parameters: Array, step: float, result: Array) -> None:
-    """Deflect bristles from rest, by steps that are exact for a velocity that is held.
+    """Deflect bristles from rest, by steps that are exact for a constant velocity.
 
-    What depends on the velocity alone is computed for eight steps side by side; only the deflection goes from one step
+    Terms that depend on the velocity alone are computed for eight steps in parallel; only the deflection is sequential.
     to the next.
 
     Args:
-        speed: held over each step, rad/s, shape (m,).
-        logarithm: of its size, shape (m,).
+        speed: constant velocity of each step, rad/s, shape (m,).
+        logarithm: of its absolute value, shape (m,).
         parameters: rise, ln omega_s, delta and stiffness of each bristle, shape (b, 4).
         step: s.
-        result: takes u = c0 z / tau_c and dz/dt, rad/s, means over the two steps around each sample, shape (b, 2, m).
+        result: receives u = c0 z / tau_c and dz/dt, rad/s, means over the two steps around each sample, shape (b, 2,
+            m).
     """
     count = len(speed)
     whole = count - count % 8
@@ -203,7 +204,7 @@ def deflect_bristles(speed: Array, logarithm: Array, parameters: Array, step: fl
         torque, rate = result[number, 0], result[number, 1]
         u = 0.0
         for row in range(count):
-            # u_1 = u + (stiffness v step - x u) phi, written so that few operations wait for u.
+            # u_1 = u + (stiffness v step - x u) phi, written so that few operations depend on u.
             push, phi = reach * speed[row], phis[row]
             started = push - products[row] * u
             torque[row] = u + started * psis[row]
@@ -216,17 +217,17 @@ def deflect_bristles(speed: Array, logarithm: Array, parameters: Array, step: fl
             rate[row] /= reach
 
 
-_VISIBLE = 0.02  # share of the way of a period after a reversal that a presliding distance must have, to be seen
-_DIFFERENCE_STEP = 1e-4  # of the bristle's parameters, as the fit writes them: their derivatives are differences
+_VISIBLE = 0.02  # least presliding distance that shows, as a share of the way within a period after a reversal
+_DIFFERENCE_STEP = 1e-4  # of the bristle's parameters in the form of the fit: their derivatives are differences
 
 
 class ElementMotion(NamedTuple):
     """Motion of one element in one run, at its full rate.
 
     Attributes:
-        run: that it is of.
+        run: the run.
         velocity: at the samples, rad/s, shape (m,).
-        mean: velocities over the step that ends at each sample.
+        mean: mean velocities over the step that ends at each sample.
         at_torque: velocities where the torque was recorded.
     """
 
@@ -237,17 +238,17 @@ class ElementMotion(NamedTuple):
 
     @classmethod
     def of(cls, run: FilteredRun, share: Array) -> ElementMotion:
-        """Return the motion of an element that turns with the joints by these shares, shape (n,)."""
+        """Return the motion of an element that turns with the joints in these proportions, shape (n,)."""
         mean = np.diff(run.position @ share, prepend=run.position[:1] @ share) / (1.0 / run.rate)
         return cls(run, run.velocity @ share, Speeds.of(mean), Speeds.of(run.torque_velocity @ share))
 
     def columns(self, shape: ElementShape) -> dict[int, Array]:
-        """Return what the linear parameters multiply, and derivatives by the free parameters, as far as not all 0.
+        """Return the factors of the linear parameters, and derivatives by the free parameters, unless they are all 0.
 
         The bristle's steps give means over each step; the mean of the two around a sample belongs to its time.
 
         Returns:
-            Arrays of shape (m,) by their place: that in LINEAR, three further for each free parameter.
+            Arrays of shape (m,) by index: that in LINEAR, and three further ones for each free parameter.
         """
         width = len(LINEAR)
         after = {name: width * (k + 1) for k, name in enumerate(shape.free)}
@@ -276,7 +277,7 @@ class ElementMotion(NamedTuple):
 
 
 def overall(ranges: tuple[tuple[float, float], tuple[float, float]]) -> tuple[float, float]:
-    """Return the least and the greatest speed of the ranges of both directions; (0, 0) stands for no data."""
+    """Return the least and the greatest speed of the ranges of both directions; (0, 0) means no data."""
     moved = [pair for pair in ranges if pair[1] > 0.0]
     return min((low for low, _ in moved), default=0.0), max((high for _, high in moved), default=0.0)
 
@@ -288,7 +289,7 @@ class ElementRows:
     Attributes:
         motions: of the element, run by run.
         rows: of the problem, shape (s,).
-        place: of each of them among the filtered samples of all runs, shape (s,).
+        place: index of each of them among the filtered samples of all runs, shape (s,).
         factor: joint torque over element torque, shape (s,).
     """
 
@@ -298,14 +299,14 @@ class ElementRows:
     factor: Array
 
     def columns(self, shape: ElementShape) -> Array:
-        """Return the joint torques per unit of the linear parameters, shape (s, 3), and their derivatives behind them.
+        """Return the joint torques per unit of the linear parameters, shape (s, 3), followed by their derivatives.
 
-        Those by each free parameter of the shape take three columns: the shape is (s, 3 (1 + number of these)).
+        Each free parameter of the shape adds three columns: the shape is (s, 3 (1 + number of free parameters)).
         """
         low = np.zeros((sum(len(one.run.rows) for one in self.motions), len(LINEAR) * (1 + len(shape.free))))
         first = 0
         for motion in self.motions:
-            # Only what is not 0 is filtered, each column in one piece of memory.
+            # Only columns that are not 0 are filtered, each contiguous in memory.
             columns, last = motion.columns(shape), first + len(motion.run.rows)
             low[first:last, list(columns)] = motion.run.parallel(np.array(list(columns.values())).T)
             first = last
@@ -315,7 +316,7 @@ class ElementRows:
     def speeds(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the least and the greatest speed with data in each direction, rad/s; (0, 0) without data.
 
-        The outermost percent at both ends is no range of data.
+        The outermost percent at both ends is excluded.
         """
         velocity = np.concatenate([one.velocity[one.run.rows] for one in self.motions])[self.place]
         ranges = []
@@ -331,10 +332,11 @@ class ElementRows:
 
     @cached_property
     def shortest_presliding(self) -> float:
-        """Return the least presliding distance that the rows can show, rad.
+        """Return the least presliding distance that the rows can determine, rad.
 
-        After a reversal at acceleration a an element passes a t^2 / 2 within the period t of the torque's bandwidth; a
-        bristle that slides after a small share of this is a step to the filtered torque, as Coulomb friction is.
+        After a reversal at acceleration a, an element moves by a t^2 / 2 within the period t of the torque's bandwidth;
+        a bristle that slides after a small share of this looks like a step to the filtered torque, as Coulomb friction
+        does.
         """
         distances = []
         for run, velocity, *_ in self.motions:

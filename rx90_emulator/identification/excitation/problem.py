@@ -1,17 +1,17 @@
-"""The stacked equations of excitation runs: what each joint's torque was, and what it is linear in.
+"""The stacked equations of excitation runs: the torque of each joint, and the columns that it is linear in.
 
 Friction apart, the torque is linear in standard parameters: those of links, rotors, springs and offsets. Base
-parameters are the combinations of them that it depends on (Gautier 1991, "Numerical calculation of the base inertial
-parameters of robots"): the columns of the torque at random motions are orthogonalised one after the other. A column
-that lies in the space of those before it carries nothing new; its parameter joins the groups of those whose columns
-make it up.
+parameters are the combinations of them that the torque depends on (Gautier 1991, "Numerical calculation of the base
+inertial parameters of robots"): the columns of the torque at random motions are orthogonalised one after the other. A
+column in the space of the previous ones contains nothing new; its parameter joins the groups of the columns that it is
+a combination of.
 
-Torque and columns pass the same low-pass and are kept some two times per period of its bandwidth. A joint's equation at
-an instant is left out while an element that acts on the joint stands still: its torque is then anything up to its
-break-away value. Reversals, in which an element passes through rest, are kept: around them alone the bristles show, and
-Coulomb columns, filtered like the torque, have their step at the right time.
+Torque and columns pass the same low-pass, and some two samples per period of its bandwidth are used. A joint's equation
+at an instant is excluded while an element that acts on the joint stands still: its torque may then have any value up to
+break-away. Reversals, in which an element passes through rest, are included: only they contain information on bristles,
+and the Coulomb columns, filtered like the torque, have their step at the right time.
 
-A payload of known inertia at the last link gives the one torque in a run that needs no drive gain to be known.
+The torque of a payload of known inertia at the last link is the only one that is known without a drive gain.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ PAYLOADS = Entries(
         },
     ),
 )  # fmt: skip
-"""What a payload file holds."""
-_MOMENTS = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]  # which of the six moments of a file each entry of the inertia is
+"""The contents of a payload file."""
+_MOMENTS = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]  # index of each entry of the inertia among the six moments of a file
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +66,7 @@ class Payload:
         inertia: about the centre of mass, along the axes of that frame, kg m^2, shape (3, 3).
 
     Raises:
-        IdentificationError: for a mass that is not positive, a shape that does not fit, and an inertia that no body
-            has.
+        IdentificationError: for a mass that is not positive, a wrong shape, and an inertia that no body has.
     """
 
     mass: float
@@ -81,8 +80,8 @@ class Payload:
         if centre.shape != (3,) or not np.isfinite(centre).all():
             raise IdentificationError(f"payload's centre of mass: {centre.tolist()}; accepted: 3 numbers, m")
         if inertia.shape != (3, 3) or not np.isfinite(inertia).all() or not np.allclose(inertia, inertia.T):
-            said = f"payload's inertia: {inertia.tolist()}; accepted: a symmetric 3 x 3 matrix, kg m^2"
-            raise IdentificationError(said)
+            reason = f"payload's inertia: {inertia.tolist()}; accepted: a symmetric 3 x 3 matrix, kg m^2"
+            raise IdentificationError(reason)
         moments = np.linalg.eigvalsh(inertia)
         if moments[0] < 0.0 or 2.0 * moments[2] > moments.sum() * (1.0 + 1e-9):
             raise IdentificationError(
@@ -97,14 +96,14 @@ class Payload:
 
 
 def read_payloads(path: Path | str) -> dict[str, Payload]:
-    """Return what runs carried, by the names or paths of their bags.
+    """Return the payloads of runs, by the names or paths of their bags.
 
     The file has an entry for each loaded bag: `mass`, kg, `centre` of mass in the frame of the last link, m, and
-    `inertia` about the centre of mass, kg m^2: ixx, ixy, ixz, iyy, iyz, izz, as a URDF has them.
+    `inertia` about the centre of mass, kg m^2: ixx, ixy, ixz, iyy, iyz, izz, in a URDF's order.
 
     Raises:
         ConfigError: for a file that cannot be used.
-        IdentificationError: for a body that cannot be.
+        IdentificationError: for a body that cannot exist.
     """
     file, found = load_yaml(Path(path)), {}
     for name, body in PAYLOADS.read(file).items():
@@ -116,25 +115,25 @@ def read_payloads(path: Path | str) -> dict[str, Payload]:
 
 
 def payloads_of(bags: Sequence[Path], payloads: Mapping[str, Payload]) -> dict[Path, Payload | None]:
-    """Return what each bag carried, by its path; None for those that are not named.
+    """Return the payload of each bag, by its path; None for bags that are not named.
 
     Args:
         bags: of all runs.
         payloads: by name or path of the bag.
 
     Raises:
-        IdentificationError: for a name that is that of no bag, or of several.
+        IdentificationError: for a name of no bag, or of several.
     """
     carried: dict[Path, Payload | None] = dict.fromkeys(bags)
     for name, body in payloads.items():
-        meant = [bag for bag in bags if name == bag.name or Path(name).resolve() == bag.resolve()]
-        if len(meant) != 1 or carried[meant[0]] is not None:
-            how = "two bags are called so, or it is named twice" if meant else "no such run"
+        matching = [bag for bag in bags if name == bag.name or Path(name).resolve() == bag.resolve()]
+        if len(matching) != 1 or carried[matching[0]] is not None:
+            how = "two bags are called so, or it is named twice" if matching else "no such run"
             there = listed(bag.name for bag in bags)
             raise IdentificationError(
                 f"payload of {quoted(name)}: {how}; accepted: each of {there} once, by name or path"
             )
-        carried[meant[0]] = body
+        carried[matching[0]] = body
     return carried
 
 
@@ -145,9 +144,9 @@ class StandardColumns:
     """The torque of an arm per unit of each standard parameter.
 
     Args:
-        arm: kinematics and couplings, and which joints have a spring of the torque -k sin(q); of its inertias and of
-            the springs' sizes nothing is used.
-        rotors: whether the torque holds that of the rotors: sensors between gear and link do not feel it, and their
+        arm: kinematics and couplings, and which joints have a spring of the torque -k sin(q); its inertias and the
+            sizes of the springs are not used.
+        rotors: whether the torque contains that of the rotors. Sensors between gear and link do not measure it, and its
             columns are 0.
     """
 
@@ -157,10 +156,10 @@ class StandardColumns:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of P parameters; numbers are those of the joints, from 1 at the base.
+        """Return the names of P parameters, with the numbers of the joints, from 1 at the base.
 
-        m kg, mx .. mz kg m and Ixx .. Izz kg m^2 of the links, about the origins of their joints and in their frames;
-        Ia kg m^2, of the motors through their gears; k Nm, of the springs; offset Nm.
+        m kg, mx .. mz kg m and Ixx .. Izz kg m^2 for links, about the origins of their joints and in their frames; Ia
+        kg m^2, for motors seen through their gears; k Nm, for springs; offset Nm.
         """
         joints = range(1, len(self.arm.names) + 1)
         links = [f"{kind}_{joint}" for joint in joints for kind in _LINK]
@@ -178,17 +177,17 @@ class StandardColumns:
         return np.concatenate([links, rotors, springs, offsets], axis=2)
 
     def values(self) -> Array:
-        """Return the parameters as the arm's description has them, shape (P,): a prior. Offsets are 0."""
+        """Return the parameters of the arm's description, shape (P,), for a prior. Offsets are 0."""
         inverse = np.linalg.inv(self.arm.coupling)
         rotors = np.diag(inverse.T @ self.arm.rotor @ inverse) * self.rotors
         parts = self.arm.inertial, rotors, self.arm.spring[self.springs], np.zeros(len(self.arm.names))
         return np.concatenate(parts)
 
 
-_RANDOM_MOTIONS = 60  # random motions; each gives as many equations as there are joints
+_RANDOM_MOTIONS = 60  # each gives as many equations as there are joints
 _SEED = 20100
-_INDEPENDENT_SHARE = 1e-5  # of a column outside the space of others; a description with 1.5708 for pi/2 leaves less
-_MIN_COEFFICIENT = 1e-5  # coefficient in a group, for the same reason
+_INDEPENDENT_SHARE = 1e-5  # least part of an independent column outside the others' space; 1.5708 for pi/2 leaves less
+_MIN_COEFFICIENT = 1e-5  # in a group, for the same reason
 _REGROUPED_KINDS = ("m_", "mz_", "Iyy_")  # kinds that join other groups by Khalil's convention: they come last
 
 
@@ -198,7 +197,7 @@ class BaseGroups:
 
     Attributes:
         standard: names of the P standard parameters.
-        leading: the parameter that each of b groups is named after, shape (b,): the columns to take.
+        leading: index of the parameter that each of b groups is named after, shape (b,): the columns to use.
         combination: G, base parameters = G @ standard parameters, shape (b, P); 1 at the leading ones.
     """
 
@@ -215,11 +214,11 @@ class BaseGroups:
         size = np.linalg.norm(matrix, axis=0)
         basis, chosen = np.zeros((len(matrix), 0)), []
         for k in sorted(range(len(names)), key=lambda k: (names[k].startswith(_REGROUPED_KINDS), k)):
-            rest = matrix[:, k] - basis @ (basis.T @ matrix[:, k])
-            rest = rest - basis @ (basis.T @ rest)  # once more: rounding of the first pass
-            left = float(np.linalg.norm(rest))
-            if size[k] > _INDEPENDENT_SHARE * size.max() and left > _INDEPENDENT_SHARE * size[k]:
-                basis = np.column_stack([basis, rest / left])
+            remainder = matrix[:, k] - basis @ (basis.T @ matrix[:, k])
+            remainder = remainder - basis @ (basis.T @ remainder)  # once more: rounding of the first pass
+            norm = float(np.linalg.norm(remainder))
+            if size[k] > _INDEPENDENT_SHARE * size.max() and norm > _INDEPENDENT_SHARE * size[k]:
+                basis = np.column_stack([basis, remainder / norm])
                 chosen.append(k)
         leading = sorted(chosen)
         combination = np.asarray(np.linalg.lstsq(matrix[:, leading], matrix, rcond=None)[0], dtype=np.float64)
@@ -229,7 +228,7 @@ class BaseGroups:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return short names, shape (b,): of the leading parameter, with an R if others have joined it (Khalil)."""
+        """Return short names, shape (b,): the leading parameter, with an R if others belong to its group (Khalil)."""
         alone = (np.count_nonzero(self.combination, axis=1) == 1).tolist()
         leading = [self.standard[k] for k in self.leading]
         return tuple(n if one else n.replace("_", "R_", 1) for n, one in zip(leading, alone, strict=True))
@@ -249,7 +248,7 @@ class BaseGroups:
 
 
 _PRIOR_BOUNDS = (1e-6, 1e4)  # of its relative deviation: below and above, a description says all or nothing
-_UNINFORMATIVE = 1e4  # deviations of a parameter that is not given, in units of the arm's largest of its kind
+_UNINFORMATIVE = 1e4  # deviations of an unknown parameter, in units of the arm's largest one of its kind
 
 
 class Prior(NamedTuple):
@@ -263,12 +262,12 @@ def described_inertials(columns: StandardColumns, base: BaseGroups, relative: fl
     """Return the prior of the base parameters from the inertials of the arm's description.
 
     Args:
-        columns: with the arm.
+        columns: of the arm.
         base: its groups.
         relative: standard deviation of a link's mass over the mass; that of its first moment is this share of mass
             times radius, that of its inertia of mass times radius squared. The radius is that of gyration about the
-            joint, at least 1 cm. Rotors and springs vary by the same share where they are given; offsets, and rotors
-            that are not given, are unknown.
+            joint, at least 1 cm. Rotors and springs vary by the same share if they are given; offsets, and rotors that
+            are not given, are unknown.
 
     Raises:
         IdentificationError: for a deviation that is not positive, and for a description without inertials.
@@ -303,18 +302,18 @@ class ExcitationProblem:
         arm: n joints, n_el friction elements.
         runs: at their full rate.
         columns: of the standard parameters.
-        base: the groups of them that the columns of the regressor mean.
+        base: groups of standard parameters that the regressor's columns belong to.
         run: number of each row's run, shape (r,).
-        joint: number of its joint, shape (r,).
-        place: its place among the run's filtered samples, shape (r,).
+        joint: number of each row's joint, shape (r,).
+        place: index of each row among the run's filtered samples, shape (r,).
         time: s, shape (r,).
         reversal: rows at which an element that acts on the joint passes through rest, shape (r,).
         payloads: of each run.
-        payload: their torque, filtered, Nm, shape (r,).
-        torque: as recorded, less that of known payloads, filtered, Nm, shape (r,).
+        payload: torque of the payloads, filtered, Nm, shape (r,).
+        torque: recorded torque less that of known payloads, filtered, Nm, shape (r,).
         regressor: filtered columns of the b base parameters, shape (r, b).
-        uncertain: torques by which that of the rows may be off as a whole, such as by an identified drive gain: k of
-            one standard deviation each, independent of each other, Nm, shape (r, k).
+        uncertain: k independent errors common to all rows, such as those of identified drive gains, each of one
+            standard deviation, Nm, shape (r, k).
     """
 
     arm: RigidArm
@@ -344,7 +343,7 @@ class ExcitationProblem:
         """Stack the equations of runs.
 
         Args:
-            arm: kinematics, couplings and elements; springs are sought on the joints on which it has one.
+            arm: kinematics, couplings and elements; springs are identified on the joints that have one in it.
             runs: of this arm.
             payloads: of each run; by default none.
             rotors: as in `StandardColumns`.
@@ -377,13 +376,13 @@ class ExcitationProblem:
         carried = (None,) * len(runs) if payloads is None else tuple(payloads)
         columns = StandardColumns(arm, rotors=rotors)
         acts = arm.element_matrix != 0.0
-        kept = []
+        found = []
         for number, one in enumerate(runs):
-            rests, passes = element_states(one, arm.element_matrix)
-            joint, place = np.nonzero((~(rests @ acts) & arm.identified).T & one.whole)
+            resting, passes = element_states(one, arm.element_matrix)
+            joint, place = np.nonzero((~(resting @ acts) & arm.identified).T & one.whole)
             time, reversal = one.time[one.rows[place]], (passes @ acts)[place, joint]
-            kept.append((np.full(len(joint), number), joint, place, time, reversal))
-        run, joint, place, time, reversal = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+            found.append((np.full(len(joint), number), joint, place, time, reversal))
+        run, joint, place, time, reversal = (np.concatenate(parts) for parts in zip(*found, strict=True))
         if not len(run):
             raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
         empty = np.empty((len(run), 0))
@@ -406,7 +405,7 @@ class ExcitationProblem:
 
     @cached_property
     def sample(self) -> Index:
-        """Return each row's place among the filtered samples of all runs, one run after the other, shape (r,)."""
+        """Return each row's index among the filtered samples of all runs, one run after the other, shape (r,)."""
         return np.asarray(np.cumsum([0, *(len(run.rows) for run in self.runs)])[self.run] + self.place)
 
     @cached_property
@@ -415,17 +414,17 @@ class ExcitationProblem:
 
     @cached_property
     def motion(self) -> Index:
-        """Return the number of each row's motion, shape (r,): repetitions share it (`phases`)."""
+        """Return the number of each row's motion, shape (r,); repetitions have the same number (`phases`)."""
         return np.array([motion for motion, _ in self._phases])[self.run]
 
     @cached_property
     def phase(self) -> Index:
-        """Return each row's place in its motion, in rows, shape (r,): repetitions share it."""
+        """Return each row's index in its motion, shape (r,); repetitions have the same index."""
         return np.concatenate([phase for _, phase in self._phases])[self.sample]
 
     @cached_property
     def motion_lengths(self) -> Index:
-        """Return how many phases each motion has."""
+        """Return the number of phases of each motion."""
         lengths = np.ones(1 + max(motion for motion, _ in self._phases), dtype=np.intp)
         for motion, phase in self._phases:
             lengths[motion] = max(lengths[motion], phase.max(initial=0) + 1)
@@ -460,9 +459,9 @@ class ExcitationProblem:
         return np.concatenate([run.parallel(values) for run, values in zip(self.runs, along, strict=True)])
 
     def moved(self, motions: Sequence[Motion]) -> ExcitationProblem:
-        """Return the same rows with the columns of other motions, one for each run at its times.
+        """Return the same rows with the columns of other motions, one for each run, at its times.
 
-        What is computed of the result (its regressor, friction along its runs) are instruments for the original.
+        Columns of the result (its regressor, friction along its runs) are instruments for the original.
         """
         runs = tuple(
             replace(run, position=position, velocity=velocity, acceleration=acceleration, stamps=None)
@@ -472,11 +471,11 @@ class ExcitationProblem:
         return replace(other, regressor=other.through(np.eye(len(self.arm.names)))[0])
 
     def through(self, share: Array) -> tuple[Array, Array]:
-        """Return what reaches the rows of the base's columns and of the payloads, shape (r, b) and (r,).
+        """Return the rows of the base's columns and of the payloads for a part of the torque, shape (r, b) and (r,).
 
         Args:
-            share: of each joint's torque (row) in that of each joint (column), shape (n, n): the identity for all of
-                it, other matrices for the part of one motor.
+            share: weight of each joint's torque (row) in that of each joint (column), shape (n, n): the identity for
+                all of it, other matrices for the part of one motor.
         """
         leading, n = list(self.base.leading), len(self.arm.names)
         regressor, payload = np.zeros((len(self), len(leading))), np.zeros(len(self))
@@ -492,18 +491,19 @@ class ExcitationProblem:
         return regressor, payload
 
 
-_MIN_SLOW_SPEED = 1e-3  # rad/s: an element that is never faster stands
-_PAUSE_SHARE = 0.5  # share of a slow stretch below a quarter of the threshold: a pause; a reversal has a quarter
-_STOP_SHARE = 0.1  # of the threshold: below it an element that does not change its direction has stopped for an instant
+_MIN_SLOW_SPEED = 1e-3  # rad/s: an element that is never faster stands still
+_PAUSE_SHARE = 0.5  # minimal share of a pause below a quarter of the threshold; for a reversal it is a quarter
+_STOP_SHARE = 0.1  # of the threshold: below it, an element that keeps its direction has stopped for an instant
 
 
 def element_states(run: FilteredRun, elements: Array) -> tuple[Mask, Mask]:
     """Return where each element rests and where it passes through rest at the run's rows, each of shape (k, n_el).
 
-    Below 0.05 rad/s (or, on slow arms, a tenth of its usual speed) the torque of an element follows the deflection of
-    its bristles rather than its speed. A reversal and a pause both pass below: a reversal at constant acceleration
-    spends a quarter of that time below a quarter of the speed, a pause most of it. The low-pass of the torque reaches
-    half a period of its bandwidth to both sides: a row as near to a pause as that counts as resting.
+    Below 0.05 rad/s (or, on slow arms, a tenth of its usual speed) the torque of an element depends on the deflection
+    of its bristles rather than on its speed. A reversal and a pause both pass below: a reversal at constant
+    acceleration spends a quarter of that time below a quarter of the speed, a pause most of it. The low-pass of the
+    torque extends over half a period of its bandwidth on both sides: a row as near to a pause as that counts as
+    resting.
 
     Args:
         run: of n joints.
@@ -514,9 +514,9 @@ def element_states(run: FilteredRun, elements: Array) -> tuple[Mask, Mask]:
     for e, velocity in enumerate((run.velocity @ elements.T).T):
         usual = float(np.quantile(np.abs(velocity), 0.9))
         threshold = max(min(SLOW_SPEED, SLOW_SHARE * usual), _MIN_SLOW_SPEED)
-        rests, passes = _slow_stretches(velocity, threshold)
-        rests |= _slow_stretches(velocity, _STOP_SHARE * threshold)[0]
-        near = maximum_filter1d(rests, 2 * reach + 1, mode="constant")
+        resting, passes = _slow_stretches(velocity, threshold)
+        resting |= _slow_stretches(velocity, _STOP_SHARE * threshold)[0]
+        near = maximum_filter1d(resting, 2 * reach + 1, mode="constant")
         states[:, :, e] = near[run.rows], (passes & ~near)[run.rows]
     return states[0], states[1]
 
@@ -524,29 +524,29 @@ def element_states(run: FilteredRun, elements: Array) -> tuple[Mask, Mask]:
 def _slow_stretches(velocity: Array, threshold: float) -> tuple[Mask, Mask]:
     """Return where an element rests and where it passes through rest, each of shape (m,)."""
     slow = np.abs(velocity) < threshold
-    rests, passes = np.zeros_like(slow), np.zeros_like(slow)
+    resting, passes = np.zeros_like(slow), np.zeros_like(slow)
     for start, stop in stretches(slow):
         inner = float(np.mean(np.abs(velocity[start:stop]) < 0.25 * threshold))
         whole = start > 0 and stop < len(velocity)
-        # A single sample tells no share.
+        # A single sample has no share.
         through = whole and velocity[start - 1] * velocity[stop] < 0.0 and (inner <= _PAUSE_SHARE or stop - start == 1)
-        (passes if through else rests)[start:stop] = True
-    return rests, passes
+        (passes if through else resting)[start:stop] = True
+    return resting, passes
 
 
-_SAME_MOTION = 0.95  # similarity of velocities from which on two stretches are the same motion
-_DECORRELATED = 0.5  # similarity below which a lag has left the neighbourhood of 0
-_MIN_OVERLAP = 0.3  # share of the motion's energy that two stretches have in common, at least
+_MIN_MOTION_SIMILARITY = 0.95  # similarity of velocities above which two stretches are the same motion
+_DECORRELATED = 0.5  # similarity below which a lag is no longer near 0
+_MIN_OVERLAP = 0.3  # least share of the motion's energy that two stretches have in common
 _RATE_TOLERANCE = 0.01  # relative difference between the row rates of runs that can be compared
 
 
 def phases(runs: Sequence[FilteredRun]) -> list[tuple[int, Index]]:
     """Return for each run the number of its motion and the phase of each of its rows' instants, shape (k,).
 
-    Instants with the same motion and phase are repetitions of each other: periods of a run, runs that are played again.
-    What a model leaves out (ripple, load, cables) follows the motion and comes back with it. A motion that was recorded
-    ten times says no more of its misfit than one recording; deviations that take the repetitions for independent are up
-    to the root of ten too small.
+    Instants with the same motion and phase are repetitions of each other: periods of a run, or runs that are repeated.
+    Effects outside the model (ripple, load, cables) follow the motion and return with it. A motion that was recorded
+    ten times contains no more information on its misfit than one recording; deviations that treat the repetitions as
+    independent are too small by up to the square root of ten.
     """
     scale = np.sqrt(np.mean(np.concatenate([run.velocity**2 for run in runs]), axis=0))
     scale = np.where(scale > 0.0, scale, 1.0)
@@ -560,7 +560,7 @@ def phases(runs: Sequence[FilteredRun]) -> list[tuple[int, Index]]:
             motions.append((velocity, rate, _period(velocity)))
         place, period = np.arange(len(velocity)) + (shift or 0), motions[number][2]
         found.append((number, place % period if period else place))
-    # A run that began earlier than the first of its motion has places before 0.
+    # A run that began earlier than the first run of its motion has indices below 0.
     earliest = {number: min(int(p.min()) for k, p in found if k == number and len(p)) for number, _ in found}
     return [(number, place - earliest[number]) for number, place in found]
 
@@ -569,24 +569,28 @@ def _shift(velocity: Array, rate: float, other: Array, its_rate: float) -> int |
     """Return by how many rows a run begins later in a motion that it repeats; None if it does not repeat it."""
     if abs(rate / its_rate - 1.0) >= _RATE_TOLERANCE:
         return None
-    alike, shared = _similarity(other, velocity)
-    best = int(np.argmax(np.where(shared > _MIN_OVERLAP, alike, -1.0)))
-    return best - (len(velocity) - 1) if alike[best] > _SAME_MOTION and shared[best] > _MIN_OVERLAP else None
+    similarity, shared = _similarity(other, velocity)
+    best = int(np.argmax(np.where(shared > _MIN_OVERLAP, similarity, -1.0)))
+    return (
+        best - (len(velocity) - 1)
+        if similarity[best] > _MIN_MOTION_SIMILARITY and shared[best] > _MIN_OVERLAP
+        else None
+    )
 
 
 def _period(velocity: Array) -> int:
     """Return the period of a run in rows, velocities of shape (k, n); 0 if it does not repeat itself."""
-    alike, shared = (values[len(velocity) - 1 :] for values in _similarity(velocity, velocity))
-    padded = np.pad(alike, 1, constant_values=-np.inf)
-    peak = (alike >= padded[:-2]) & (alike >= padded[2:])
-    repeated = np.flatnonzero(peak & (alike > _SAME_MOTION) & (shared > _MIN_OVERLAP))
-    left = np.flatnonzero(alike < _DECORRELATED)
-    repeated = repeated[repeated > left[0]] if len(left) else left
+    similarity, shared = (values[len(velocity) - 1 :] for values in _similarity(velocity, velocity))
+    padded = np.pad(similarity, 1, constant_values=-np.inf)
+    peak = (similarity >= padded[:-2]) & (similarity >= padded[2:])
+    repeated = np.flatnonzero(peak & (similarity > _MIN_MOTION_SIMILARITY) & (shared > _MIN_OVERLAP))
+    decorrelated = np.flatnonzero(similarity < _DECORRELATED)
+    repeated = repeated[repeated > decorrelated[0]] if len(decorrelated) else decorrelated
     return int(repeated[0]) if len(repeated) else 0
 
 
 def _similarity(first: Array, second: Array) -> tuple[Array, Array]:
-    """Return how alike two motions are at each lag, 1 for the same, and the share of the smaller energy in the overlap.
+    """Return the similarity of two motions at each lag, 1 if equal, and the share of the smaller energy in the overlap.
 
     At lag number l, row k of `second` lies on row k + l - (len(second) - 1) of `first`.
     """
@@ -594,6 +598,6 @@ def _similarity(first: Array, second: Array) -> tuple[Array, Array]:
     energy, other = (np.concatenate([[0.0], np.cumsum((values**2).sum(axis=1))]) for values in (first, second))
     lag = np.arange(-(len(second) - 1), len(first))
     begin, end = np.maximum(lag, 0), np.minimum(lag + len(second), len(first))
-    mine, its = energy[end] - energy[begin], other[end - lag] - other[begin - lag]
+    own, its = energy[end] - energy[begin], other[end - lag] - other[begin - lag]
     least = max(min(energy[-1], other[-1]), 1e-300)
-    return 2.0 * product / np.maximum(mine + its, 1e-300 + 1e-9 * least), np.minimum(mine, its) / least
+    return 2.0 * product / np.maximum(own + its, 1e-300 + 1e-9 * least), np.minimum(own, its) / least

@@ -1,7 +1,7 @@
-"""What an identification from excitation runs returns: parameters, torques and predictions, elements to simulate.
+"""The result of an identification from excitation runs: parameters, torques and predictions, elements to simulate.
 
-What the runs did not determine, the arm that the files hold, and the identified friction as elements that can be
-simulated: what the runs do not tell is assumed, and marked.
+It includes the undetermined parameters, the arm that the files describe, and the identified friction as elements that
+can be simulated: values that the runs do not determine are assumed, and marked.
 """
 
 from __future__ import annotations
@@ -42,16 +42,15 @@ NOT_DETERMINED = "these runs do not determine it"
 
 @dataclass(frozen=True)
 class BaseParameter:
-    """A combination of inertial parameters, or another linear one, that the torque depends on.
+    """A combination of inertial parameters, or another linear parameter, that the torque depends on.
 
     Attributes:
-        name: short, such as mzR_2: the R says that others have joined it.
+        name: short, such as mzR_2: the R means that other parameters belong to its group.
         group: in words, such as "mz_2 + 0.45 m_3".
         unit: SI.
-        estimate: together with the friction, by weighted least squares, or by instrumental variables where these are
-            taken.
+        estimate: together with the friction, by weighted least squares, or by instrumental variables if these are used.
         consistent: its value by the physically consistent inertias.
-        other: by the other one of least squares and instrumental variables.
+        other: by the other one of the two methods.
     """
 
     name: str
@@ -64,14 +63,14 @@ class BaseParameter:
 
 @dataclass(frozen=True, eq=False)
 class TorqueValidation:
-    """The verdict of a run that was not used.
+    """The verdict of a run that the identification did not use.
 
     Attributes:
         torques: of the run, predicted by the identified parameters.
-        consistent: the same, predicted with the inertias that bodies can have in place of the identified ones.
-        tolerances: what counts as agreement.
-        files: the same, predicted by all that the robot's files hold, elements with their bristles: what
-            `check_friction` of these files gives.
+        consistent: the same, predicted with the physically consistent inertias instead of the identified ones.
+        tolerances: limits for agreement.
+        files: the same, predicted by the robot's files, elements with their bristles: the result of `check_friction`
+            for these files.
     """
 
     torques: RunTorques
@@ -81,7 +80,7 @@ class TorqueValidation:
 
     @property
     def criteria(self) -> tuple[Criterion, ...]:
-        """Return what the verdict rests on, by the identified parameters and by the files."""
+        """Return the criteria of the verdict, by the identified parameters and by the files."""
         limits, by = self.tolerances, {"": self.torques, " by the files": self.files}
         groups = (
             torque_criteria(one.names, one.total_share, one.share, limits.total, limits.joint, words)
@@ -95,27 +94,27 @@ class TorqueValidation:
         return all(one.passed for one in self.criteria)
 
 
-_UNEXPLAINED_SHARE = 0.7  # of what varies in a torque: beyond, less than half of its square is explained
+_UNEXPLAINED_SHARE = 0.7  # of a torque's variation: beyond, less than half of its square is explained
 
 
 def unexplained(runs: Sequence[RunTorques]) -> dict[str, str]:
-    """Return, in words by joint, whose torques a model hardly explains: their values are not to be trusted.
+    """Return, in words by joint, whose torques a model hardly explains, so that their values cannot be trusted.
 
-    A constant torque is explained by an offset and tells nothing: what counts is what varies.
+    An offset explains a constant torque without any information; only the variation counts.
     """
     found = {}
     for number, name in enumerate(runs[0].names):
         own = [run.joints[number] for run in runs if len(run.joints[number].recorded)]
         if own:
-            left, varying = (
+            residual, varying = (
                 math.sqrt(sum(float(np.sum((values - values.mean()) ** 2)) for values in series))
                 for series in ([one.residual for one in own], [one.recorded for one in own])
             )
-            if left > _UNEXPLAINED_SHARE * varying:
-                share = min(left / varying, 1.0) if varying else 1.0
+            if residual > _UNEXPLAINED_SHARE * varying:
+                share = min(residual / varying, 1.0) if varying else 1.0
                 found[name] = (
                     f"{share:.0%} of what varies in the torque of {name} is not explained: its friction and its "
-                    "offset, and the inertias that it alone tells, are not to be trusted"
+                    "offset, and the inertias that it alone determines, are not to be trusted"
                 )
     return found
 
@@ -126,21 +125,21 @@ class ExcitationIdentification:
 
     Attributes:
         robot: that the runs come from.
-        options: that describe it.
+        options: the description of the robot.
         problem: the equations of the runs.
-        friction: what was compared, and the friction that was kept.
-        elements: of the friction, to simulate with, and what is known of each parameter.
-        base: linear parameters but friction.
-        consistency: inertias that bodies can have, near to these.
-        torques: recorded against predicted, of each run that was used.
-        validations: the same of runs that were not used, with a verdict.
+        friction: the compared models, and the selected friction.
+        elements: of the friction, to simulate with, and the estimates of their parameters.
+        base: linear parameters beside friction.
+        consistency: possible inertias near these.
+        torques: recorded and predicted, of each run that was used.
+        validations: the same for runs that were not used, with a verdict.
         trends: drifts within a run.
-        bags: what was read, by use: excitation, validation.
-        instruments: least squares against instrumental variables.
+        bags: the bags by use: excitation, validation.
+        instruments: comparison of least squares and instrumental variables.
         zeros: which encoder zeros seem wrong.
         gains: of the drives, by which the recorded torques were multiplied; None without a known payload.
-        loads: the friction's load parts, whose torque the problem's is less of; None where they were not asked for.
-        notes: what of the recordings was left out or bridged, and what they cannot tell.
+        loads: the friction's load parts, whose torque was subtracted from the problem's; None if not requested.
+        notes: what was excluded or bridged in the recordings, and what they cannot determine.
     """
 
     robot: RecordedRobot
@@ -162,12 +161,12 @@ class ExcitationIdentification:
 
     @cached_property
     def speeds(self) -> tuple[SpeedResiduals, ...]:
-        """Return what is left at each speed of the elements."""
+        """Return the residuals by speed of each element."""
         return residuals_by_speed(self.problem, self.problem.torque - self.friction.predicted)
 
     @property
     def speed_ranges(self) -> tuple[tuple[float, float], ...]:
-        """Return the least and the greatest speed of each element at which there were data, rad/s; 0 for none."""
+        """Return the least and the greatest speed with data of each element, rad/s; 0 for none."""
         return tuple(overall(one.ranges) for one in self.friction.fitted)
 
     @property
@@ -179,7 +178,7 @@ class ExcitationIdentification:
     def base_covariance(self) -> Array:
         """Return the covariance of the base parameters in the order of `base`, SI units, shape (b, b).
 
-        Infinite on the diagonal where these runs do not determine one.
+        Infinite on the diagonal for a parameter that these runs do not determine.
         """
         count = len(self.base)
         return self.friction.fit.covariance[:count, :count]
@@ -191,12 +190,12 @@ class ExcitationIdentification:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """Return which values are not to be trusted, and why, a sentence each."""
+        """Return which values cannot be trusted, and why, a sentence each."""
         return (*self._assumed.values(), *unexplained(self.torques).values(), *self.friction.warnings)
 
     @property
     def element_notes(self) -> dict[str, str]:
-        """Return the same of the friction of single elements, by their names."""
+        """Return the warnings on the friction of single elements, by their names."""
         arm, poor = self.problem.arm, unexplained(self.torques)
         last = [arm.names[np.flatnonzero(row)[-1]] for row in arm.element_matrix]
         found = {name: poor[joint] for name, joint in zip(arm.element_names, last, strict=True) if joint in poor}
@@ -214,7 +213,7 @@ class ExcitationIdentification:
 
     @property
     def model(self) -> ModelRow:
-        """Return the row of the model that was kept."""
+        """Return the table's row of the selected model."""
         return next(row for row in reversed(self.friction.models) if row.kept)
 
 
@@ -224,25 +223,25 @@ def base_parameters(
     consistency: Consistency,
     comparison: InstrumentalComparison,
 ) -> tuple[BaseParameter, ...]:
-    """Return the linear parameters but friction with their deviations, and by the other fit of a comparison."""
+    """Return the linear parameters beside friction with their deviations, and by the other method."""
     fit, other = friction.fit, comparison.least_squares if comparison.biased else comparison.instrumental
     unknown, none = undetermined(problem, fit), ParameterEstimate.unknown(NOT_DETERMINED)
     found = []
     for k, (name, group) in enumerate(zip(problem.names, problem.base.groups, strict=True)):
         estimate, second = (ParameterEstimate(float(one.value[k]), float(one.deviation[k])) for one in (fit, other))
-        told = name not in unknown
-        second = second if told and math.isfinite(second.deviation) else none
+        determined = name not in unknown
+        second = second if determined and math.isfinite(second.deviation) else none
         unit = UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2")
         near = float(consistency.inertias.base[k])
-        found.append(BaseParameter(name, group, unit, estimate if told else none, near, second))
+        found.append(BaseParameter(name, group, unit, estimate if determined else none, near, second))
     return tuple(found)
 
 
 def undetermined(problem: ExcitationProblem, fit: LinearFit) -> tuple[str, ...]:
     """Return the base parameters that these runs do not determine, by name.
 
-    One deviation of such a parameter alone would move torques by more than the torques' own RMS: the data would bear
-    any value that an arm may have.
+    A change of such a parameter by one deviation alone would move torques by more than the torques' own RMS: any
+    plausible value would agree with the data.
 
     Args:
         problem: r rows.
@@ -257,7 +256,7 @@ def undetermined(problem: ExcitationProblem, fit: LinearFit) -> tuple[str, ...]:
 
 _PRESLIDING_DISTANCE = 2.5e-4  # rad, at break-away where no c0 is known: that of the shipped RX90B's large joints
 ASSUMED = "no file: bristles that break away after 0.25 mrad are assumed, and the least Coulomb torque of the others"
-"""Where what is not identified comes from without a fallback, in words."""
+"""Source, in words, of values that are not identified, without a fallback."""
 _BRISTLE_RELAXATION = 1e-3  # s, c1 over c0 where no c1 is known, as there
 _DAMPING_FADE_SPEED = 1.0  # rad/s, omega_d where none is known, at most: the element is passive beside such a c1
 _PASSIVE_FADING = 0.5 * LUGRE_PASSIVITY * math.sqrt(2.0 * math.e)
@@ -265,7 +264,7 @@ _PASSIVE_FADING = 0.5 * LUGRE_PASSIVITY * math.sqrt(2.0 * math.e)
 
 The largest of c1 v exp(-(v / omega_d)^2) is c1 omega_d / sqrt(2 e), and 4 c0 g is 4 tau_c at least.
 """
-_NEUTRAL = {"omega_s": 0.1, "delta": 1.0, "c2": 0.0}  # of no effect while tau_s = tau_c
+_NEUTRAL = {"omega_s": 0.1, "delta": 1.0, "c2": 0.0}  # without effect while tau_s = tau_c
 
 
 def simulated_elements(
@@ -275,15 +274,15 @@ def simulated_elements(
 ) -> tuple[IdentifiedElement, ...]:
     """Return the elements with values for all parameters.
 
-    A part that the model does not have is switched off: tau_s = tau_c, alpha = 1. Bristles, which an arm needs to stand
-    still, come from the fallback, else from the presliding distance of large joints; both are assumptions. So is the
-    friction of an element without an identified Coulomb torque: that of the fallback, else the least Coulomb torque of
-    the others.
+    A part that the model does not have is off: tau_s = tau_c, alpha = 1. Bristles, without which an arm cannot stand
+    still, are the fallback's, or else have the presliding distance of large joints; both are assumptions. So is the
+    friction of an element without an identified Coulomb torque: the fallback's, or else the least Coulomb torque of the
+    other elements.
 
     Args:
         estimates: by the names of FrictionElement.
         fallback: elements in the same order; None if there are none.
-        loads: the load parts; None where they were not asked for.
+        loads: the load parts; None if they were not requested.
 
     Raises:
         IdentificationError: naming the elements, if no Coulomb torque is identified and there is no fallback.
@@ -317,7 +316,7 @@ def _slides(estimates: Mapping[str, ParameterEstimate]) -> bool:
 
 
 def assumed_friction(elements: Mapping[str, IdentifiedElement], fallback_name: str | None) -> dict[str, str]:
-    """Return, in words by element, whose Coulomb torque is assumed, why, and where it comes from."""
+    """Return, in words by element, whose Coulomb torque is assumed, why, and its source."""
     whose = "the least of the others" if fallback_name is None else f"that of {fallback_name}"
     missing = {name: one.estimates[_COULOMB[0]] for name, one in elements.items() if not _slides(one.estimates)}
     return {
@@ -328,7 +327,7 @@ def assumed_friction(elements: Mapping[str, IdentifiedElement], fallback_name: s
 
 
 def _element(known: Mapping[str, ParameterEstimate], other: FrictionElement | None, least: float) -> FrictionElement:
-    """Return an element; `other` or the `least` Coulomb torque stand in for what is not known."""
+    """Return an element; `other` or the `least` Coulomb torque replace unknown values."""
     found: dict[str, Any] = {parameter: one.value for parameter, one in known.items() if one.identifiable}
     for sign in ("positive", "negative"):
         coulomb = f"tau_c_{sign}"
@@ -344,7 +343,7 @@ def _element(known: Mapping[str, ParameterEstimate], other: FrictionElement | No
     return FrictionElement(**found)
 
 
-_MIN_TREND_BLOCKS = 6  # over which a trend is tested
+_MIN_TREND_BLOCKS = 6  # least number of blocks for a test
 _TREND_LEVEL = 0.01  # chance of a false trend, over all joints and runs together
 
 
@@ -374,10 +373,10 @@ class Trend(NamedTuple):
 
 
 def trends(runs: Sequence[RunTorques], block: float) -> tuple[Trend, ...]:
-    """Return the drifts of friction that blocks of time show at 1 % over all tests together (Bonferroni).
+    """Return drifts of friction that are significant at 1 % over all tests together (Bonferroni).
 
-    A line is fitted to the means of the difference times the sign of the velocity; means over blocks are nearly
-    independent, where neighbouring samples are not.
+    A line is fitted to the means over blocks of the difference times the sign of the velocity; these means are nearly
+    independent, unlike neighbouring samples.
 
     Args:
         runs: to test, joint by joint.
@@ -403,8 +402,8 @@ def trends(runs: Sequence[RunTorques], block: float) -> tuple[Trend, ...]:
     return tuple(found)
 
 
-_SPEED_BINS = 12  # of speed
-_MIN_BIN_ROWS = 5  # rows in a bin
+_SPEED_BINS = 12
+_MIN_BIN_ROWS = 5
 _MISFIT_LEVEL = 0.05  # chance of a false misfit, over all bins together
 
 
@@ -415,8 +414,8 @@ class SpeedResiduals(NamedTuple):
         element: its name.
         velocity: mean in each bin, rad/s, shape (k,).
         residual: mean, Nm, shape (k,).
-        deviation: of that mean, from the means of blocks of time, Nm, shape (k,); NaN in a bin of one block.
-        blocks: how many of them, shape (k,).
+        deviation: of that mean, from the means of blocks of time, Nm, shape (k,); NaN in a bin with a single block.
+        blocks: number of blocks, shape (k,).
     """
 
     element: str
@@ -427,9 +426,9 @@ class SpeedResiduals(NamedTuple):
 
 
 def residuals_by_speed(problem: ExcitationProblem, residual: Array) -> tuple[SpeedResiduals, ...]:
-    """Return mean residuals over the speed of each element: what its friction curve does not say.
+    """Return mean residuals over the speed of each element: the misfit of its friction curve.
 
-    The joint is the last on which the element acts. Reversals are left out.
+    The joint is the last one on which the element acts. Reversals are excluded.
 
     Args:
         problem: r rows.
@@ -454,7 +453,7 @@ def residuals_by_speed(problem: ExcitationProblem, residual: Array) -> tuple[Spe
 
 
 def misfits(speeds: Sequence[SpeedResiduals]) -> list[str]:
-    """Return, in words, each element's largest mean residual that is more than chance (5 % over all bins together)."""
+    """Return, in words, each element's largest significant mean residual (5 % over all bins together)."""
     found = []
     tests = sum(len(one.residual) for one in speeds)
     for one in speeds:

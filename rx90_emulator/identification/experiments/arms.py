@@ -1,6 +1,6 @@
-"""What a plan of motions knows of an arm: one of this project from its files, any other one from its URDF.
+"""An arm as plans of motions see it: one of this project from its files, any other one from its URDF.
 
-A motion uses shares of what joints and motors may do; a plan beyond them is refused.
+A motion may use a share of the limits of joints and motors; a plan beyond them is refused.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from rx90_emulator.loop.setup import Setup
 
 _START_TOLERANCE = 1e-3  # rad
 _PERIOD = Rates().position_period
-_TORQUE_STRIDE = 10  # set-points, of which torques are looked at
+_TORQUE_STRIDE = 10  # set-points from one computed torque to the next
 _TURN = math.pi  # rad, the range of a continuous joint without limits, either way
 
 
@@ -42,17 +42,16 @@ class PlannedArm:
         robot: names, ranges, speeds, efforts, kinematics and shapes, tool included.
         rigid: its torques without friction, and its friction elements.
         home: where every run begins and ends, rad, shape (n,).
-        chosen_home: how that was chosen, in words.
+        chosen_home: how it was chosen, in words.
         limits: of the set-points.
         motors: their names.
         turns: speeds of motors, seen through their gears, per speeds of joints, shape (n, n).
-        motor_torque: that each motor gives at most, seen through its gear, Nm, shape (n,); inf where it is not known.
-        coulomb: friction that is counted with each motor, seen through its gear, Nm, shape (n,); 0 where not known.
+        motor_torque: largest torque of each motor, seen through its gear, Nm, shape (n,); inf if unknown.
+        coulomb: assumed friction of each motor, seen through its gear, Nm, shape (n,); 0 if unknown.
         viscous: likewise, times the speed to the power of `exponent`, shape (n,).
         exponent: shape (n,).
-        friction: expected Coulomb and viscous values of the elements, Nm and Nms/rad, shape (n_el,) each; 0 where they
-            are not known.
-        remarks: what else a user must know of it, in words.
+        friction: expected Coulomb and viscous values of the elements, Nm and Nms/rad, shape (n_el,) each; 0 if unknown.
+        remarks: further notes for the user, in words.
     """
 
     robot: RobotModel
@@ -71,7 +70,7 @@ class PlannedArm:
 
     @classmethod
     def from_setup(cls, setup: Setup, home: Sequence[float] | None = None) -> PlannedArm:
-        """Return the arm of a setup; home is as given, or the robot's poses say where, or it is `middle_of_ranges`.
+        """Return the arm of a setup; home is the given one, else that of the robot's poses, else `middle_of_ranges`.
 
         Raises:
             IdentificationError: for a home beyond the limits.
@@ -103,17 +102,17 @@ class PlannedArm:
         home: Sequence[float] | None = None,
         acceleration: Sequence[float] | None = None,
     ) -> PlannedArm:
-        """Return an arm of which nothing is known but its URDF: no friction, no rotors, each motor on its joint.
+        """Return an arm that only its URDF describes: no friction, no rotors, each motor on its joint.
 
         Args:
-            urdf: as of `robot_of_urdf`; joints and tool likewise.
+            urdf: as in `robot_of_urdf`; joints and tool likewise.
             joints: of interest, from base to tip.
             tool: a tool file.
             home: rad, shape (n,); by default `middle_of_ranges`.
             acceleration: limits, rad/s², one for all joints or one each; by default the joint's speed limit in 0.5 s.
 
         Raises:
-            IdentificationError: for a URDF that cannot be used, and values that do not fit it.
+            IdentificationError: for a URDF that cannot be used, and values that do not belong to it.
             ConfigError: for a tool that cannot be used.
         """
         robot = robot_of_urdf(urdf, joints, tool)
@@ -145,16 +144,16 @@ class PlannedArm:
     def limit_shares(
         self, motion: Array, torque: Array, share: float = 1.0, speed: float = 1.0, margin: float = 0.0
     ) -> dict[str, Array]:
-        """Return signed shares of what is allowed, by name, each of the shape of what it is a share of.
+        """Return signed shares of the limits by name, each with the shape of the limited quantity.
 
-        No file says how fast a motor may turn: it is taken to be as fast as its joint alone may be.
+        No file limits the speed of a motor: its limit is assumed to be that of its joint alone.
 
         Args:
             motion: position rad, velocity rad/s and acceleration rad/s² of the joints, shape (3, m, n).
             torque: with friction, Nm, shape (k, n).
-            share: of accelerations and torques that counts as all of them.
-            speed: the same of the speeds.
-            margin: that the joints' ranges are narrower by at either end, rad.
+            share: factor on the limits of accelerations and torques.
+            speed: factor on the limits of speeds.
+            margin: distance from the ends of the joints' ranges, rad.
         """
         position, velocity, acceleration = motion
         robot = self.robot
@@ -169,11 +168,11 @@ class PlannedArm:
         }
 
     def whose(self, limit: str) -> tuple[str, ...]:
-        """Return the names of the joints or the motors that a limit of `limit_shares` is of."""
+        """Return the names of the joints or motors that a limit of `limit_shares` applies to."""
         return self.motors if limit.startswith("motor_") else self.robot.joint_names
 
     def friction_torque(self, velocity: Array, smooth: float = 0.0) -> tuple[Array, Array]:
-        """Return the friction that is counted with it: of an arm of this project what the controller compensates.
+        """Return the assumed friction; for an arm of this project that which the controller compensates.
 
         Args:
             velocity: of the joints, rad/s, shape (m, n).
@@ -181,7 +180,7 @@ class PlannedArm:
 
         Returns:
             Joint torques, Nm, shape (m, n), and the derivative of each motor's friction by its speed, shape (m, n),
-            which is without Coulomb friction where its sign jumps.
+            without Coulomb friction, whose sign jumps.
         """
         motors = velocity @ self.turns.T
         speed, exponent = np.abs(motors), self.exponent
@@ -195,7 +194,7 @@ class PlannedArm:
     def check(self, experiment: Experiment) -> tuple[dict[str, Array], Array]:
         """Return the largest shares of the limits that an experiment uses, and its set-points.
 
-        Torques are those of the rigid body, rotors, spring and the friction that is counted with the arm.
+        Torques are those of the rigid body, rotors, spring and the arm's assumed friction.
 
         Args:
             experiment: whose trajectory the controller's own generator accepts.
@@ -204,7 +203,7 @@ class PlannedArm:
             Shares by the names of `limit_shares`, each of shape (n,), and set-points, shape (m, 3, n).
 
         Raises:
-            IdentificationError: if it leaves a joint's or a motor's limits, of torque too, naming which, amount and
+            IdentificationError: if it exceeds a limit of a joint or motor, torque included, naming which, amount and
                 limit.
         """
         points = experiment.points
@@ -239,7 +238,7 @@ class PlannedArm:
 
 
 def middle_of_ranges(robot: RobotModel) -> Array:
-    """Return the middle of each joint's range, rad, shape (n,): home of an arm of which nobody says another."""
+    """Return the middle of each joint's range, rad, shape (n,): the home of an arm without a given one."""
     return np.asarray(0.5 * (robot.lower + robot.upper))
 
 
@@ -256,20 +255,20 @@ def _home(robot: RobotModel, given: Sequence[float] | None, whose: str) -> tuple
 def robot_of_urdf(urdf: Path, joints: Sequence[str] | None = None, tool: Path | None = None) -> RobotModel:
     """Read a serial arm from the URDF of any robot.
 
-    Joints that are not of interest are held at 0, by default those that do not turn or mimic another one. A continuous
-    joint without a range may turn by half a turn either way. The tool is fixed to the link `tool0`, or to the last link
-    where there is none. Without a tool the tool centre point is that link's frame.
+    Joints that are not of interest are fixed at 0, by default those that are not revolute or mimic another one. A
+    continuous joint without a range may turn by half a turn either way. The tool is fixed to the link `tool0`, or to
+    the last link if there is none. Without a tool the tool centre point is that link's frame.
 
     Args:
         urdf: the robot's description.
-        joints: of interest, from base to tip; by default all that turn and have a drive of their own.
+        joints: of interest, from base to tip; by default all revolute ones with a drive of their own.
         tool: a tool file.
 
     Raises:
         IdentificationError: for a URDF, joints or limits that cannot be used.
         ConfigError: for a tool that cannot be used.
     """
-    there = movable_joints(urdf)  # which refuses what is no URDF
+    there = movable_joints(urdf)  # refuses a file that is no URDF
     root = ET.fromstring(urdf.read_text(encoding="utf-8"))
     sliding = {joint.get("name") for joint in root.findall("joint") if joint.get("type") == "prismatic"}
     names = [str(name) for name in joint_model(urdf, joints or [one for one in there if one not in sliding]).names][1:]
@@ -316,7 +315,7 @@ def robot_of_urdf(urdf: Path, joints: Sequence[str] | None = None, tool: Path | 
 
 
 def _check_bodies(model: Any, urdf: Path) -> None:
-    """Refuse negative masses and moments of inertia; that these fit together is not asked of other robots' files."""
+    """Refuse negative masses and moments of inertia; other robots' files are not checked for consistent ones."""
     for name, body in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
         least = float(np.linalg.eigvalsh(body.inertia)[0])
         if body.mass < 0.0 or least < -1e-9:  # rounding
@@ -327,7 +326,7 @@ def _check_bodies(model: Any, urdf: Path) -> None:
 
 
 def _chain(model: Any, tip: str) -> RigidChain:
-    """Return the kinematics of Pinocchio's model; its bodies stay there."""
+    """Return the kinematics of Pinocchio's model, without its bodies."""
     data, n = model.createData(), model.nv
     pin.computeJointJacobians(model, data, np.zeros(n))
     pin.updateFramePlacements(model, data)

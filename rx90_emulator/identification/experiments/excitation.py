@@ -1,17 +1,17 @@
-"""Plans of excitation runs: one after the other, each for what those before it have left uncertain.
+"""Plans of excitation runs, one after the other, each for the parameters that the previous ones leave uncertain.
 
 A run is a finite Fourier series of each joint on a common base frequency, periodic and band-limited (Swevers,
 Ganseman, Tükel, de Schutter and Van Brussel 1997, "Optimal robot excitation and identification"). Velocity and
 acceleration at the ends of a period are zero here, which takes two of a joint's coefficients, so that no ramp is
 needed.
 
-Its search begins with random series and improves the best of them step by step (L-BFGS). What exceeds a limit costs its
-square; the motion that comes out is then shrunk until it keeps all of them. Derivatives by the coefficients go through
-those by position, velocity and acceleration at the samples, so that a step costs the same for any number of harmonics.
+The search begins with random series and improves the best of them step by step (L-BFGS). Exceeding a limit is penalised
+by its square; the resulting motion is then scaled down until it keeps all limits. Derivatives by the coefficients are
+computed from those by position, velocity and acceleration at the samples, so that a step takes the same time for any
+number of harmonics.
 
-The information of a run is that of the weighted columns that the identification fits: base parameters (links, rotors,
-springs, offsets), and Coulomb and viscous torque of each friction element. Each joint is weighted by the noise of its
-torque.
+The information of a run is that of the weighted columns of the identification: base parameters (links, rotors, springs,
+offsets), and Coulomb and viscous torque of each friction element. Each joint is weighted by the noise of its torque.
 """
 
 from __future__ import annotations
@@ -37,25 +37,25 @@ from rx90_emulator.loop.setup import Setup
 
 ROWS = 100.0
 """Independent samples of each joint's torque per second."""
-_SMOOTH = 0.1  # rad/s, over which the sign of the velocity changes for the search
+_SMOOTH = 0.1  # rad/s, over which the sign of the velocity changes in the search
 _DIFFERENCE = 1e-6  # of position and velocity: the columns' derivatives are differences
-_FLOOR = 1e-12  # of the squared length of a column: what is excited less counts as not excited
+_FLOOR = 1e-12  # of the squared length of a column: a less excited one counts as not excited
 _RANDOM_STARTS = 12  # random motions, the best of which is improved
 _SAMPLES_PER_HARMONIC = 16  # samples in a period of the fastest sine: a peak between two is missed by 2 %
 _LIMIT_COSTS = (1.0, 50.0)  # of exceeding a limit by its whole size at one sample: at first walls are soft
-_MAX_LINE_EVALUATIONS = 50  # evaluations of a step at most: a step into a wall costs thousands
+_MAX_LINE_EVALUATIONS = 50  # of a step: a step into a wall would need thousands
 _MIDDLE_SPREAD = 0.3  # of a joint's range, in which the middles of random motions lie around home
-_RANGE_MARGIN = 0.02  # rad, to the joints' ranges, as the sweeps keep
-_SHARE_MARGIN = 0.02  # of a limit that a search leaves for what lies between its samples
-_CHECK_STEP_S = 0.01  # s between samples at which a motion is held against the limits
-_SEARCH_APPROACH = np.linspace(0.0, 1.0, 12)  # of the way from home to the begin of the series, in the search
+_RANGE_MARGIN = 0.02  # rad, to the ends of the joints' ranges, as in the sweeps
+_SHARE_MARGIN = 0.02  # of a limit, that a search keeps for the motion between its samples
+_CHECK_STEP_S = 0.01  # s between samples at which a motion is checked for the limits
+_SEARCH_APPROACH = np.linspace(0.0, 1.0, 12)  # parts of the way from home to the beginning of the series, in the search
 _CHECKED_APPROACH = np.linspace(0.0, 1.0, 201)
 _SHRINK_FACTOR, _BISECTIONS, _MIN_SHRINK = 0.85, 5, 0.02
 _DEFAULT_NOISE_SHARE = 0.01  # of the URDF's effort: deviation of the torque's noise where none is given
 
 
 def series_basis(harmonics: int, period: float, time: Array) -> Array:
-    """Return what a joint's series is linear in: position, velocity and acceleration, shape (3, m, c).
+    """Return the columns in which a joint's series is linear: position, velocity and acceleration, shape (3, m, c).
 
     The first of its c = 2 H - 1 coefficients is the middle of the motion, rad; the others are in rad/s. The motion
     rests at the ends of a period. `basis @ coefficients.T` are the motions of n joints, shape (3, m, n).
@@ -67,7 +67,7 @@ def series_basis(harmonics: int, period: float, time: Array) -> Array:
     """
     number = np.arange(1, harmonics + 1)
     omega = 2.0 * math.pi * number / period
-    # Speed a cos + b sin: at rest where the sum of a is zero, without acceleration where that of omega b is.
+    # Speed a cos + b sin: zero at the ends if the sum of a is zero, without acceleration if that of omega b is.
     cosine, sine = null_space(np.ones((1, harmonics))), null_space(number[None, :].astype(np.float64))
     c, s = np.cos(np.outer(time, omega)), np.sin(np.outer(time, omega))
     one = np.ones((len(time), 1))
@@ -79,28 +79,28 @@ def series_basis(harmonics: int, period: float, time: Array) -> Array:
 
 
 class ExcitationPlan:
-    """The search for runs of an arm of n joints and n_el elements, and the runs that it has found.
+    """The search for runs of an arm of n joints and n_el elements, and its results.
 
     Coefficients have shape (n, c), a motion is an array of shape (3, m, n): position rad, velocity rad/s, acceleration
     rad/s² at m samples.
 
     Args:
-        arm: from whose home each run comes, on a straight line of the joints.
+        arm: every run starts from its home, on a straight line of the joints.
         options: of the plan.
 
     Attributes:
         noise: standard deviation of each joint's torque in `ROWS` samples per second, Nm, shape (n,).
         standard: columns of the arm's torque by its P standard parameters.
         base: b groups of them.
-        names: of the p = b + 2 n_el parameters that the runs are for.
-        workspace: what a run keeps away from.
+        names: of the p = b + 2 n_el parameters to identify.
+        workspace: obstacles of the runs.
         speed: share of the joints' speeds that the next run may use.
-        information: of the runs that the identification uses, together, shape (p, p).
+        information: of all runs for the identification together, shape (p, p).
         experiments: in the order of their recording; one for a validation last.
         coefficients: of their series.
 
     Raises:
-        IdentificationError: for a number of noises that is not the joints'.
+        IdentificationError: if the number of noises is not that of the joints.
     """
 
     def __init__(self, arm: PlannedArm, options: ExcitationOptions) -> None:
@@ -145,18 +145,18 @@ class ExcitationPlan:
 
     def information_of(self, rows: Array) -> Array:
         """Return the information of a run, shape (p, p), by rows, shape (m, n, p), at even samples of a period."""
-        flat = rows.reshape(-1, rows.shape[2])
-        return np.asarray(flat.T @ flat * (ROWS * (self.options.period * self.options.periods) / len(rows)))
+        stacked = rows.reshape(-1, rows.shape[2])
+        return np.asarray(stacked.T @ stacked * (ROWS * (self.options.period * self.options.periods) / len(rows)))
 
     def best(self, rng: np.random.Generator, step: Callable[[], None]) -> Array:
-        """Return the coefficients of the best motion that was found.
+        """Return the coefficients of the best motion found.
 
         Args:
             rng: of the random motions.
             step: called after each of the search's steps.
 
         Raises:
-            IdentificationError: if it cannot be made small enough for the limits.
+            IdentificationError: if it cannot be scaled down to the limits.
         """
         first = min((one.ravel() for one in self.random_starts(rng)), key=lambda x: self.cost(x)[0])
 
@@ -172,7 +172,7 @@ class ExcitationPlan:
         return self.within(first.reshape(len(self.home), -1))
 
     def random_starts(self, rng: np.random.Generator) -> list[Array]:
-        """Return the coefficients of the random motions that can be made small enough, one or more.
+        """Return the coefficients of the random motions that can be scaled down to the limits, one or more.
 
         Raises:
             IdentificationError: if none can.
@@ -188,7 +188,7 @@ class ExcitationPlan:
         return starts
 
     def random(self, rng: np.random.Generator) -> Array:
-        """Return a random motion that keeps ranges, speeds and accelerations, but for those of coupled motors."""
+        """Return a random motion within ranges, speeds and accelerations, except for those of coupled motors."""
         robot, n = self.arm.robot, len(self.home)
         coefficients = rng.normal(size=(n, self.samples.shape[2]))
         coefficients[:, 0] = 0.0
@@ -206,7 +206,7 @@ class ExcitationPlan:
         return coefficients
 
     def cost(self, x: Array, limit: float = _LIMIT_COSTS[-1]) -> tuple[float, Array]:
-        """Return what is minimised and its derivative by the coefficients, shape (n c,).
+        """Return the minimised cost and its derivative by the coefficients, shape (n c,).
 
         Args:
             x: coefficients, shape (n c,).
@@ -222,7 +222,7 @@ class ExcitationPlan:
         slopes = self._slopes(motion, standard, by_rows, limit * over_torque)
         by_motion = [own + limit * other for own, other in zip(slopes, over, strict=True)]
         gradient = sum(one.T @ basis for one, basis in zip(by_motion, self.samples, strict=True))
-        # The way from home to the begin.
+        # The way from home to the beginning of the series.
         begin = self._begin[0, 0]
         way = self.home + _SEARCH_APPROACH[:, None] * (coefficients @ begin - self.home)
         near, by_way = self.workspace.nearness(way, options.clearance)
@@ -249,7 +249,7 @@ class ExcitationPlan:
         return slopes
 
     def _penalty(self, motion: Array, rigid: Array) -> tuple[float, tuple[Array, Array, Array], Array]:
-        """Return the squares of what exceeds limits, with derivatives by motion and torque; friction is smooth."""
+        """Return the squares of exceeded limits, with derivatives by motion and torque; friction is smooth."""
         arm, robot, share = self.arm, self.arm.robot, self.options.share
         friction, by_speed = arm.friction_torque(motion[1], _SMOOTH)
         over = {
@@ -271,16 +271,16 @@ class ExcitationPlan:
         return self.arm.limit_shares(motion, torque, self.options.share, self.speed, _RANGE_MARGIN)
 
     def within(self, coefficients: Array) -> Array:
-        """Return the motion, shrunk until it keeps all limits between the samples, too.
+        """Return the motion, scaled down until it keeps all limits, also between the samples.
 
         Raises:
-            IdentificationError: if it does not even where it is small.
+            IdentificationError: if even a small motion exceeds one.
         """
         fine = self.basis(np.arange(0.0, self.options.period, _CHECK_STEP_S))
         return self._shrunk(coefficients, fine, _CHECKED_APPROACH)
 
     def _shrunk(self, coefficients: Array, basis: Array, way: Array) -> Array:
-        """Return the motion, shrunk around its middle until it keeps the limits at samples and on parts of the way."""
+        """Return the motion, scaled around its middle until it keeps the limits at samples and on parts of the way."""
 
         def sized(factor: float) -> Array:
             other = coefficients * factor
@@ -301,7 +301,7 @@ class ExcitationPlan:
         return sized(low)
 
     def _exceeded(self, coefficients: Array, basis: Array, way: Array) -> str:
-        """Return in words which limit a motion, or the way to it, exceeds most; empty where none."""
+        """Return in words which limit a motion, or the way to it, exceeds most; empty if none."""
         motion = basis @ coefficients.T
         paths = motion[0], self.home + way[:, None] * ((self._begin[0] @ coefficients.T)[0] - self.home)
         for positions in paths:
@@ -318,7 +318,7 @@ class ExcitationPlan:
         return "the arm touches itself" if any(len(self.workspace.near_itself(one)) for one in paths) else ""
 
     def trajectory(self, coefficients: Array) -> TrajectoryPoints:
-        """Return a run: home, begin of the series, its periods, home."""
+        """Return a run: home, beginning of the series, its periods, home."""
         robot, options = self.arm.robot, self.options
         speed, acceleration = min(_APPROACH_SPEED, options.share), min(_APPROACH_ACCELERATION, options.share)
         way = (robot.max_velocity * speed, float(self.arm.limits.acceleration.min()) * acceleration)
@@ -336,7 +336,7 @@ class ExcitationPlan:
 
 
 def _criterion(kind: str, information: Array) -> tuple[float, Array]:
-    """Return what is to be minimised and its derivative by the information, shape (p, p).
+    """Return the minimised criterion and its derivative by the information, shape (p, p).
 
     `condition`: the logarithm of the condition number of the columns, each of length 1. `d`: the mean logarithm of the
     parameters' deviations, -log det(information) / (2 p).
@@ -360,7 +360,7 @@ _VALIDATION_SPEED = 0.7
 _APPROACH_SPEED, _APPROACH_ACCELERATION = 0.25, 0.5  # shares of the limits on the way from and to home
 _REST_S = 0.3  # s, before and after the series
 _KNOT_ANGLE = 0.3  # of the fastest sine between knots, rad: quintics between exact knots miss it by 1e-7 of its size
-_INFORMATION_RATE = 100.0  # per second, at which the information is summed up
+_INFORMATION_RATE = 100.0  # per second, for the sum of the information
 _VALIDATION_SEED = 1_000_000
 
 
@@ -370,8 +370,8 @@ def plan_excitation(
     """Plan excitation runs for an arm. The same options give the same plan.
 
     Args:
-        arm: what is known of it; of a setup `PlannedArm.from_setup`.
-        options: what can be chosen.
+        arm: for a setup `PlannedArm.from_setup`.
+        options: of the plan.
         step: called with the name of a run after each step of its search, `options.steps` times at most.
 
     Raises:
@@ -400,7 +400,7 @@ def plan_excitation(
         ).T  # fmt: skip
         plan.information = plan.information + plan.information_of(plan.rows(plan.standard.torque(*motion), motion[1]))
     if options.validation:
-        known, plan.information = plan.information, np.zeros_like(plan.information)  # as if it were the first
+        known, plan.information = plan.information, np.zeros_like(plan.information)  # as for a first run
         add("validation", Kind.VALIDATION, _VALIDATION_SEED, _VALIDATION_SPEED)
         plan.information = known
     return plan

@@ -1,4 +1,4 @@
-"""Trajectories put together from rests, moves, constant-velocity sweeps and micro-oscillations."""
+"""Trajectories composed of rests, moves, constant-velocity sweeps and micro-oscillations."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _LONGEST_KNOT_PERIOD = 0.02  # s, for the fades
 
 
 class Motion:
-    """A trajectory that grows from a pose at rest; every piece begins and ends at rest.
+    """A trajectory that starts at rest and is extended piece by piece; every piece begins and ends at rest.
 
-    Knots carry position, velocity and acceleration, so that the controller interpolates with quintics, which run
-    exactly straight between two knots of equal velocity.
+    Knots have position, velocity and acceleration, so that the controller interpolates with quintics, which are exactly
+    straight between two knots of equal velocity.
 
     Args:
         start: joint positions at time 0, rad, shape (n,).
 
     Attributes:
         pose: where it ends, rad, shape (n,).
-        duration: how long it takes so far, s.
+        duration: its duration so far, s.
     """
 
     def __init__(self, start: ArrayLike) -> None:
@@ -54,9 +54,9 @@ class Motion:
         self._add(_on_tick(max(by_speed, by_acceleration)), goal)
 
     def sweep(self, direction: Array, speed: float, plateau: float, acceleration: float) -> None:
-        """Move along `direction`, shape (n,), with `speed`, rad/s, held for `plateau`, s.
+        """Move along `direction`, shape (n,), with `speed`, rad/s, constant for `plateau`, s.
 
-        The speed, in units of the direction's, may be negative. It is reached and left by quintic ramps.
+        The speed, in units of the direction's, may be negative. Quintic ramps lead to it and back to rest.
         """
         ramp = _on_tick(max(0.05, _RAMP_PEAK_ACCELERATION * abs(speed) / acceleration))
         velocity = direction * speed
@@ -92,7 +92,7 @@ class Motion:
         self.follow(time, self.pose + way, velocity, acceleration)
 
     def follow(self, time: Array, position: Array, velocity: Array, acceleration: Array) -> None:
-        """Run through k knots that are known, the last of them at rest.
+        """Run through k given knots, the last of them at rest.
 
         Args:
             time: of the knots from now on, s, increasing, shape (k,).
@@ -105,9 +105,9 @@ class Motion:
         self._knots[-1] = (self.duration, self.pose, self._rest, self._rest)
 
     def points(self, names: Sequence[str]) -> TrajectoryPoints:
-        """Return the motion as the points that the controller takes."""
+        """Return the motion as points for the controller."""
         knots, *vectors = zip(*self._knots, strict=True)
-        # Messages carry whole nanoseconds; the closed loop without ROS gets the same times as the nodes, to the bit.
+        # Messages contain whole nanoseconds; the closed loop without ROS gets exactly the same times as the nodes.
         times = [round(time * NANOSECONDS) / NANOSECONDS for time in knots]
         return TrajectoryPoints.create(names, names, times, *(np.array(each).tolist() for each in vectors))
 

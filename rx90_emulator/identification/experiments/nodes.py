@@ -29,13 +29,13 @@ from rx90_emulator.identification.experiments.plan import TOPICS, Experiment, wr
 from rx90_emulator.loop.setup import Setup
 
 _ATTEMPTS = 3  # of an experiment whose recorder loses messages
-_PATIENCE = 5.0  # s of the controller's time and of the wall clock, for a trajectory to begin and beyond its end
+_PATIENCE = 5.0  # s of the controller's time and of the wall clock, until a trajectory begins and beyond its end
 _AT_REST = 1e-6  # rad
 _APPROACH_SPEED, _APPROACH_ACCELERATION = 0.25, 2.0
 
 
 def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, controller: str, timeout: float) -> None:
-    """Run and record experiments on the controller node, one by one; after Ctrl-C the bags that are complete stay.
+    """Run and record experiments on the controller node, one by one; after Ctrl-C complete bags stay.
 
     Args:
         setup: for the joints' names and speeds, and how far a trajectory may start from a set-point.
@@ -46,12 +46,12 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
 
     Raises:
         ConfigError: if that cannot be a node's name.
-        ExchangeError: if a node does not show up, time stands still, or the controller refuses a trajectory.
-        ProcessError: if the recorder loses messages again and again, or ends early.
+        ExchangeError: if a node does not appear, time stands still, or the controller refuses a trajectory.
+        ProcessError: if the recorder repeatedly loses messages, or ends early.
     """
     names, total = setup.robot.joint_names, sum(experiment.duration for experiment in plan)
     layout = "{l_bar}{bar}| {n:.0f}/{total:.0f} s [{elapsed}<{remaining}]"
-    # A recorder that still runs at the end is ended in order.
+    # A recorder that still runs at the end is stopped properly.
     with (
         client_node("rx90_experiment", timeout, partial(print, flush=True)) as client,
         ProcessGroup(folder, grace=20.0) as recorders,
@@ -79,7 +79,7 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
             for number, experiment in enumerate(plan):
                 name, bag, done = experiment.name, folder / experiment.name, float(bar.n)
                 bar.set_description_str(name)
-                # Again where the recorder lost messages: a machine was busy for a moment.
+                # Repeated if the recorder lost messages: the machine was busy for a moment.
                 for attempt in range(1, _ATTEMPTS + 1):
                     words = executable("rx90_bag", "record", "--output", bag, *TOPICS[experiment.kind])
                     recorder = recorders.start(name, words)
@@ -96,7 +96,7 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
                     show(done, 0.0)
                     if attempt == _ATTEMPTS:
                         raise ExchangeError(f"{name}: {what} (see {recorder.log})")
-                    # Experiments end where they begin, so this one can begin again.
+                    # Experiments end where they begin, so this one can be repeated.
                     bar.write(f"{name}: {what}; again", file=sys.stderr)
                     shutil.rmtree(bag, ignore_errors=True)
                 if not number and (friction := text_parameter(client, "rx90_sim", "friction")):
@@ -115,12 +115,12 @@ def follow_trajectory(
 
     def newest() -> tuple[float, Array, float]:
         client.spin()
-        # The newest message is enough; in between the processor is the nodes'.
+        # The newest message suffices; in between the processor is left to the nodes.
         time.sleep(POLL / 2.0)
         assert set_points.position is not None
         return set_points.time, set_points.position, time.monotonic()
 
-    for _ in range(3):  # while the recorder started nobody looked
+    for _ in range(3):  # messages that arrived while the recorder started
         begin, before, _ = newest()
     run = FollowedTrajectory(points, before, client.timeout)
     trajectory.send(names, points)
@@ -132,14 +132,14 @@ def follow_trajectory(
 
 
 def _last_time(bag: Path) -> float:
-    """Return until when each topic of states in a bag has messages, s."""
+    """Return the time up to which each topic of states in a bag has messages, s."""
     return min(float(series.stamp_ns[-1]) for series in read_bag(bag).values()) / NANOSECONDS
 
 
 class FollowedTrajectory:
-    """Tells from set-points that are seen now and then whether a trajectory that was sent has begun and ended.
+    """Determines from sampled set-points whether a trajectory that was sent has begun and ended.
 
-    It begins when the controller takes it, which in a simulation without a pace may be many seconds of its time after
+    It begins when the controller accepts it, which in a simulation without a pace may be many seconds of its time after
     it was sent; so time counts from the first set-point that moved.
 
     Args:
@@ -148,8 +148,8 @@ class FollowedTrajectory:
         timeout: longest that time may stand still, s of the wall clock.
 
     Attributes:
-        elapsed: s of its duration.
-        end: when it ends at the latest, in the time of the set-points, s; infinite before it begins.
+        elapsed: part of its duration that has passed, s.
+        end: latest time of its end, in the time of the set-points, s; infinite before it begins.
         done: whether it has ended.
     """
 
@@ -158,11 +158,11 @@ class FollowedTrajectory:
         leaves = int(np.argmax((np.abs(points.position - before) > _AT_REST).any(axis=1)))
         self._rest, self._duration = float(points.times[max(leaves - 1, 0)]), float(points.times[-1])
         self._began: float | None = None
-        self._seen, self._went_on, self._due = -math.inf, 0.0, (0.0, 0.0)
+        self._last_time, self._last_advance, self._due = -math.inf, 0.0, (0.0, 0.0)
         self.elapsed, self.end, self.done = 0.0, math.inf, False
 
     def see(self, now: float, position: Array, clock: float) -> None:
-        """Take the newest set-point.
+        """Evaluate the newest set-point.
 
         Args:
             now: its time, s.
@@ -176,11 +176,11 @@ class FollowedTrajectory:
         def near(other: Array) -> bool:
             return bool(np.abs(position - other).max() <= _AT_REST)
 
-        if self._seen == -math.inf:
+        if self._last_time == -math.inf:
             self._due = now + _PATIENCE, clock + _PATIENCE
-        if now > self._seen:
-            self._seen, self._went_on = now, clock
-        elif clock - self._went_on > self._timeout:
+        if now > self._last_time:
+            self._last_time, self._last_advance = now, clock
+        elif clock - self._last_advance > self._timeout:
             raise ExchangeError(f"the controller's time stood still at {now:.3f} s for {self._timeout:g} s")
         if self._began is None and not near(self._before):
             self._began = now - self._rest
@@ -189,6 +189,6 @@ class FollowedTrajectory:
         if self._began is not None:
             self.elapsed = min(max(0.0, now - self._began), self._duration)
             self.done = now > self.end + POLL and near(self._end)
-        # Both clocks: without a pace seconds of simulated time pass while a message is on its way.
+        # Both clocks: without a pace, seconds of simulated time pass while a message is on its way.
         if not self.done and now > self._due[0] and clock > self._due[1]:
             raise ExchangeError("the controller did not run the trajectory to its end; it says why on its terminal")

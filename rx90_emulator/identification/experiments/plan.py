@@ -1,4 +1,4 @@
-"""The plan of sweeps, micro-oscillations and a validation: which motions, how fast, at which poses, for how long.
+"""The plan of sweeps, micro-oscillations and a validation: motions, speeds, poses and durations.
 
 A series of experiments is a folder: a bag of each, an index of them by use, and the friction of an emulator.
 """
@@ -32,12 +32,12 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.files import write_text
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.experiments.motion import Motion
-from rx90_emulator.identification.sliding.fit import LEAST_SPEEDS
+from rx90_emulator.identification.sliding.fit import MIN_SPEEDS
 from rx90_emulator.loop.setup import Setup
 
 
 class Kind(str, Enum):
-    """What an experiment is for."""
+    """Purpose of an experiment."""
 
     SLIDING = "sliding"
     PRESLIDING = "presliding"
@@ -54,9 +54,9 @@ class Experiment:
 
     Attributes:
         name: also the name of the bag.
-        kind: what it is for.
+        kind: its purpose.
         points: the trajectory; begins and ends at rest at the home pose.
-        sweeps: how many runs at constant velocity, presliding cycles and bursts, or periods it holds.
+        sweeps: number of its runs at constant velocity, presliding cycles and bursts, or periods.
     """
 
     name: str
@@ -82,7 +82,7 @@ POSES = Group(
         "validation": Group("Between which the validation moves.", keys=_POSITIONS),
     },
 )
-"""What a poses file holds."""
+"""The contents of a poses file."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,8 @@ class Poses:
 
     Attributes:
         home: where every experiment begins and ends.
-        sweeps: where the sweeps take place, at least one.
-        validation: between which the validation moves.
+        sweeps: poses of the sweeps, at least one.
+        validation: poses between which the validation moves.
     """
 
     home: tuple[float, ...]
@@ -111,7 +111,7 @@ class Poses:
 
     @classmethod
     def of(cls, setup: Setup) -> Poses:
-        """Return the poses of a robot, which reaches them.
+        """Return the poses of a robot, checked to be within its limits.
 
         Raises:
             IdentificationError: for a setup that was not read from files, and a pose beyond a joint's limits.
@@ -139,10 +139,10 @@ class Poses:
 
 
 def check_pose(what: str, pose: Sequence[float], robot: RobotModel) -> None:
-    """Check that an arm reaches a pose of as many joint positions, rad, as it has joints.
+    """Check that an arm reaches a pose, rad, with one position for each joint.
 
     Raises:
-        IdentificationError: naming it in the words of `what`, joint, value and limits.
+        IdentificationError: naming it by `what`, joint, value and limits.
     """
     for name, value, low, high in zip(robot.joint_names, pose, robot.lower, robot.upper, strict=True):
         if not low <= value <= high:
@@ -156,18 +156,18 @@ _MAX_SPEEDS = 1000  # two hours for each group
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """What can be chosen.
+    """The options of a plan.
 
     Attributes:
-        speeds: how many speeds in each direction, spaced logarithmically.
-        travel: longest travel of a sweep at its speed, rad. Speeds near omega_s determine the curve's shape; held for
-            4 s instead of 0.7 s, the torque's noise changes omega_s and delta less than half as much.
-        poses: where the experiments take place; by default those of the RX90B.
-        groups: which joints, by name of the direction; all of them if empty.
+        speeds: number of speeds in each direction, spaced logarithmically.
+        travel: longest travel of a sweep at its speed, rad. Speeds near omega_s determine the curve's shape; if they
+            last 4 s instead of 0.7 s, the torque's noise changes omega_s and delta less than half as much.
+        poses: of the experiments; by default those of the RX90B.
+        groups: of joints, by name of the direction; all of them if empty.
         presliding_cycles: amplitudes of the slow presliding cycles, rad.
         tone_amplitudes: of the micro-oscillation that follows each cycle, rad, summed over the tones. Several, because
             the controller's own Coulomb compensation may break one joint away while another one stays in presliding.
-        burst: how long a micro-oscillation lasts, s.
+        burst: duration of a micro-oscillation, s.
     """
 
     speeds: int = 28
@@ -179,8 +179,8 @@ class PlanOptions:
     burst: float = 8.0
 
     def __post_init__(self) -> None:
-        if not LEAST_SPEEDS <= self.speeds <= _MAX_SPEEDS:
-            raise IdentificationError(f"{self.speeds} speeds; accepted: {LEAST_SPEEDS} to {_MAX_SPEEDS}")
+        if not MIN_SPEEDS <= self.speeds <= _MAX_SPEEDS:
+            raise IdentificationError(f"{self.speeds} speeds; accepted: {MIN_SPEEDS} to {_MAX_SPEEDS}")
 
 
 _QUICK: dict[str, Any] = {
@@ -194,10 +194,10 @@ def plan_experiments(
     """Return the experiments for an arm.
 
     Args:
-        setup: robot and drives, read from files, of which one holds the poses.
+        setup: robot and drives, read from files; one of the files contains the poses.
         groups: names of directions; all of them if empty.
-        quick: whether fewer speeds, one pose and one micro-oscillation do.
-        speeds: in each direction; None for the plan's own number.
+        quick: whether fewer speeds, one pose and one micro-oscillation suffice.
+        speeds: in each direction; None for the default number.
 
     Raises:
         IdentificationError: for an unknown group or a number of speeds that is not acceptable.
@@ -228,20 +228,20 @@ def directions(names: Sequence[str], turning: Coupling) -> dict[str, Array]:
 
 
 _SAMPLING_PERIOD = Rates().position_period  # s, that of joint_states too
-_MAX_LOG_SHIFT = 0.1  # of the logarithm of a speed, at most
+_MAX_LOG_SHIFT = 0.1  # of the logarithm of a speed
 _SPEED_CANDIDATES = 401
 _BEAT_DENOMINATORS = (1, 2, 3, 4)
 _AVERAGED_OUT = 0.25  # distance from a beat, times the denominator, beyond which the ripple averages out
 
 
 def sweep_speeds(direction: Array, lowest: float, highest: float, count: int, drives: DriveParameters) -> Array:
-    """Return the speeds of a direction's sweeps: near logarithmic places, where the encoders beat least.
+    """Return the speeds of a direction's sweeps, logarithmically spaced and shifted to where the encoders beat least.
 
     Args:
         direction: joint velocities at speed 1, shape (n,).
-        lowest: about the slowest, rad/s.
-        highest: the fastest at most, rad/s.
-        count: how many.
+        lowest: approximate slowest speed, rad/s.
+        highest: limit of the fastest speed, rad/s.
+        count: number of speeds.
         drives: gears and encoders.
 
     Returns:
@@ -258,7 +258,7 @@ def sweep_speeds(direction: Array, lowest: float, highest: float, count: int, dr
         phase = np.outer(speeds, steps)
         distances = [np.abs(d * phase - np.round(d * phase)) for d in _BEAT_DENOMINATORS]
         least = np.minimum(np.min(distances, axis=(0, 2)), _AVERAGED_OUT)
-        # Of equally good ones the nearest to the nominal speed, which is the last.
+        # Of equally good speeds the nearest to the nominal one, which is the last.
         quietest.append(float(speeds[np.flatnonzero(least >= least.max() - 1e-12)[-1]]))
     return np.array(quietest)
 
@@ -275,7 +275,7 @@ def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions |
     """Plan all experiments for an arm.
 
     Raises:
-        IdentificationError: for a group or a pose that does not fit the arm.
+        IdentificationError: for an unknown group, and a pose that the arm does not reach.
     """
     chosen = options or PlanOptions()
     chosen.poses.check(robot)
@@ -298,8 +298,8 @@ _Planned = tuple[str, Kind, Motion, int]
 def _sweeps(robot: RobotModel, drives: DriveParameters, options: PlanOptions, name: str, direction: Array) -> _Planned:
     """Return the sweeps of a direction: many speeds, each in one direction at one pose, rather than few everywhere.
 
-    The error by ripple in step with the sampling differs between speeds, not between poses, and changes its sign with
-    the direction.
+    The error by ripple that is synchronous with the sampling differs between speeds, not between poses, and changes its
+    sign with the direction.
     """
     motion, poses = Motion(options.poses.home), options.poses.sweeps
 
@@ -333,11 +333,11 @@ def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction:
     motion = Motion(options.poses.home)
     _approach(robot, motion, np.asarray(options.poses.sweeps[0]) - 0.03 * direction)
     motion.rest(0.2)
-    # Sliding first: the deflection of the bristles then does not depend on what was before.
+    # Sliding first: the deflection of the bristles then does not depend on the earlier motion.
     motion.sweep(direction, 0.05, 0.6, _ACCELERATION)
     for amplitude, tone_amplitude in zip(options.presliding_cycles, options.tone_amplitudes, strict=True):
-        # Each one fades out, which leaves the bristles near zero. Bristles under load would creep, by vibrations that
-        # are below the resolution of the encoders.
+        # Each one fades out, which leaves the bristles near zero. Bristles under load would creep, due to vibrations
+        # below the resolution of the encoders.
         motion.oscillate(direction, [amplitude], [1.0], 2.0)
         motion.oscillate(direction, [tone_amplitude / len(_TONES)] * len(_TONES), _TONES, options.burst)
     motion.rest(0.2)
@@ -345,7 +345,7 @@ def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction:
 
 
 def _validation(robot: RobotModel, options: PlanOptions) -> _Planned:
-    """Return moves of all joints at once that no other experiment has: fast, slow, with reversals."""
+    """Return moves of all joints at once that no other experiment contains: fast, slow, with reversals."""
     motion, poses = Motion(options.poses.home), options.poses.validation
     for number, pose in enumerate(poses):
         share = _VALIDATION_SPEED_SHARES[number % len(_VALIDATION_SPEED_SHARES)]
@@ -364,7 +364,7 @@ def _approach(robot: RobotModel, motion: Motion, pose: ArrayLike) -> None:
 
 INDEX = "experiments.yaml"
 EMULATED = "emulated_friction.yaml"
-"""The friction that made the runs of a folder; beside runs of the emulator alone."""
+"""File with the friction that made the runs of a folder; only for runs of the emulator."""
 
 EXPERIMENTS = Group(
     "The bags of a series of experiments by use, as rx90_experiment writes it: names in the same folder.",
@@ -375,7 +375,7 @@ EXPERIMENTS = Group(
         str(Kind.VALIDATION): Texts("Runs for the validation."),
     },
 )
-"""What the index of a series holds."""
+"""The contents of the index of a series."""
 
 _WITH_SET_POINTS = ("motor_states", "rx90_controller/reference", "robot_description")
 TOPICS = {
@@ -384,10 +384,10 @@ TOPICS = {
     Kind.EXCITATION: _WITH_SET_POINTS,
     Kind.VALIDATION: _WITH_SET_POINTS,
 }
-"""What is recorded: sweeps do not need the base rate, which keeps their bags small.
+"""Recorded topics: sweeps do not need the base rate, which keeps their bags small.
 
 Excitation runs and the validation do: each period of the set-points begins with a jump of torque that grows with the
-acceleration, and samples in step with the set-points always fall on that jump."""
+acceleration, and samples synchronous with the set-points always fall on that jump."""
 
 
 @dataclass(frozen=True)
@@ -411,7 +411,7 @@ class IdentificationBags:
 
 
 def write_index(folder: Path, done: Sequence[Experiment]) -> None:
-    """Write the uses of the bags recorded so far; after each experiment, so that a series may be cut short.
+    """Write the uses of the bags recorded so far; after each experiment, so that a series may be interrupted.
 
     Raises:
         Rx90Error: if it cannot be written.
@@ -422,7 +422,7 @@ def write_index(folder: Path, done: Sequence[Experiment]) -> None:
 
 
 def write_emulated(folder: Path, friction: FrictionSet) -> None:
-    """Write the friction that runs were made with, to stand beside what is identified from them.
+    """Write the friction that runs were made with, for comparison with the identified one.
 
     Raises:
         Rx90Error: if it cannot be written.
@@ -433,7 +433,7 @@ def write_emulated(folder: Path, friction: FrictionSet) -> None:
 
 
 def read_emulated(bags: Iterable[Path]) -> dict[str, FrictionElement]:
-    """Return the friction that all bags were made with, by element; none where that is not known of all of them.
+    """Return the friction that all bags were made with, by element; empty if it is not known for all of them.
 
     Raises:
         ConfigError: if it is no friction file.
@@ -447,8 +447,8 @@ def read_index(folder: Path) -> IdentificationBags:
     """Return the bags of a series.
 
     Raises:
-        IdentificationError: if the folder holds no index, or a bag is missing.
-        ConfigError: if the index is no such file.
+        IdentificationError: if the folder contains no index, or a bag is missing.
+        ConfigError: if the index is not such a file.
     """
     if not os.path.lexists(folder / INDEX):
         raise IdentificationError(f"{folder}: no {INDEX}; accepted: a folder that rx90_experiment wrote, or --sliding, "

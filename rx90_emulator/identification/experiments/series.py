@@ -1,4 +1,4 @@
-"""What `rx90_experiment` does with a plan: show it, search for excitation runs with a progress bar, and record it."""
+"""The work of `rx90_experiment` with a plan: show it, search for excitation runs with a progress bar, and record it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from rx90_emulator.loop.setup import Setup
 
 
 def describe(plan: Sequence[Experiment], arm: PlannedArm) -> str:
-    """Return a table of the plan: runs, time, and how near each experiment comes to the arm's limits.
+    """Return a table of the plan: runs, time, and the largest use of the arm's limits in each experiment.
 
     Raises:
         IdentificationError: if an experiment leaves a limit.
@@ -49,11 +49,11 @@ def _whole_time(plan: Sequence[Experiment]) -> str:
 
 
 _PER_LINE = 3
-_SMALL = 1e-3  # of the largest parameter of its kind: an expected value below it is as good as zero
+_SMALL = 1e-3  # of the largest parameter of its kind: a smaller expected value counts as zero
 
 
 def describe_excitation(plan: ExcitationPlan) -> str:
-    """Return the table of a plan: what each run uses of the limits, and which deviations are to be expected.
+    """Return the table of a plan: use of the limits by each run, and the expected deviations.
 
     Raises:
         IdentificationError: if a run leaves a limit.
@@ -88,8 +88,8 @@ def describe_excitation(plan: ExcitationPlan) -> str:
     known = expected > _SMALL * np.array([expected[kinds == kind].max() for kind in kinds])
     deviations = np.sqrt(np.diag(np.linalg.pinv(scaled, hermitian=True))) / size
     cells = [
-        f"{name:<17}{f'{deviation / value:.2%}' if sure else f'{deviation:.2g}':>10}"
-        for name, value, sure, deviation in zip(plan.names, expected, known, deviations, strict=True)
+        f"{name:<17}{f'{deviation / value:.2%}' if is_known else f'{deviation:.2g}':>10}"
+        for name, value, is_known, deviation in zip(plan.names, expected, known, deviations, strict=True)
     ]
     lines += ["  " + "   ".join(cells[first : first + _PER_LINE]) for first in range(0, len(cells), _PER_LINE)]
     if workspace.meshes:
@@ -100,7 +100,7 @@ def describe_excitation(plan: ExcitationPlan) -> str:
 
 
 def _run_lines(plan: ExcitationPlan, experiment: Experiment) -> Iterator[str]:
-    """Yield what joints, coupled motors and walls say of a run; speeds are those of nine tenths of the moving time."""
+    """Yield lines on joints, coupled motors and walls of a run; speeds are those of nine tenths of the moving time."""
     shares, setpoints = plan.arm.check(experiment)
 
     def speeds(velocity: Array) -> str:
@@ -125,8 +125,8 @@ def _run_lines(plan: ExcitationPlan, experiment: Experiment) -> Iterator[str]:
 def write_motions(folder: Path, plan: Sequence[Experiment], arm: PlannedArm, rate: float) -> None:
     """Write motions for a controller that is not this project's, two files for each, all or none.
 
-    `NAME.yaml` is a trajectory_msgs/JointTrajectory with knots to be joined by quintics. `NAME.csv` has the set-points
-    at an even rate: time, and position, velocity and acceleration of each joint, named as in exported bags.
+    `NAME.yaml` is a trajectory_msgs/JointTrajectory with knots to be joined by quintics. `NAME.csv` contains the
+    set-points at an even rate: time, and position, velocity and acceleration of each joint, named as in exported bags.
 
     Args:
         folder: made if it is not there.
@@ -164,7 +164,7 @@ def plan_with_progress(arm: PlannedArm, options: ExcitationOptions) -> Excitatio
     """
     total = (options.runs + options.validation) * options.steps
     names: list[str] = []
-    # The bar comes with the first step: what is refused before needs none.
+    # The bar appears with the first step: what is refused before needs none.
     with tqdm(total=total, bar_format=_BAR, disable=None, delay=1e-9) as bar:
 
         def step(name: str) -> None:
@@ -200,7 +200,7 @@ def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | st
     """Run experiments in the closed loop without ROS, each into a bag of a new folder.
 
     Raises:
-        Rx90Error: for what cannot be done; complete bags stay.
+        Rx90Error: for every refusal and failure; complete bags stay.
     """
     # An interrupt ends the bar's line.
     with _new_folder(Path(folder)) as new, tqdm(plan, desc="engine", unit="experiment", disable=None) as bar:
@@ -217,7 +217,7 @@ def record_on_nodes(
     """Run experiments on a controller node, each into a bag of a new folder; waits for the nodes for `timeout`, s.
 
     Raises:
-        Rx90Error: for what cannot be done; complete bags stay.
+        Rx90Error: for every refusal and failure; complete bags stay.
     """
     with _new_folder(folder):
         from rx90_common.exchange.ros_start import prepare
@@ -237,6 +237,6 @@ def _new_folder(folder: Path) -> Iterator[Path]:
     try:
         yield folder
     finally:
-        # A folder without any bag would refuse the next attempt.
+        # An empty folder would block the next attempt.
         with suppress(OSError):
             folder.rmdir()

@@ -1,9 +1,9 @@
-"""How near an arm comes to planes around it, a table or walls, and to itself.
+"""Distances between an arm and planes around it, a table or walls, and between its own links.
 
 The shapes are those of `<collision>` in the URDF, tool included: boxes, cylinders and spheres, as Pinocchio reads them.
-How far they stay from planes is exact: each shape's nearest point counts, and so do the centres of the joints and the
-tool centre point. Whether the arm touches itself is left to Pinocchio's collision checker; links that a joint connects
-touch anyway. Meshes do not count, and the plan's table says so.
+Distances to planes are exact: those of each shape's nearest point, and of the centres of the joints and the tool centre
+point. Self-collision is checked by Pinocchio's collision checker; links that a joint connects are excluded, because
+they touch anyway. Meshes are ignored, and the plan's table says so.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from rx90_common.description.rotations import axis_rotation
 from rx90_emulator.identification.options import Wall
 
 SELF_CLEARANCE = 0.005
-"""m, that shapes of the arm keep from each other."""
+"""Least distance between shapes of the arm, m."""
 _ANGLE_STEP = 1e-4  # rad: the checker is right to about 1e-6 m
-_MIN_APPROACH = 1e-6  # m: a shape whose distance to a plane changes less over the joints' ranges does not count for it
+_MIN_APPROACH = 1e-6  # m: a plane is ignored for shapes whose distance to it changes less over the joints' ranges
 _WALL_SCALE = 0.1  # m too near to a wall that cost as much as a limit exceeded by its whole size
-_DISTANCE_MARGIN = 0.01  # m that a search leaves for what lies between its samples
+_DISTANCE_MARGIN = 0.01  # m, that a search keeps for the motion between its samples
 
 
 class Workspace:
-    """Planes that an arm keeps away from, and pairs of its shapes that stay apart.
+    """Planes and pairs of an arm's shapes that must keep a distance.
 
     Args:
         robot: an arm of n joints, with its tool.
@@ -40,8 +40,8 @@ class Workspace:
 
     Attributes:
         walls: the planes.
-        meshes: links with shapes that do not count.
-        uncounted: pairs of links that come too near to each other at home already: shapes are rough.
+        meshes: links with shapes that are ignored.
+        uncounted: pairs of links that are too near to each other at home already, because shapes are rough.
     """
 
     def __init__(self, robot: RobotModel, walls: Sequence[Wall], home: ArrayLike) -> None:
@@ -59,7 +59,7 @@ class Workspace:
         self._outline()
         poses = np.random.default_rng(0).uniform(robot.lower, robot.upper, (50, len(robot.joint_names)))
         spread = [np.ptp(self._to_wall(poses, wall)[0], axis=0) for wall in walls]
-        # Not what only turns in place, such as a shoulder over a table.
+        # Shapes that only turn in place, such as a shoulder over a table, are excluded.
         self._movable = [np.flatnonzero(width > _MIN_APPROACH) for width in spread]
         objects = self._shapes.geometryObjects
         joint = [joint_of(frames[one.parentFrame]) for one in objects]
@@ -71,10 +71,10 @@ class Workspace:
         self._set_pairs([pair for pair, one in zip(pairs, near, strict=True) if not one])
 
     def _outline(self) -> None:
-        """Write down what keeps away from planes, in frames of the joints that are parallel to the base's at 0.
+        """Store the shapes that keep a distance from planes, in frames parallel to the base's at joint angles 0.
 
         A shape is a box with half-lengths, rounded by a ball, and a disk around its z axis: a cylinder is a disk with a
-        height, a sphere a ball alone; joints and tool centre point are points.
+        height, a sphere only a ball; joints and tool centre point are points.
         """
         chain, model, data = self._robot.chain, self._model, self._shapes.createData()
         pin.updateGeometryPlacements(model, model.createData(), self._shapes, data, pin.neutral(model))
@@ -96,7 +96,7 @@ class Workspace:
     def _to_wall(self, position: Array, wall: Wall) -> tuple[Array, Array]:
         """Return each shape's distance to a plane, m, shape (m, s), and its derivative by positions, shape (m, s, n).
 
-        A convex body's nearest point gives the derivative, whichever it is (envelope theorem).
+        A convex body's nearest point gives the derivative, whichever point it is (envelope theorem).
         """
         chain, normal = self._robot.chain, np.array(wall.normal)
         rotation, center = np.broadcast_to(np.eye(3), (len(position), 3, 3)), np.zeros((len(position), 3))
@@ -107,12 +107,12 @@ class Workspace:
             rotation = rotation @ axis_rotation(turn, position[:, joint])
             frames.append((rotation, center, axis))
         rotations, centers, axes = (np.stack(each, axis=1) for each in zip(*frames, strict=True))
-        turned = rotations[:, self._link] @ self._axes
-        along = np.einsum("i,msij->msj", normal, turned)
+        rotated = rotations[:, self._link] @ self._axes
+        along = np.einsum("i,msij->msj", normal, rotated)
         across = np.linalg.norm(along[..., :2], axis=-1)
         local = -np.sign(along) * self._half
         local[..., :2] -= along[..., :2] / np.maximum(across, 1e-12)[..., None] * self._disk[:, None]
-        point = np.einsum("msij,msj->msi", turned, local) - self._ball[:, None] * normal
+        point = np.einsum("msij,msj->msi", rotated, local) - self._ball[:, None] * normal
         point += centers[:, self._link] + np.einsum("msij,sj->msi", rotations[:, self._link], self._center)
         lever = point[:, :, None, :] - centers[:, None, :, :]
         swept = np.cross(np.broadcast_to(axes[:, None], lever.shape), lever) @ normal
@@ -120,7 +120,7 @@ class Workspace:
         return point @ normal - wall.distance, np.where(moves, swept, 0.0)
 
     def lowest(self, position: Array) -> list[tuple[float, str]]:
-        """Return the least distance to each plane along a motion, m, and what comes so near; inf where nothing can."""
+        """Return the least distance to each plane along a motion, m, and the nearest part; inf if there is none."""
         found = []
         for wall, counts in zip(self.walls, self._movable, strict=True):
             distance = self._to_wall(position, wall)[0][:, counts]
@@ -131,7 +131,7 @@ class Workspace:
         return found
 
     def nearness(self, position: Array, clearance: float) -> tuple[float, Array]:
-        """Return what it costs to be too near to walls or itself, and its derivative by the position, shape (m, n)."""
+        """Return the cost of being too near to walls or to itself, and its derivative by position, shape (m, n)."""
         value, slope = 0.0, np.zeros_like(position)
         for wall, counts in zip(self.walls, self._movable, strict=True):
             distance, by_position = (each[:, counts] for each in self._to_wall(position, wall))
@@ -171,7 +171,7 @@ class Workspace:
         return found
 
     def _self_slopes(self, position: Array, distance: Array, gap: float) -> Array:
-        """Return the derivatives by positions of distances, m/rad, shape (m, p, n); 0 of those above a gap, m."""
+        """Return the derivatives by positions of distances, m/rad, shape (m, p, n); 0 for those above a gap, m."""
         arm, pairs = self._data
         found = np.zeros((*distance.shape, position.shape[1]))
         for row, q in enumerate(position):

@@ -1,9 +1,9 @@
-"""Drives and controller for an identified arm whose makers say nothing of them: assumed, in proportion to the arm.
+"""Drives and controller for an identified arm without data on them: assumed, in proportion to the arm.
 
-An identification tells links, rotors and friction. What the simulation needs beside them is chosen such that it moves
-the arm and does not stand in the way: motors that give what the URDF's efforts say, brakes and end stops about as stiff
-as those of the RX90B on its inertia, gains that are stable for the inertia of every pose, and the arm itself as the
-model of the feed-forward.
+An identification determines links, rotors and friction. The other values that the simulation needs are chosen such that
+it moves the arm without limiting it: motors with the URDF's efforts, brakes and end stops about as stiff as those of
+the RX90B for their inertia, gains that are stable for the inertia of every pose, and the arm itself as the model of the
+feed-forward.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ _POSES: Final = 200
 _GEAR, _COUNTS, _OBSERVER_HZ = 100.0, 65536, 400.0
 _TORQUE_CONSTANT = 0.1  # Nm/A
 _BRAKE_HZ, _STOP_HZ, _HALF_CRITICAL = 50.0, 10.0, 0.5
-_FASTEST = 1000.0  # 1/s: what the velocity loops come to together, where the arm is lightest; the observer has 2500
+_FASTEST = 1000.0  # 1/s, of all velocity loops together in the arm's lightest pose; the observer has 2500
 _HIGHEST_KV = 400.0  # 1/s
 FULL_SPEED_TIME: Final = 0.5
-"""s, in which a joint gets to its speed limit with the acceleration that is taken where none is given."""
+"""Time, s, in which a joint reaches its speed limit with the default acceleration."""
 _SOURCE = "nothing is known of it: chosen in proportion to the arm's inertia and to the efforts of its URDF"
 
 
 class _Inertia(NamedTuple):
-    """Of the motors, seen through their gears, kg m^2, shape (n,) each."""
+    """Inertias of the motors, seen through their gears, kg m^2, shape (n,) each."""
 
-    mean: Array  # over poses, the others held
-    nominal: Array  # that the controller takes
-    least: Array  # in any pose, the others free
-    most: float  # how many times as large `nominal` is, at most, as what a motion of several motors takes
+    mean: Array  # over poses, the other joints at rest
+    nominal: Array  # used by the controller
+    least: Array  # in any pose, the other joints free
+    most: float  # largest ratio of `nominal` to the inertia in a motion of several motors
 
 
 def assumed_files(
@@ -56,9 +56,9 @@ def assumed_files(
         model: Pinocchio's, with the bodies that count.
         turning: which joints each motor turns with.
         rotors: of the motors, seen through their gears, kg m^2, shape (n,).
-        known: blocks and keys of the drives file that have other values, such as ("transmission", "gear"): the motors
-            then give the same torques at the joints.
-        acceleration: that the joints have been seen to do, rad/s^2, shape (n,), or 0.
+        known: blocks and keys of the drives file with other values, such as ("transmission", "gear"): the motors then
+            give the same torques at the joints.
+        acceleration: of the joints in the recorded motions, rad/s^2, shape (n,), or 0.
     """
     inertia, n = _inertia(robot, model, turning, rotors), len(rotors)
     effort = np.abs(turning.joint_turns.T) @ robot.max_effort
@@ -68,7 +68,7 @@ def assumed_files(
         for key, usual in ((("transmission", "gear"), _GEAR), (("motor", "torque_constant"), _TORQUE_CONSTANT))
     )
     current = effort / np.abs(gear * constant)
-    # A light link could reach thousands of rad/s^2: what motions are planned with, or were seen to do, is enough.
+    # A light link could reach thousands of rad/s^2: the accelerations of plans and recorded motions are enough.
     fastest = np.maximum(robot.max_velocity / FULL_SPEED_TIME, acceleration)
     fastest = np.minimum(fastest, 0.5 * effort / inertia.mean)
 
@@ -107,21 +107,23 @@ def assumed_files(
 
 
 def weight_warning(robot: RobotModel, turning: Coupling, law: CS7BParameters) -> str:
-    """Return whose weight a controller does not hold without the feed-forward, or nothing.
+    """Return which joints' weight a controller without feed-forward does not carry; empty if there are none.
 
-    Before the integrator has taken it over, a weight g deflects a motor by up to g / (inertia kv kp).
+    Before the integrator compensates it, a weight g deflects a motor by up to g / (inertia kv kp).
     """
     data, back = robot.model.createData(), turning.joint_turns.T
     shares = np.random.default_rng(0).uniform(size=(_POSES, len(robot.lower)))
     poses = robot.lower + shares * (robot.upper - robot.lower)
     weight = np.max([np.abs(back @ pin.computeGeneralizedGravity(robot.model, data, pose)) for pose in poses], axis=0)
     sag = weight / np.maximum(law.inertia * law.kv * law.kp, 1e-300)
-    lost = [
-        f"{name} by {away:.2g} rad (power is cut at {limit:g})"
-        for name, away, limit in zip(robot.joint_names, sag, law.following_error, strict=True)
-        if away > limit
+    too_large = [
+        f"{name} by {deflection:.2g} rad (power is cut at {limit:g})"
+        for name, deflection, limit in zip(robot.joint_names, sag, law.following_error, strict=True)
+        if deflection > limit
     ]
-    return f"without feed-forward the weight deflects {listed(lost)}: keep inverse_dynamics on" if lost else ""
+    return (
+        f"without feed-forward the weight deflects {listed(too_large)}: keep inverse_dynamics on" if too_large else ""
+    )
 
 
 def _marked(content: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -135,14 +137,14 @@ def _six(values: Array) -> list[float]:
 
 def _inertia(robot: RobotModel, model: Any, turning: Coupling, rotors: Array) -> _Inertia:
     data, back = model.createData(), turning.joint_turns
-    held, free, masses = [], [], []
+    with_held, free, masses = [], [], []
     for share in np.random.default_rng(0).uniform(size=(_POSES, len(rotors))):
         upper = np.triu(pin.crba(model, data, robot.lower + share * (robot.upper - robot.lower)))
         mass = back.T @ (upper + np.triu(upper, 1).T) @ back + np.diag(rotors)
-        held.append(np.diag(mass))
+        with_held.append(np.diag(mass))
         free.append(1.0 / np.diag(np.linalg.inv(mass)))
         masses.append(mass)
-    mean, least = np.mean(held, axis=0), np.min(free, axis=0)
+    mean, least = np.mean(with_held, axis=0), np.min(free, axis=0)
     nominal = np.sqrt(mean * least)
     root = np.sqrt(nominal)
     most = max(float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(mass) * root)[-1]) for mass in masses)

@@ -1,4 +1,4 @@
-"""Write what was identified as a friction file that the simulation loads as it is."""
+"""Write identified friction as a friction file that the simulation loads as it is."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _REMARKS = """\
 # do not identify is taken from elsewhere, and is an assumption.
 """
 _LARGEST = {"Nm": 1e6, "rad/s": 1e4, "1": 1e3, "Nm/rad": 1e12, "Nm s/rad": 1e9, "Nm (s/rad)^alpha": 1e6}
-"""Of values with these units: orders of magnitude beyond any arm's, and no result of a fit that went well."""
+"""Largest values with these units: orders of magnitude beyond any arm, which only a failed fit gives."""
 _NONE: Mapping[str, Any] = MappingProxyType({})
 _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
 
@@ -62,19 +62,19 @@ def elements_text(
 
     Args:
         names: of the elements.
-        elements: what was identified of each.
-        fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
+        elements: identified values of each.
+        fallback_name: file of the values that replace parameters that are not identifiable, if any.
         now: date of the identification; by default the present.
-        result: from sweeps, whose use of the bags, goodness of fit and kinds of bristles go into the file.
-        joints: what torques hold beside links and friction, as `FrictionFile.joints`.
-        bandwidths: of excitation runs, which a validation of the file filters with again.
-        unit: of the torques, where they are currents.
-        warnings: why an element's values are not to be trusted, by its name.
-        speeds: least and greatest at which there were data, rad/s, by element; with `result` those of its sweeps.
+        result: from sweeps, whose use of the bags, goodness of fit and kinds of bristles are written into the file.
+        joints: torques beside links and friction, as in `FrictionFile.joints`.
+        bandwidths: of excitation runs, which a validation of the file uses again.
+        unit: of the torques, if they are currents.
+        warnings: why an element's values cannot be trusted, by its name.
+        speeds: least and greatest speed with data, rad/s, by element; with `result` those of its sweeps.
 
     Raises:
-        IdentificationError: for a value that no arm has, or that is no number.
-        ConfigError: for a deviation that is absurd.
+        IdentificationError: for a value that no arm has, or that is not a number.
+        ConfigError: for an absurd deviation.
     """
     date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
     named, kinds = dict(zip(names, elements, strict=True)), () if result is None else result.kinds
@@ -126,7 +126,7 @@ def elements_text(
 
 
 def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:
-    """Return an element with six digits of what was identified; refuse values that no arm has."""
+    """Return an element with the identified values rounded to six digits; refuse values that no arm has."""
     for parameter, unit in FRICTION_UNITS.items():
         value, estimate = getattr(one.element, parameter), one.estimates.get(parameter)
         most = math.inf if parameter == "omega_d" else _LARGEST[unit]
@@ -144,7 +144,7 @@ def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:
                 numbers[key] = digits(value)
             else:  # numbers of a list still sum to 1
                 parts = [digits(each) for each in value]
-                largest = parts.index(max(parts))  # a small one could be less than what rounding the others leaves
+                largest = parts.index(max(parts))  # a small one could be less than the rounding errors of the others
                 parts[largest] = round(1.0 - math.fsum(parts[:largest] + parts[largest + 1 :]), 12)
                 numbers[key] = tuple(parts)
         values["bristles"] = replace(one.element.bristles, **numbers)
@@ -163,7 +163,7 @@ def _provenance(
         estimate = one.estimates.get(name, _NOT_FITTED)
         content = {"provenance": "assumed", "value": values.get(name, 0.0)}
         if not estimate.identifiable:
-            # A part that is not known is left out, whatever the fallback has. But bristles go with c0.
+            # A part that is not known is omitted, even if the fallback has one. Bristles, however, belong to c0.
             there = "." not in name or (one.given_bristles and name.startswith("bristles."))
             there &= estimate.reason != NOT_IN_MODEL
             content |= {
@@ -171,7 +171,7 @@ def _provenance(
                 "reason": estimate.reason,
                 "taken_from": fallback_name if there else None,
             }
-        elif estimate.deviation:  # else given, not estimated
+        elif estimate.deviation:  # otherwise given, not estimated
             interval = [digits(bound) for bound in estimate.bounds]
             content |= {"provenance": "identified", "deviation": digits(estimate.deviation), "interval": interval}
         found[name] = content | {"bags": [labels[bag] for bag in one.sources.get(name, ())], "date": date}

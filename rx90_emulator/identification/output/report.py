@@ -1,6 +1,6 @@
 """The pages of an identification from sweeps or excitation runs, a check of a friction file and a measured run.
 
-A report is one self-contained HTML page. Tables and sentences stand in the templates, which share `_macros.html.j2`.
+A report is one self-contained HTML page. Tables and sentences are in the templates, which share `_macros.html.j2`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rx90_emulator.identification.excitation.result import ExcitationIdentificat
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.output import summary
 from rx90_emulator.identification.output.robot_files import torque_constants
-from rx90_emulator.identification.presliding.bristle_motion import MOST_MOTIONS, MOST_OF_BAG
+from rx90_emulator.identification.presliding.bristle_motion import MAX_MOTIONS_ALONE, MAX_MOTIONS_OF_BAG
 from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.sliding.quality import CurvePoints
@@ -31,16 +31,16 @@ from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import JointTorque, RunTorques
 
-_DRAWN_S = 60.0  # s of a run that are drawn: more would blur
+_DRAWN_S = 60.0  # s of a run in a plot: more could not be resolved
 _RECORDED, _PREDICTED, _DIFFERENCE = COLOURS[5], COLOURS[1], COLOURS[6]
 _TIME, _SPEED = "time since the first motion, s", "velocity of the element, rad/s"
 _INTERVAL = 1.96  # standard deviations, 95 %
-_DRAWN_SHARE = 20  # one part in so many of a micro-oscillation is drawn: more loops would cover each other
+_DRAWN_SHARE = 20  # one of so many parts of a micro-oscillation is drawn: more loops would cover each other
 _ACROSS = 2  # columns of plots with a panel for each joint
 
 
 def _render(template: str, date: datetime | None, unit: str = "Nm", **values: Any) -> str:
-    """Return a page on torques in a unit; templates have the functions of `summary` and what else they need."""
+    """Return a page on torques in a unit; templates can use the functions of `summary`, and `values`."""
     day = (date or datetime.now(timezone.utc)).strftime("%Y-%m-%d %H:%M UTC")
     return render_page(
         "rx90_emulator.identification.output",
@@ -89,8 +89,8 @@ def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, Plot]]:
         rows = zip(check.names, torque.recorded.T, torque.predicted.T, torque.difference.T, strict=True)
         panels = [
             _compared(name, torque.time, {"recorded": recorded, "predicted": predicted}, "Nm",
-                      "" if tips or name != check.names[-1] else "time, s", apart)
-            for name, recorded, predicted, apart in rows
+                      "" if tips or name != check.names[-1] else "time, s", residual)
+            for name, recorded, predicted, residual in rows
         ]  # fmt: skip
         if tips:
             far = Curve(check.tip_time, check.tip_distance * 1e6, "", COLOURS[0], 0.8)
@@ -100,7 +100,7 @@ def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, Plot]]:
 
 
 def check_page(checks: Sequence[Validation], friction_file: str, now: datetime | None = None) -> str:
-    """Return the text of the page on a friction file that was held against bags.
+    """Return the text of the page on the comparison of a friction file with bags.
 
     Args:
         checks: one for each bag.
@@ -127,9 +127,9 @@ def measured_page(result: MeasuredComparison, files: tuple[str, ...], date: date
         torques.append(_compared(name, time[shown], both, "Nm", below, torque.difference[shown, k]))
         both = {"measured": result.position[shown, k], "simulated": result.simulated_position[shown, k]}
         positions.append(_compared(name, time[shown], both, "rad", below))
-        apart = 1e3 * (both["simulated"] - both["measured"])
+        difference = 1e3 * (both["simulated"] - both["measured"])
         positions.append(
-            Panel([Curve(time[shown], apart, "simulated - measured", _DIFFERENCE, 0.7)], name, below, "mrad")
+            Panel([Curve(time[shown], difference, "simulated - measured", _DIFFERENCE, 0.7)], name, below, "mrad")
         )
     return _render(
         "measured.html.j2",
@@ -145,7 +145,7 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
     """Return the text of the page on an identification from sweeps and micro-oscillations.
 
     Args:
-        result: what was identified.
+        result: the identification.
         friction_file: name of the file with the values.
         now: date of the identification; by default the present.
     """
@@ -160,8 +160,8 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         now,
         result=result,
         named=named,
-        told=[(name, named[name]) for name in result.told],
-        others=[name for name in names if name not in result.told],
+        identified=[(name, named[name]) for name in result.identified_elements],
+        others=[name for name in names if name not in result.identified_elements],
         assumed=[(summary.which(lacking), reason) for reason, lacking in result.unidentifiable.items()],
         parameters=shown_parameters(result),
         units=FRICTION_UNITS,
@@ -182,8 +182,7 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         numbers=[(name, number, estimate.texts() if estimate.identifiable else (f"{one.value(number):.4g}", ""))
                  for name, one in named.items() if not one.given_bristles
                  for number, estimate in one.estimates.items() if number.startswith("bristles.")],
-        most_motions=MOST_MOTIONS,
-        most_of_bag=MOST_OF_BAG,
+        most_motions=MAX_MOTIONS_ALONE, most_of_bag=MAX_MOTIONS_OF_BAG,
         distinguishable_se=DISTINGUISHABLE_SE,
         kind_loops=[_loop_plot(one.element, "torque of the bristles, Nm", *one.largest) for one in compared],
         correlations=_correlation_plots(result, own_bristles),
@@ -225,7 +224,7 @@ def _loop_plot(name: str, label: str, position: Array, torques: Mapping[str, Arr
 
 
 def _correlation_plots(result: FrictionIdentification, others: Sequence[str]) -> list[Plot]:
-    """Return the correlation of each element's parameters; c0 and c1 of some other elements are not this fit's."""
+    """Return the correlation of each element's parameters; c0 and c1 of the elements `others` are not this fit's."""
     plots = []
     pairs = zip(result.arm.element_names, result.sliding.estimates, result.presliding.estimates, strict=True)
     for name, sliding, presliding in pairs:
@@ -239,9 +238,9 @@ def _correlation_plots(result: FrictionIdentification, others: Sequence[str]) ->
     return plots
 
 
-_MAX_CORRELATION = 0.95  # correlation from which two parameters are named
+_MAX_CORRELATION = 0.95  # correlation from which two parameters are listed
 _SPEED_BINS = 20
-_MIN_BIN_SAMPLES = 8  # samples in a bin that is drawn
+_MIN_BIN_SAMPLES = 8  # least number of samples in a bin
 
 
 def excitation_page(
@@ -250,10 +249,10 @@ def excitation_page(
     """Return the text of the page on an identification from excitation runs.
 
     Args:
-        result: what was identified.
+        result: the identification.
         date: of the identification.
         versions: of interpreter and libraries.
-        files: names of the robot's files, and last what is to be said about them.
+        files: names of the robot's files, and last a sentence about them.
     """
     friction = result.friction
     rows = [summary.friction_columns(one.estimates) for one in result.elements]
@@ -310,9 +309,9 @@ def _run_plot(run: RunTorques) -> Plot:
         steps = np.diff(time)
         gaps = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1 if len(steps) else np.empty(0, dtype=np.intp)
         rows = (time - _start(run), recorded, predicted, recorded - predicted)
-        time, recorded, predicted, apart = (np.insert(values, gaps, np.nan) for values in rows)
+        time, recorded, predicted, residual = (np.insert(values, gaps, np.nan) for values in rows)
         below = _TIME if name == run.names[-1] else ""
-        panels.append(_compared(name, time, {"measured": recorded, "predicted": predicted}, "Nm", below, apart))
+        panels.append(_compared(name, time, {"measured": recorded, "predicted": predicted}, "Nm", below, residual))
     return Plot(panels, height=1.7, share_x=True)
 
 
@@ -379,17 +378,17 @@ def _time_plot(runs: Sequence[RunTorques], block: float) -> Plot:
 def _friction_plot(result: ExcitationIdentification) -> Plot:
     """Show the friction torque of each element against its velocity, its band, and means of the measured torque.
 
-    Those stand beside the curve of each joint's own element: the curve and the mean residual of bins that hold about
-    the same number of samples, those of either sign apart.
+    The means belong to the joint's own element: its curve plus the mean residual, in bins of each sign with about the
+    same number of samples.
     """
     problem, marks = result.problem, {}
     residual = problem.torque - result.friction.predicted
     joints = np.flatnonzero(problem.arm.identified)
     for number, curve in enumerate(result.friction.curves()):
         own: list[Mark] = [Level(0.0, colour=_DIFFERENCE), Level(0.0, colour=_DIFFERENCE, upright=True)]
-        mine_alone = number < len(joints)  # a coupled element has no joint of its own
-        rows = np.flatnonzero((problem.joint == joints[number]) & ~problem.reversal) if mine_alone else joints[:0]
-        velocity, left = problem.velocity[rows, number], residual[rows]
+        has_own_joint = number < len(joints)  # a coupled element has no joint of its own
+        rows = np.flatnonzero((problem.joint == joints[number]) & ~problem.reversal) if has_own_joint else joints[:0]
+        velocity, residual_torque = problem.velocity[rows, number], residual[rows]
         low, high = (curve.velocity.min(), curve.velocity.max()) if len(curve.velocity) else (0.0, 0.0)
         points = []
         for sign in (-1.0, 1.0):
@@ -397,10 +396,12 @@ def _friction_plot(result: ExcitationIdentification) -> Plot:
             low_side, high_side = (bound[side] for bound in curve.band)
             own.append(Band(curve.velocity[side], low_side, high_side, "95 %", COLOURS[5]))
             own.append(Curve(curve.velocity[side], curve.torque[side], "identified", COLOURS[0], 1.2))
-            mine = np.flatnonzero(sign * velocity > 0.0)
-            for part in np.array_split(mine[np.argsort(velocity[mine])], _SPEED_BINS // 2):
+            one_sign = np.flatnonzero(sign * velocity > 0.0)
+            for part in np.array_split(one_sign[np.argsort(velocity[one_sign])], _SPEED_BINS // 2):
                 if len(part) >= _MIN_BIN_SAMPLES and low <= (speed := velocity[part].mean()) <= high:
-                    points.append((speed, np.interp(speed, curve.velocity, curve.torque) + left[part].mean()))
+                    points.append(
+                        (speed, np.interp(speed, curve.velocity, curve.torque) + residual_torque[part].mean())
+                    )
         if points:
             x, y = np.array(points).T
             own.append(Dots(x, y, "measured", COLOURS[1]))

@@ -1,7 +1,7 @@
-"""The folder of a robot that excitation runs identified: URDF, drives, friction, controller, and all parameters.
+"""The folder of an identified robot: URDF, drives, friction, controller, and all parameters.
 
-A file of the robot that the runs began with is written again with what was identified; each value says where it comes
-from.
+A file of the robot that the identification started from is written again with the identified values; each value states
+its source.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from rx90_emulator.identification.validation.verdict import RunTorques
 
 
 class Identified(NamedTuple):
-    """A value to write: plain data, the provenance of it, and the sentence that names its source."""
+    """A value to write: plain data, its provenance, and the sentence on its source."""
 
     value: Any
     provenance: str
@@ -51,9 +51,9 @@ class Identified(NamedTuple):
 
 
 def marked(block: Mapping[str, Any], new: Mapping[str, Identified]) -> dict[str, Any]:
-    """Return a block with new values; where not all keys have one `provenance` or `source`, these name the keys.
+    """Return a block with new values, and with `provenance` and `source` by key where they do not apply to all keys.
 
-    What most of several keys have stands under `others`, which is for all that are not named.
+    The most frequent entry of several keys is written under `others`, which applies to all keys that are not named.
     """
     content = {key: value for key, value in block.items() if key not in ABOUT}
     content |= {key: one.value for key, one in new.items()}
@@ -85,13 +85,13 @@ def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -
         remark: a comment to put before the first element.
 
     Raises:
-        IdentificationError: for a link that is not there, and for a body that no link can be.
+        IdentificationError: for an unknown link, and for a body that no link can be.
     """
     data, parser = urdf.encode("utf-8"), expat.ParserCreate("utf-8")
     first: list[int] = []  # where elements inside the root begin
-    links: dict[str, int] = {}  # by links: where their end tag begins, or what follows an empty element
-    inertials: dict[str, tuple[int, int]] = {}  # by links: beginning and end of the <inertial>
-    path: list[tuple[str, int, str]] = []  # name, beginning and attribute `name` of the elements around
+    links: dict[str, int] = {}  # by link: beginning of its end tag, or end of an empty element
+    inertials: dict[str, tuple[int, int]] = {}  # by link: beginning and end of the <inertial>
+    path: list[tuple[str, int, str]] = []  # name, beginning and attribute `name` of the enclosing elements
 
     def start(name: str, attributes: dict[str, str]) -> None:
         if len(path) == 1:
@@ -103,7 +103,7 @@ def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -
         if names == ["link"]:
             links[path[1][2]] = at
         elif names == ["link", "inertial"]:
-            # Expat tells the beginning of an end tag, and the end of an empty element.
+            # Expat reports the beginning of an end tag, and the end of an empty element.
             tag = data[at:].startswith(f"</{name}".encode())
             inertials[path[1][2]] = path[2][1], data.index(b">", at) + 1 if tag else at
         path.pop()
@@ -143,7 +143,7 @@ _NAME = re.compile(r"""\sname\s*=\s*(["'])(?P<name>.*?)\1""")
 
 
 def _inertial(link: str, pseudo: Array) -> str:
-    """Return the element, its numbers to the last bit: what is loaded is what was identified."""
+    """Return the element with all digits, so that loading it gives exactly the identified values."""
     mass, center, inertia = central(pseudo)
     if not (np.isfinite(pseudo).all() and 0.0 < mass < _MAX_MASS and np.linalg.norm(center) < _MAX_LEVER):
         raise IdentificationError(
@@ -168,11 +168,11 @@ _CONTROLLER_HEAD = """\
 # Joint-side units, one value per motor (docs/explanation/closed_loop.md).
 """
 _SECOND_SPEED_SHARE = 0.25
-"""Of the nominal speed: where the compensation of two viscous parts meets their sum a second time."""
+"""Of the nominal speed: where the compensation by one viscous part equals the sum of several a second time."""
 
 
 def viscous_sum(elements: Sequence[FrictionElement], speed: float) -> tuple[float, float]:
-    """Return c2 and alpha of one viscous part that has the sum of several at the speed and at a share of it."""
+    """Return c2 and alpha of one viscous part that equals the sum of several at the speed and at a share of it."""
     if len({one.alpha for one in elements}) == 1:
         return sum(one.c2 for one in elements), elements[0].alpha
     fast, slow = (sum(one.c2 * v**one.alpha for one in elements) for v in (speed, _SECOND_SPEED_SHARE * speed))
@@ -181,14 +181,14 @@ def viscous_sum(elements: Sequence[FrictionElement], speed: float) -> tuple[floa
 
 
 class FolderBase(NamedTuple):
-    """What a robot folder begins with.
+    """The files that a robot folder is derived from.
 
     Attributes:
         robot: the arm before, with its limits.
         turning: its coupling.
-        files: whose drives and controller it begins with, and whose tool, task and poses it keeps; None for drives and
-            controller that are assumed in proportion to the arm.
-        held: joints of the URDF that were held at 0 in the identification, and become fixed.
+        files: of the robot whose drives and controller are the basis, and whose tool, task and poses are kept; None for
+            drives and controller that are assumed in proportion to the arm.
+        held: joints of the URDF that were at 0 in the identification, and become fixed.
     """
 
     robot: RobotModel
@@ -207,7 +207,7 @@ class FolderBase(NamedTuple):
 
 
 def folder_base(arm: RigidArm, urdf: Path) -> tuple[FolderBase | None, str]:
-    """Return what another robot's folder begins with, or None, and in one line what follows from that."""
+    """Return the basis of another robot's folder, or None, and in one line the consequence."""
     alone = "URDF and friction file alone, no robot folder: "
     if not arm.identified.all():
         followed = listed(name for name, own in zip(arm.names, arm.identified, strict=True) if not own)
@@ -218,8 +218,8 @@ def folder_base(arm: RigidArm, urdf: Path) -> tuple[FolderBase | None, str]:
     except ConfigError as error:
         return None, f"{alone}{error}"
     fixed = f"; {listed(held)} fixed at 0, as in the identification" if held else ""
-    begun = "what of drives and controller was not identified or given is assumed, in proportion to the arm"
-    return FolderBase(robot, turning, None, held), begun + fixed
+    provenance = "what of drives and controller was not identified or given is assumed, in proportion to the arm"
+    return FolderBase(robot, turning, None, held), provenance + fixed
 
 
 def robot_texts(
@@ -232,15 +232,15 @@ def robot_texts(
     """Return the text of each file by its name.
 
     Args:
-        result: what was identified.
-        urdf: the description that is given other inertials.
-        base: what a whole folder begins with; None for URDF and friction file alone.
+        result: the identification.
+        urdf: the description that gets other inertials.
+        base: basis of a whole folder; None for URDF and friction file alone.
         given: other values for the drives file, by block and key, such as ("motor", "torque_constant").
         now: date of the identification; by default the present.
 
     Raises:
-        IdentificationError: for a body that no link can be, and a value that no file may hold.
-        ConfigError: for a file of the base that cannot be used.
+        IdentificationError: for a body that no link can be, and a value that no file may contain.
+        ConfigError: for a file of the basis that cannot be used.
     """
     arm, inertias, standard = result.problem.arm, result.consistency.inertias, result.problem.columns.names
     names = arm.names
@@ -293,8 +293,8 @@ def robot_texts(
     if base is None:
         return texts
     texts[FILES["urdf"]] = written = with_fixed(texts[FILES["urdf"]], base.held)
-    seen = np.max([np.abs(run.acceleration).max(axis=0) for run in result.problem.runs], axis=0)
-    drives, controller = _begun(base, written, np.asarray(inertias.rotors), new, seen)
+    peak_acceleration = np.max([np.abs(run.acceleration).max(axis=0) for run in result.problem.runs], axis=0)
+    drives, controller = _initial_contents(base, written, np.asarray(inertias.rotors), new, peak_acceleration)
     for block in dict.fromkeys(block for block, _ in new):
         drives[block] = marked(drives[block], {key: one for (there, key), one in new.items() if there == block})
     feed_forward = _compensation(result.elements, elements, base)
@@ -311,14 +311,16 @@ def robot_texts(
 def _compensation(
     found: Sequence[IdentifiedElement], elements: Sequence[str], base: FolderBase
 ) -> dict[str, Identified]:
-    """Return what the controller's feed-forward compensates of the identified friction, of elements of these names."""
+    """Return the controller's compensation for the identified friction of the elements with these names."""
     joints = len(base.robot.joint_names)
-    # The friction that each motor turns against, at speeds up to the nominal ones.
-    turned, speed = [[one.element] for one in found[:joints]], base.robot.max_velocity.tolist()
+    # The friction that each motor works against, at speeds up to the nominal ones.
+    moved_elements, speed = [[one.element] for one in found[:joints]], base.robot.max_velocity.tolist()
     for motor, one in zip(base.turning.sums, found[joints:], strict=True):
-        turned[motor].append(one.element)
-    viscous, exponent = zip(*(viscous_sum(some, top) for some, top in zip(turned, speed, strict=True)), strict=True)
-    coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in turned]
+        moved_elements[motor].append(one.element)
+    viscous, exponent = zip(
+        *(viscous_sum(some, top) for some, top in zip(moved_elements, speed, strict=True)), strict=True
+    )
+    coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in moved_elements]
     source = "the identified friction of each joint"
     if base.turning.size.wrist:
         source += "; of joint 6 and of element 7, with which motor 6 turns as well"
@@ -328,13 +330,13 @@ def _compensation(
     return {key: Identified([digits(one, 12) for one in some], "derived", source) for key, some in values.items()}
 
 
-def _begun(
-    base: FolderBase, urdf: str, rotors: Array, new: Mapping[tuple[str, str], Identified], seen: Array
+def _initial_contents(
+    base: FolderBase, urdf: str, rotors: Array, new: Mapping[tuple[str, str], Identified], peak_acceleration: Array
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the contents of drives and controller file that a folder begins with; accelerations as in the runs."""
+    """Return the initial contents of drives and controller file; accelerations as in the runs."""
     if base.files is None:
-        return assumed_files(base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new, seen)
-    # Its model, for the feed-forward by one, is the folder's own arm: not the one that the base names.
+        return assumed_files(base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new, peak_acceleration)
+    # The model for its feed-forward is the folder's own arm, not the one named in the basis.
     controller = {key: value for key, value in load_yaml(base.files.controller).content.items() if key != "model"}
     return dict(load_yaml(base.files.drives).content), controller
 
@@ -355,14 +357,14 @@ def _joints(result: ExcitationIdentification) -> dict[str, dict[str, float]]:
 
 
 def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[str, str], str]:
-    """Return the text of each file by its name, and in one line what they are.
+    """Return the text of each file by its name, and a line that describes them.
 
     Args:
-        result: what was identified.
+        result: the identification.
         date: of the identification.
 
     Raises:
-        Rx90Error: for a value that no file may hold.
+        Rx90Error: for a value that no file may contain.
     """
     problem, options, setup = result.problem, result.options, result.robot.setup
     drives: dict[tuple[str, str], Identified] = {}
@@ -375,28 +377,28 @@ def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[
         given = {("transmission", "gear"): options.gear, ("motor", "torque_constant"): options.torque_constant}
         for (block, key), values in given.items():
             if options.gear is not None and values is not None:
-                said = f"as given with --{key.replace('_', '-')}"
-                drives[block, key] = Identified([float(value) for value in values], "assumed", said)
+                provenance = f"as given with --{key.replace('_', '-')}"
+                drives[block, key] = Identified([float(value) for value in values], "assumed", provenance)
     if (constants := torque_constants(result)) is not None:
         drives["motor", "torque_constant"] = constants
     return robot_texts(result, urdf, base, drives, date), note
 
 
 def torque_constants(result: ExcitationIdentification) -> Identified | None:
-    """Return the motors' torque constants with identified drive gains; None where nothing tells them.
+    """Return the motors' torque constants with identified drive gains; None if nothing determines them.
 
-    Efforts of another robot that are no currents of its motors tell gains, but no constants.
+    Efforts of another robot that are no currents of its motors determine gains, but no constants.
     """
     gains, setup, options = result.gains, result.robot.setup, result.options
     if gains is None or (setup is None and (options.gear is None or options.torque_constant is None)):
         return None
     before = options.torque_constant if setup is None else setup.drives.torque_constant
     values = np.asarray(before, dtype=np.float64) * gains.factor
-    sure = [name for name, one in zip(result.problem.arm.names, gains.deviation, strict=True) if np.isfinite(one)]
-    rest = "" if len(sure) == len(values) else "; the others are as before, for the payload does not tell them"
+    identified = [name for name, one in zip(result.problem.arm.names, gains.deviation, strict=True) if np.isfinite(one)]
+    note = "" if len(identified) == len(values) else "; the others are as before, for the payload does not tell them"
     odd = [result.problem.arm.names[k] for k in gains.implausible]
-    rest += f"; {listed(odd)} hardly to be believed: parameters.yaml says why" if odd else ""
-    source = f"torques of {listed(sure)} in runs with and without a known payload{rest}"
+    note += f"; {listed(odd)} hardly to be believed: parameters.yaml says why" if odd else ""
+    source = f"torques of {listed(identified)} in runs with and without a known payload{note}"
     return Identified([digits(value) for value in values.tolist()], "identified", source)
 
 
@@ -409,10 +411,10 @@ _PARAMETERS_HEAD = """\
 
 
 def parameters_text(result: ExcitationIdentification, date: datetime, versions: Mapping[str, str]) -> str:
-    """Return everything that the runs say, as one YAML file for programs and for the record.
+    """Return all results of the runs as one YAML file for programs and for the record.
 
     Args:
-        result: what was identified.
+        result: the identification.
         date: of the identification.
         versions: of interpreter and libraries.
     """

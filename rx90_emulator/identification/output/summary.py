@@ -1,6 +1,6 @@
-"""What the terminal says of an identification, a check of a friction file and a measured run: tables and sentences.
+"""Terminal output of an identification, a check of a friction file and a measured run: tables and sentences.
 
-Pages say the same sentences; `report` draws them.
+Pages have the same sentences; `report` adds the plots.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import verdict
 
-_NEGATIVE = 3.0  # deviations below 0, from which on a rotor inertia is no chance
+_NEGATIVE = 3.0  # deviations below 0 from which a negative rotor inertia is significant
 _CONFIRMED = ("confirmed", "NOT CONFIRMED")
 _Value = TypeVar("_Value", bound=Hashable)
 
 
 def _number(value: float, form: str = ".3f") -> str:
-    """Return a number in a format; a dash for NaN, which stands for what is not compared."""
+    """Return a number in a format; a dash for NaN, which means not compared."""
     return "-" if math.isnan(value) else f"{value:{form}}"
 
 
 def _table(head: Sequence[str], places: Sequence[int], rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return the lines of a table: the first cells to the left, the others to the right in the widths of `places`."""
+    """Return the lines of a table: the first cells left-aligned, the others right-aligned at the columns `places`."""
     first, *others = places
     return [
         f"{name:<{first}}" + "".join(f"{cell:>{place}}" for cell, place in zip(cells, others, strict=False))
@@ -43,7 +43,7 @@ def _width(least: int, names: Iterable[str]) -> int:
 
 
 def together(values: Iterable[tuple[str, _Value]]) -> list[tuple[str, _Value]]:
-    """Return the values of names, each once, behind all names that have it."""
+    """Return values with the names that have them, each value once."""
     names: dict[_Value, list[str]] = {}
     for name, value in values:
         names.setdefault(value, []).append(name)
@@ -51,18 +51,18 @@ def together(values: Iterable[tuple[str, _Value]]) -> list[tuple[str, _Value]]:
 
 
 def identification_summary(result: FrictionIdentification) -> str:
-    """Return values with deviations, true ones below, what is not identifiable and why, and the verdicts."""
+    """Return values with deviations, true values below, unidentifiable parameters with reasons, and the verdicts."""
     parameters, names, sliding = shown_parameters(result), result.arm.element_names, result.sliding
     rows = []
     for name, one in zip(names, result.elements, strict=True):
-        if name in result.told:
+        if name in result.identified_elements:
             given = (one.estimates.get(parameter) for parameter in parameters)
             cells = ("1" if each is None else _with_deviation(each, "not identifiable") for each in given)
             rows.append([name, *cells])
             if name in result.truth:
                 rows.append(["  true", *(f"{getattr(result.truth[name], parameter):.6g}" for parameter in parameters)])
     lines = _table(["element", *parameters], [_width(10, names), *[22] * len(parameters)], rows)
-    if others := ", ".join(name for name in names if name not in result.told):
+    if others := ", ".join(name for name in names if name not in result.identified_elements):
         lines.append(f"{others}: nothing identified")
     lines += [f"not identifiable: {which(lacking)}: {reason}" for reason, lacking in result.unidentifiable.items()]
     if compared := [kind for kind in result.kinds if kind.trials]:
@@ -87,13 +87,13 @@ def _with_deviation(estimate: ParameterEstimate | None, unknown: str = "-") -> s
 
 
 def which(lacking: Mapping[str, Sequence[str]]) -> str:
-    """Return parameters with the elements that lack them, elements that lack the same ones together."""
+    """Return parameters with the elements that lack them; elements that lack the same ones are named together."""
     whose = together((name, ", ".join(parameters)) for name, parameters in lacking.items())
     return "; ".join(f"{parameters} of {names}" for names, parameters in whose)
 
 
 def validation_verdict(check: Validation, scope: str = "") -> str:
-    """Return the verdict of a bag on a friction file, with what decides, its joints, values and limits."""
+    """Return the verdict of a bag on a friction file, with the decisive joints, values and limits."""
     *torque, tip = check.criteria
     tips = (tip, f"RMS {check.tip_rms * 1e6:.2f} um") if len(check.tip_distance) else ("no set-points, so no tip path",)
     words = (_CONFIRMED[0] + scope, _CONFIRMED[1] + scope)
@@ -101,7 +101,7 @@ def validation_verdict(check: Validation, scope: str = "") -> str:
 
 
 def check_summary(checks: Sequence[Validation]) -> str:
-    """Return a table of the joints and the verdict for each bag that a friction file was held against."""
+    """Return a table of the joints and the verdict for each bag that a friction file was compared with."""
     lines = []
     for check in checks:
         values = zip(check.names, check.rms, check.rms_share, check.worst, check.worst_share, strict=True)
@@ -129,7 +129,7 @@ def measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
 
 
 def measured_verdict(result: MeasuredComparison) -> str:
-    """Return the verdict, with what decides and its limits."""
+    """Return the verdict, with the decisive values and their limits."""
     return verdict(result.source.path, ("agrees", "DOES NOT AGREE"), *result.criteria)
 
 
@@ -148,7 +148,7 @@ def measured_summary(result: MeasuredComparison) -> str:
 
 
 def excitation_summary(result: ExcitationIdentification) -> str:
-    """Return friction with deviations, goodness of fit, the model that was kept, and what was left out and why."""
+    """Return friction with deviations, goodness of fit, the selected model, and what was left out and why."""
     names, joints = result.problem.arm.element_names, result.torques[0].names
     shown = [friction_columns(one.estimates) for one in result.elements]
     columns = list(dict.fromkeys(name for row in shown for name, one in row.items() if one.identifiable))
@@ -173,7 +173,7 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         chi = (">1e4" if k else _number(v, ".3g") for k, v in zip(run.noiseless, run.chi_square, strict=True))
         fits.append(["  chi^2 over noise", *chi])
         if run.noiseless.any():
-            fits.append(["  (>1e4: next to no noise beside the difference, as in smoothed torques; tells nothing)"])
+            fits.append(["  (>1e4: next to no noise beside the difference, as in smoothed torques; no information)"])
     width, places = max(8, *(len(run.source.path.name) + 9 for _, run in runs)), [max(10, len(n) + 2) for n in joints]
     lines += _table(["torque RMS", *joints, "all"], [width, *places, 8], fits)
     lines += [result.zeros.text] if result.zeros.text else []
@@ -199,7 +199,7 @@ def excitation_summary(result: ExcitationIdentification) -> str:
 
 
 def in_currents(result: ExcitationIdentification) -> list[str]:
-    """Return a warning where torques are currents, which no simulation may take for torques; else nothing."""
+    """Return a warning if torques are currents, which a simulation must not use as torques; else nothing."""
     if result.unit == "Nm":
         return []
     return [f"warning: efforts in {result.unit} and no torque constants: friction, inertias and the files are in that "
@@ -207,12 +207,12 @@ def in_currents(result: ExcitationIdentification) -> list[str]:
 
 
 def unseen_verdict(check: TorqueValidation, *said: str) -> str:
-    """Return the verdict of an unseen run on what excitation runs identified, as `validation_verdict` does."""
+    """Return the verdict of an unseen run on the result of excitation runs, as `validation_verdict` does."""
     return verdict(f"validation {check.torques.source.path}", _CONFIRMED, *check.criteria, *said)
 
 
 def kept_parts(result: ExcitationIdentification) -> str:
-    """Return in words what the friction that was kept consists of, and which elements have it."""
+    """Return in words the parts of the selected friction, and which elements have them."""
     names, texts = result.problem.arm.element_names, ["Coulomb + viscous"]
     for part in Part:
         having = [name for name, own in zip(names, result.friction.parts, strict=True) if part in own]
@@ -222,7 +222,7 @@ def kept_parts(result: ExcitationIdentification) -> str:
 
 
 def gain_texts(result: ExcitationIdentification) -> dict[str, tuple[str, ...]]:
-    """Return gain and deviation of each motor, nothing for one that the payload does not tell; empty without any."""
+    """Return gain and deviation of each motor, nothing for one that is not identified; empty without any."""
     if result.gains is None:
         return {}
     pairs = zip(result.gains.factor.tolist(), result.gains.deviation.tolist(), strict=True)
@@ -231,7 +231,7 @@ def gain_texts(result: ExcitationIdentification) -> dict[str, tuple[str, ...]]:
 
 
 def gain_warnings(result: ExcitationIdentification) -> list[str]:
-    """Return which drive gains are hardly to be believed, and which motors keep theirs, and what follows."""
+    """Return which drive gains are not plausible, which motors keep theirs, and the consequences."""
     if result.gains is None:
         return []
     gains, names, lines = result.gains, result.problem.arm.names, []
@@ -242,10 +242,10 @@ def gain_warnings(result: ExcitationIdentification) -> list[str]:
             f"{PLAUSIBLE[1]:g}. Is the payload's mass or centre, the run that carried it, a gear or the unit of effort "
             "another one (A RMS for peak A: 0.71 or 1.41)? Inertias, friction and torque constants are as much off then"
         )
-    kept = [name for k, name in enumerate(names) if k not in gains.told]
-    if kept:
+    unchanged = [name for k, name in enumerate(names) if k not in gains.identified]
+    if unchanged:
         lines.append(
-            f"{', '.join(kept)} keep{'s' if len(kept) == 1 else ''} the given gain, whose scale may not fit "
+            f"{', '.join(unchanged)} keep{'s' if len(unchanged) == 1 else ''} the given gain, whose scale may not fit "
             "that of the identified ones: inertias, which all joints share, and torques there can be off by as much"
         )
     return lines
@@ -270,13 +270,13 @@ def bodies_warnings(result: ExcitationIdentification) -> list[str]:
     return found
 
 
-_SHOWN = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1", "load.driving", "load.driven")
+_REPORTED = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1", "load.driving", "load.driven")
 
 
 def friction_columns(estimates: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
-    """Return estimates of an element in the order in which tables show them; both signs as one where they are equal."""
+    """Return estimates of an element in the order of tables; both signs as one where they are equal."""
     found = {}
-    for name in _SHOWN:
+    for name in _REPORTED:
         if name in estimates:
             found[name] = estimates[name]
         elif f"{name}_positive" in estimates:
@@ -288,7 +288,7 @@ def friction_columns(estimates: Mapping[str, ParameterEstimate]) -> dict[str, Pa
 
 
 def lacking(result: ExcitationIdentification) -> list[tuple[str, str, tuple[str, ...]]]:
-    """Return what is not identified: parameters, elements, and the reasons; what the same elements lack together."""
+    """Return unidentified parameters with their elements and reasons, grouped by elements."""
     names = result.problem.arm.element_names
     reasons: dict[str, tuple[tuple[str, str], ...]] = {}  # by parameter: elements with the reasons
     for element, one in zip(names, result.elements, strict=True):

@@ -1,8 +1,8 @@
-"""Micro-motions with bristles of given kinds: what the torques in the band of micro-oscillations would be.
+"""Micro-motions with bristles of given kinds: the predicted torques in the band of micro-oscillations.
 
 A bristle is deflected along the measured motion, and torques are compared at the frequencies of micro-oscillations
-alone. The noise of the encoder, which reaches the torque through the controller, is there some thousandths of the
-motion. The noise of the torque is in the measured side of the comparison only, so that it makes the estimates
+alone. In this band the noise of the encoder, which reaches the torque through the controller, is some thousandths of
+the motion. The noise of the torque is contained in the measured side of the comparison only, so it makes the estimates
 uncertain, not biased. A simulation driven by the recorded torque would respond to its noise at the resonance as if it
 were motion.
 """
@@ -25,31 +25,31 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import decay
 from rx90_common.friction.bristles.step import bristles_dtype
 from rx90_common.friction.compiled_elements import element_arrays
-from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
+from rx90_common.friction.parts.bristles import MAX_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
 from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE, follow_bristles
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMotion, band_spectrum, block_means
 
 MAX_COMPARED_S: Final = 2.0
-"""s of a micro-motion that are compared: they hold some six of its slowest waves."""
-MOST_MOTIONS: Final = 5
-"""Micro-motions of a joint that are compared, the largest ones."""
-MOST_OF_BAG: Final = 3
-"""The same of joints that share elements, of each bag."""
+"""Longest compared part of a micro-motion, s: it contains some six of its slowest waves."""
+MAX_MOTIONS_ALONE: Final = 5
+"""Largest number of compared micro-motions of a joint with elements of its own."""
+MAX_MOTIONS_OF_BAG: Final = 3
+"""The same for joints that share elements, from each bag."""
 ATTRACTION: Final = "attraction"
-"""The number of Maxwell slip that presliding does not show."""
+"""The parameter of Maxwell slip that has no effect in presliding."""
 INERTIA_SD: Final = 0.05
-"""Prior standard deviation of the errors of the mass matrix in parts of sqrt(M_jj M_ii)."""
-_CACHED_SPECTRA = 16  # spectra of a motion: those of a difference quotient begin at the same deflection
+"""Prior standard deviation of the errors of the mass matrix, in units of sqrt(M_jj M_ii)."""
+_CACHED_SPECTRA = 16  # of a motion: difference quotients use the same start deflection again
 _MAX_STEP_S = 5.1e-4  # s, of a step: at 33 Hz the mean over it is 0.1 % off
-_ATTRACTION_RATE = 200.0  # 1/s: the sliding curve hardly shows in presliding, and its attraction not at all
-_PARAMETER_STEP = 1e-4  # step of difference quotients, of parameters of the order of 1
+_ATTRACTION_RATE = 200.0  # 1/s: the sliding curve has little effect in presliding, and its attraction none
+_PARAMETER_STEP = 1e-4  # step of difference quotients, for parameters of the order of 1
 
 
 @dataclass(frozen=True)
 class KindFamily:
-    """Bristles of one kind, with numbers without bounds for its parameters.
+    """Bristles of one kind, with unbounded numbers for its parameters.
 
     Attributes:
         blocks: 0 for a bristle with one deflection.
@@ -73,11 +73,11 @@ class KindFamily:
 
     @property
     def count(self) -> int:
-        """Return how many numbers of its own it has."""
+        """Return the number of parameters of its own."""
         return 2 * (self.blocks - 1) if self.blocks else int(self.elastic)
 
     def guesses(self) -> list[Array]:
-        """Return where fits may begin."""
+        """Return start values for fits."""
         if self.elastic:
             return [np.array([0.0]), np.array([1.2])]
         if not self.blocks:
@@ -87,28 +87,28 @@ class KindFamily:
         return [np.concatenate([np.zeros(self.blocks - 1), np.log(reach[1:] / reach[0])])]
 
     def bristles(self, shape: Array, coulomb: float) -> BristlesPart | None:
-        """Return the bristles of such numbers, for a Coulomb torque, Nm; None is LuGre's."""
+        """Return the bristles with such numbers, for a Coulomb torque, Nm; None for LuGre's."""
         if self.elastic:
-            return ElastoPlastic(float(MOST_BREAK_AWAY / (1.0 + np.exp(-np.clip(shape[0], -30.0, 30.0)))))
+            return ElastoPlastic(float(MAX_BREAK_AWAY / (1.0 + np.exp(-np.clip(shape[0], -30.0, 30.0)))))
         if not self.blocks:
             return None
         parts = [np.exp(np.append(0.0, half)) for half in np.split(np.clip(shape, -8.0, 8.0), 2)]
         stiffness, share = (part / part.sum() for part in parts)
-        # Blocks have no order of their own: in that in which they slip, fits without one motion each are compared.
+        # Blocks are sorted in the order in which they slip, so that fits without one motion each can be compared.
         order = np.argsort(share / stiffness, kind="stable")
         return MaxwellSlip(tuple(stiffness[order].tolist()), tuple(share[order].tolist()), _ATTRACTION_RATE * coulomb)
 
 
 FAMILIES = (KindFamily(), KindFamily(elastic=True), *(KindFamily(blocks) for blocks in (2, 3, 4)))
-"""What is tried: LuGre, elasto-plastic, and Maxwell slip with 2 to 4 blocks."""
+"""Kinds that are tried: LuGre, elasto-plastic, and Maxwell slip with 2 to 4 blocks."""
 
 
 @kernel
 def _deflect_lugre(speed: Array, sliding_torque: Array, step: float, c0: float, start: float, result: Array) -> None:
-    """Deflect a bristle of LuGre's by the exact steps of the simulation.
+    """Deflect one of LuGre's bristles by the exact steps of the simulation.
 
-    Of each step that a speed is held over, with c0 g(v) at it, `result` takes the means of the bristle's torque, Nm,
-    and of the rate of deflection, rad/s, shape (m, 2).
+    For each step of constant speed, with c0 g(v) for this speed, `result` receives the means of the bristle's torque,
+    Nm, and of the rate of deflection, rad/s, shape (m, 2).
     """
     z = start
     for row in range(len(speed)):
@@ -123,11 +123,11 @@ def _deflect_lugre(speed: Array, sliding_torque: Array, step: float, c0: float, 
 
 @dataclass(frozen=True, eq=False)
 class ElementTrace:
-    """The motion of one friction element; what does not depend on c0 and c1 is computed once.
+    """The motion of one friction element; terms that do not depend on c0 and c1 are computed once.
 
     Attributes:
         element: the sliding regime, with the c1 that fades at 1.
-        speed: held over each step, rad/s, shape (m,).
+        speed: constant in each step, rad/s, shape (m,).
         viscous: viscous torque, Nm, block means, shape (b,).
         step: s.
         steps: in a block.
@@ -143,17 +143,17 @@ class ElementTrace:
     def of(cls, element: FrictionElement, speed: Array, step: float, steps: int = BLOCK) -> ElementTrace:
         """Return the trace of an element, c0 and c1 of which are not used, at input velocities in a record's steps."""
         plain = replace(element.without_parts(), c1=1.0, c2=0.0)
-        held = speed[: len(speed) // BLOCK * BLOCK].reshape(-1, BLOCK // steps).mean(axis=1)
-        return cls(plain, held, block_means(element.viscous_torque(speed)), step * BLOCK / steps, steps)
+        block_speed = speed[: len(speed) // BLOCK * BLOCK].reshape(-1, BLOCK // steps).mean(axis=1)
+        return cls(plain, block_speed, block_means(element.viscous_torque(speed)), step * BLOCK / steps, steps)
 
     @property
     def position(self) -> Array:
-        """Return the position from where the motion begins, rad, block means, shape (b,)."""
+        """Return the position relative to the beginning of the motion, rad, block means, shape (b,)."""
         return np.asarray((np.cumsum(self.speed) * self.step).reshape(-1, self.steps).mean(axis=1))
 
     @cached_property
     def spectra(self) -> Callable[[BristlesPart | None, float, float], Array]:
-        """Return what gives the spectra of what `bristles` returns, shape (r, 2); some are kept."""
+        """Return a function for the spectra of the results of `bristles`, shape (r, 2), with a cache."""
         return lru_cache(_CACHED_SPECTRA)(lambda *bristle: self.spectrum(self.bristles(*bristle)))
 
     def spectrum(self, means: Array) -> Array:
@@ -164,7 +164,7 @@ class ElementTrace:
         """Return block means of the bristles' torque, Nm, and of the rate that c1 multiplies, rad/s, shape (b, 2).
 
         Args:
-            kind: of the bristles; None is LuGre's.
+            kind: of the bristles; None for LuGre's.
             c0: Nm/rad.
             start: deflection at the beginning over that of steady sliding.
         """
@@ -206,12 +206,12 @@ class KindMotion:
     Attributes:
         inputs: joint velocities to input velocities of the elements, shape (e, k).
         traces: of the elements.
-        measured: what the bristles give at the joints, drive less weight, inertia and viscous torque, and what errors
-            of the inertia would add, one for each pair of joints, as parts of sqrt(M_jj M_ii); Nm, block means,
-            shape (b, k, 1 + p). Those of the other joints, which hardly move, are left out.
+        measured: torque of the bristles at the joints, drive less weight, inertia and viscous torque, and the
+            contributions of errors of the inertia, one for each pair of joints, in units of sqrt(M_jj M_ii); Nm, block
+            means, shape (b, k, 1 + p). Errors of the other joints' inertia, which hardly move, are neglected.
         target: the first of them as a spectrum, Nm, shape (r, k).
         inertial: the others, Nm, shape (r, k, p).
-        line: Hz, rounded, of each of the r rows.
+        line: frequency of each of the r rows, Hz, rounded.
     """
 
     inputs: Array
@@ -231,7 +231,8 @@ class KindMotion:
             motion: of the group's joints.
             inputs: as the attribute.
             sliding: the elements' sliding regime; c0 and c1 are not used.
-            whole: whether all of it is taken, in the steps of the record, not its beginning in as few as will do.
+            whole: whether all of it is used, in the steps of the record, instead of its beginning in as few steps as
+                suffice.
         """
         steps = BLOCK if whole or 2.0 * motion.step > _MAX_STEP_S else BLOCK // 2
         used = slice(None if whole else round(MAX_COMPARED_S / motion.step))
@@ -261,19 +262,19 @@ class KindMotion:
 
 @dataclass(frozen=True, eq=False)
 class GroupModel:
-    """What bristles of given kinds of the e elements of a group leave over of M motions, as a function of parameters x.
+    """Residuals of M motions for bristles of given kinds of a group's e elements, as a function of parameters x.
 
-    x holds ln c0, the damping, and the kind's own numbers, element by element; then the errors of the inertia, in parts
-    of sqrt(M_jj M_ii); then the start deflections in parts of those of steady sliding, motion by motion. All micro-
-    oscillations are made at one pose, so what the description of the links lacks is a constant error of the inertia.
+    x contains ln c0, the damping, and the kind's own numbers, element by element; then the errors of the inertia, in
+    units of sqrt(M_jj M_ii); then the start deflections in units of those of steady sliding, motion by motion. All
+    micro-oscillations are made at one pose, so errors of the links' description are a constant error of the inertia.
 
     Attributes:
         families: of the elements.
         motions: M of them.
-        scale: torque to which residuals are compared, Nm, shape (k,).
-        unit: of c1 among the parameters, Nm s/rad, shape (e,); None where ln c1 stands there.
+        scale: unit of the residuals, Nm, shape (k,).
+        unit: of c1 among the parameters, Nm s/rad, shape (e,); None if the parameter is ln c1.
         start_sd: prior standard deviation of a start deflection over that of steady sliding.
-        max_start: of it, at most.
+        max_start: largest start deflection in the same unit.
     """
 
     families: tuple[KindFamily, ...]
@@ -285,13 +286,13 @@ class GroupModel:
 
     @cached_property
     def places(self) -> list[slice]:
-        """Return where the parameters of each element stand."""
+        """Return the slices of the parameters of each element."""
         ends = np.cumsum([0, *(2 + family.count for family in self.families)]).tolist()
         return [slice(a, b) for a, b in pairwise(ends)]
 
     @property
     def inertial(self) -> slice:
-        """Return where the errors of the inertia stand: behind the elements', before the start deflections."""
+        """Return the slice of the errors of the inertia: behind the elements', before the start deflections."""
         first = self.places[-1].stop
         return slice(first, first + int(self.motions[0].inertial.shape[2]))
 
@@ -304,16 +305,16 @@ class GroupModel:
         return np.array([(_exp(x[place][0]), self._c1(x[place], n)) for n, place in enumerate(self.places)])
 
     def of_motion(self, x: Array, index: int) -> Array:
-        """Return the residual spectrum of a motion in parts of the scale, shape (r, k)."""
+        """Return the residual spectrum of a motion in units of the scale, shape (r, k)."""
         motion = self.motions[index]
-        left = motion.target - motion.inertial @ x[self.inertial]
+        residual = motion.target - motion.inertial @ x[self.inertial]
         for n, (place, start) in enumerate(zip(self.places, self.starts(x)[index], strict=True)):
             torque = self._spectra(x[place], n, index, start) @ (1.0, self._c1(x[place], n))
-            left = left - np.outer(torque, motion.inputs[n])
-        return np.asarray(left / self.scale)
+            residual = residual - np.outer(torque, motion.inputs[n])
+        return np.asarray(residual / self.scale)
 
     def of_all(self, x: Array) -> Array:
-        """Return the residual spectra of all motions in parts of the scale, shape (sum of r, k)."""
+        """Return the residual spectra of all motions in units of the scale, shape (sum of r, k)."""
         return np.vstack([self.of_motion(x, index) for index in range(len(self.motions))])
 
     def residual(self, x: Array) -> Array:
@@ -327,11 +328,11 @@ class GroupModel:
         return np.vstack([*rows, np.eye(len(prior_sd), x.size, self.inertial.start) / prior_sd[:, None]])
 
     def minimised(self, x: Array, most: int, xtol: float, ftol: float) -> OptimizeResult:
-        """Return the least squares that begin at such parameters, with so many evaluations of the residuals at most."""
+        """Return the least-squares result from start parameters x, with at most `most` evaluations of the residuals."""
         return least_squares(self.residual, x, self.jacobian, method="lm", max_nfev=most, xtol=xtol, ftol=ftol)
 
     def torque(self, x: Array, index: int, n: int) -> Array:
-        """Return block means of the torque, Nm, and of its part that c0 gives, of the bristles of element n; (b, 2)."""
+        """Return block means of the torque of element n's bristles, Nm, and of the part due to c0, shape (b, 2)."""
         own, start = x[self.places[n]], np.clip(self.starts(x)[index, n], -self.max_start, self.max_start)
         both = self.motions[index].traces[n].bristles(self.kind(own, n), _exp(own[0]), float(start))
         return np.column_stack([both @ (1.0, self._c1(own, n)), both[:, 0]])
@@ -343,7 +344,7 @@ class GroupModel:
         return np.column_stack(total) @ motion.inputs
 
     def kind(self, own: Array, n: int) -> BristlesPart | None:
-        """Return the bristles of element n by its parameters; None is LuGre's."""
+        """Return the bristles of element n by its parameters; None for LuGre's."""
         return self.families[n].bristles(own[2:], self.motions[0].traces[n].element.tau_c_positive)
 
     def _prior_sd(self, x: Array) -> Array:

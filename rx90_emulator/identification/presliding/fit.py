@@ -25,8 +25,8 @@ from rx90_emulator.identification.estimates import (
 from rx90_emulator.identification.presliding.bristle_motion import (
     INERTIA_SD,
     MAX_COMPARED_S,
-    MOST_MOTIONS,
-    MOST_OF_BAG,
+    MAX_MOTIONS_ALONE,
+    MAX_MOTIONS_OF_BAG,
     GroupModel,
     JointGroup,
     KindFamily,
@@ -43,19 +43,19 @@ from rx90_emulator.identification.presliding.micro_motion import (
 )
 from rx90_emulator.identification.records import BagSource, JointRecord
 
-_START_SD = 0.3  # prior standard deviation of a start deflection, in parts of that of steady sliding
-_PASSES, _MAX_EVALUATIONS = 3, 30  # of the fit, each with the noise that the one before shows; of the residuals in one
+_START_SD = 0.3  # prior standard deviation of a start deflection, in units of that of steady sliding
+_PASSES, _MAX_EVALUATIONS = 3, 30  # passes, each with the noise found in the previous one; evaluations in each pass
 _ROUGH, _FINE = 1e-3, 1e-6  # relative tolerance of the parameters, in a pass and in the last fit
 _RELATIVE_STEP = 1e-4  # of difference quotients
 _MIN_MOTION_CLUSTERS = 3  # motions, below which they are too few to be clusters
 _MIN_RESIDUAL_LEVERAGE = 1e-3  # lower bound of 1 - leverage: a motion's own start deflection has none
-_MIN_INFORMATION = 0.1  # of the prior deviation of the inertia, that the data must take off it
-_MIN_RELATIVE_SD = (0.002, 0.01)  # relative, of c0 and c1: encoder steps, and 10 us of timing, show in no residual
-_NOISE_POWER_SD = 3.0  # standard deviations of the noise's power that are no misfit
+_MIN_INFORMATION = 0.1  # by which the data must reduce the prior deviation of the inertia
+_MIN_RELATIVE_SD = (0.002, 0.01)  # of c0 and c1: residuals do not show encoder steps, nor errors of 10 us in time
+_NOISE_POWER_SD = 3.0  # standard deviations of the noise's power up to which there is no misfit
 _NEARLY_SLIDING_LOAD = 0.75  # of an element's Coulomb torque: beyond it small errors of the motion deflect bristles far
 _SLIDING_LOAD = 0.95  # of it: bristles slide
 _MAX_MISFIT = 0.3  # of the friction torque
-_MAX_INERTIA_SCORE = 2.0  # standard deviations of the inertia's errors if the prior held
+_MAX_INERTIA_SCORE = 2.0  # standard deviations of the inertia's errors if the prior is right
 _MOVED_BY_REACTIONS = (
     "its joints were moved by the reactions of others alone; accepted: micro-oscillations of their own"
 )
@@ -67,7 +67,8 @@ class MovedGroup:
 
     Attributes:
         elements: indices of its e elements.
-        motions: the largest first; MOST_MOTIONS at most of a single element, else MOST_OF_BAG of each bag.
+        motions: the largest first; at most MAX_MOTIONS_ALONE for a single element, else MAX_MOTIONS_OF_BAG from each
+            bag.
         c0: of LuGre's bristles, Nm/rad, shape (e,).
         sources: their bags.
     """
@@ -81,17 +82,17 @@ class MovedGroup:
     def of(
         cls, group: JointGroup, motions: Sequence[MicroMotion], sliding: Sequence[FrictionElement], c0: Array
     ) -> MovedGroup:
-        """Return the largest of a group's micro-motions, those shorter than MAX_COMPARED_S at the end."""
+        """Return the largest of a group's micro-motions, with those shorter than MAX_COMPARED_S last."""
         break_away, alone = group.break_away(sliding), len(group.elements) == 1
         bags: dict[str, list[MicroMotion]] = {}
         for motion in motions:
-            # One direction of motion moves some elements only, and each is recorded in a bag of its own.
+            # A direction of motion moves only some elements, and each direction is recorded in a bag of its own.
             bags.setdefault("" if alone else motion.record.sha256, []).append(motion)
 
         def rank(motion: MicroMotion) -> tuple[bool, float]:
             return len(motion.velocity) * motion.step < MAX_COMPARED_S, -motion.load(break_away)
 
-        most = MOST_MOTIONS if alone else MOST_OF_BAG
+        most = MAX_MOTIONS_ALONE if alone else MAX_MOTIONS_OF_BAG
         largest = [motion for bag in bags.values() for motion in sorted(bag, key=rank)[:most]]
         compared = tuple(KindMotion.of(motion, group.inputs, sliding) for motion in largest)
         return cls(group.elements, compared, c0, tuple(dict.fromkeys(motion.record.bag for motion in largest)))
@@ -103,11 +104,11 @@ class PreslidingFit:
 
     Attributes:
         estimates: for each element of the arm, in its order; the parameters are those in PRESLIDING.
-        loops: the largest micro-motion of each joint that has any, by its name: position, rad from the mean, and
-            friction torque, Nm, "measured", as drive less weight and measured acceleration, and "simulated", as of the
-            bristles deflected along this motion; block means, shape (b,).
-        motions: how many micro-motions were used.
-        groups: what the joints did that made any micro-motion.
+        loops: largest micro-motion of each joint that has any, by its name: position, rad from the mean, and friction
+            torque, Nm, "measured" (drive less weight and measured acceleration) and "simulated" (bristles deflected
+            along this motion); block means, shape (b,).
+        motions: number of micro-motions that were used.
+        groups: micro-motions of each group of joints that made any.
     """
 
     estimates: tuple[ElementEstimate, ...]
@@ -127,14 +128,14 @@ def identify_presliding(
     """Fit c0 and c1 of every element whose joints make micro-oscillations.
 
     Args:
-        records: motion with reversals far within the bristles' reach, 500 samples per second or more.
+        records: motion with reversals well within the bristles' range, 500 samples per second or more.
         arm: rigid-body model of the same joints.
         sliding: the sliding regime of the arm's elements, in its order; their c0 and c1 are not used.
         torque_delay: by how much a torque acted later than in the sample period that ends at its stamp, s.
         sliding_covariances: of each element's sliding regime, in the order of SLIDING, shape (7, 7); None if it is
             known exactly.
-        plant_period: tick of the simulation that made the records, s, whose bristles see a velocity predicted by half
-            a tick; None for a real robot.
+        plant_period: tick of the simulation that made the records, s, whose bristles use a velocity predicted by half a
+            tick; None for a real robot.
 
     Raises:
         IdentificationError: for a record that is too slow, and no reversal at all.
@@ -153,10 +154,10 @@ def identify_presliding(
     moved: list[MovedGroup] = []
     used = 0
     for group in groups:
-        seen = [motion for motion in motions if motion.joints == group.joints]
-        own = [motion for motion in seen if motion.driven]
+        of_group = [motion for motion in motions if motion.joints == group.joints]
+        own = [motion for motion in of_group if motion.driven]
         if not own:
-            reason = _MOVED_BY_REACTIONS if seen else "no micro-oscillation of its joints in the bags"
+            reason = _MOVED_BY_REACTIONS if of_group else "no micro-oscillation of its joints in the bags"
             for e in group.elements:
                 estimates[e] = ElementEstimate.unknown(arm.element_names[e], PRESLIDING, reason)
             continue
@@ -198,7 +199,7 @@ class _GroupFit:
         plant_period: float | None,
     ) -> None:
         self._motions, self._group, self._sliding = motions, group, sliding
-        scale = 0.1 * group.break_away(sliding)  # a guess of the noise
+        scale = 0.1 * group.break_away(sliding)  # first guess of the noise
         compared = tuple(KindMotion.of(motion, group.inputs, sliding, whole=True) for motion in motions)
         model = GroupModel((KindFamily(),) * len(sliding), compared, scale, start_sd=_START_SD, max_start=np.inf)
         self._pairs = tuple(np.triu_indices(len(group.joints)))
@@ -214,7 +215,7 @@ class _GroupFit:
         self.values = model.values(self.x)
 
     def _symmetric(self, pairs: Array) -> Array:
-        """Return what is known of each pair of k joints, shape (k (k + 1) / 2,), as a matrix, shape (k, k)."""
+        """Return values of each pair of k joints, shape (k (k + 1) / 2,), as a symmetric matrix, shape (k, k)."""
         matrix = np.zeros((len(self._group.joints),) * 2)
         matrix[self._pairs] = matrix[self._pairs[::-1]] = pairs
         return matrix
@@ -249,7 +250,7 @@ class _GroupFit:
         return found
 
     def estimates(self, arm: RigidArm, sliding: Array | None) -> list[ElementEstimate]:
-        """Return those of the elements, by the covariance of the sliding regime, shape (7 e, 7 e), if it has any."""
+        """Return the elements' estimates, by the covariance of the sliding regime, shape (7 e, 7 e), if it has any."""
         values, jacobian = self.model.residual(self.x), self.model.jacobian(self.x)
         covariance = _cluster_robust(jacobian, values, self._clusters())
         if sliding is not None:
@@ -275,8 +276,8 @@ class _GroupFit:
 
     def _doubts(self, arm: RigidArm, jacobian: Array, covariance: Array) -> list[str]:
         """Return why the model does not hold for each element; empty if it does."""
-        # The prior shrinks the errors of the inertia towards zero: where it holds, their variance is the prior's less
-        # the posterior's. What the covariance has beyond noise may be errors of the model instead, and is added.
+        # The prior shrinks the errors of the inertia towards zero: if it is right, their variance is the prior's less
+        # the posterior's. The part of the covariance beyond noise may be due to errors of the model, and is added.
         own = self.model.inertial
         posterior = np.diag(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True))[own]
         beyond = np.maximum(np.diag(covariance)[own] - posterior, 0.0)
@@ -287,8 +288,8 @@ class _GroupFit:
         names, worst = [arm.names[joint] for joint in self._group.joints], int(np.argmax(scores))
         error = 100.0 * float(np.abs(inertia[worst]).max())
         # The torque residuals beyond noise over the friction, RMS, of each joint.
-        left = self.model.of_all(self.x)
-        power = np.sum(left**2, axis=0) - len(left) - _NOISE_POWER_SD * np.sqrt(2.0 * len(left))
+        residual = self.model.of_all(self.x)
+        power = np.sum(residual**2, axis=0) - len(residual) - _NOISE_POWER_SD * np.sqrt(2.0 * len(residual))
         friction = np.vstack(
             [
                 motion.traces[0].spectrum(self.model.friction(self.x, index))
@@ -318,8 +319,8 @@ class _GroupFit:
     def _clusters(self) -> list[NDArray[np.int64]]:
         """Return the numbers of the spectral line of a motion, and of the motion, that each residual belongs to.
 
-        Errors may be correlated over the line of a tone, 1 Hz widened by its fade. The prior of a start deflection goes
-        with its motion, that of the inertia with the first motion.
+        Errors may be correlated over the line of a tone, 1 Hz widened by its fade. The prior of a start deflection
+        belongs to its motion, that of the inertia to the first motion.
         """
         motions, width = self.model.motions, len(self.model.scale)
         index = np.repeat(np.arange(len(motions)), [width * len(motion.line) for motion in motions])
@@ -332,12 +333,12 @@ class _GroupFit:
     def _by_sliding(self, here: Array) -> Array:
         """Return the derivatives of the residuals by the sliding parameters, element by element, shape (q, 7 e).
 
-        A bristle's start, in parts of its deflection in steady sliding, is left where it is.
+        A bristle's start, in units of its deflection in steady sliding, is not changed.
         """
         columns = []
         for n, element in enumerate(self._sliding):
             for name in SLIDING:
-                # The Coulomb torque goes down, which keeps it below the static one.
+                # The Coulomb torque is decreased, so that it stays below the static one.
                 step = getattr(element, name) * (-_RELATIVE_STEP if name.startswith("tau_c") else _RELATIVE_STEP)
                 moved = replace(element, **{name: getattr(element, name) + step})
                 changed = replace(self.model, motions=tuple(one.changed(n, moved) for one in self.model.motions))
@@ -346,26 +347,26 @@ class _GroupFit:
 
 
 def _cluster_robust(jacobian: Array, residual: Array, groupings: Sequence[NDArray[np.int64]]) -> Array:
-    """Return the covariance by the noise, widened where clusters of residuals show more than noise would.
+    """Return the covariance due to noise, widened where clusters of residuals exceed the noise.
 
-    The noise is white in the band, and it is what lies between the spectral lines of the motions. Errors of the model
-    lie on the lines and grow with the amplitude; cluster-robust (sandwich) estimates show them, by CR2 also with few
-    clusters of unequal leverage. Of several groupings the one that shows most counts.
+    The noise is white in the band, and is estimated between the spectral lines of the motions. Errors of the model lie
+    on the lines and grow with the amplitude; cluster-robust (sandwich) estimates contain them, with CR2 also for few
+    clusters of unequal leverage. Of several groupings the one with the largest variance is used.
     """
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
     inverse_root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) @ vectors.T
     noise = inverse_root @ inverse_root
-    wide = np.ones(len(noise))
+    inflation = np.ones(len(noise))
     for numbers in groupings:
         variance = cluster_variances(jacobian, residual, numbers, inverse_root, 0.5, _MIN_RESIDUAL_LEVERAGE)
-        wide = np.maximum(wide, np.sqrt(variance / np.diag(noise)))
-    return np.asarray(noise * np.outer(wide, wide))
+        inflation = np.maximum(inflation, np.sqrt(variance / np.diag(noise)))
+    return np.asarray(noise * np.outer(inflation, inflation))
 
 
 def _first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[FrictionElement]) -> Array:
     """Return c0 and c1 by linear regression of the torque on deflection and velocity, shape (e, 2).
 
-    A bristle's stiffness falls with its deflection, so this c0 is low; it is where the fit begins.
+    A bristle's stiffness falls with its deflection, so this c0 is low; it is the start value of the fit.
     """
     matrix, torque = [], []
     for motion in motions:

@@ -1,15 +1,15 @@
-"""Which kind of bristles an element has: cross-validation over its micro-motions, where the data can tell.
+"""Select the kind of an element's bristles by cross-validation over its micro-motions, where the data suffice.
 
-Each kind is fitted to all micro-motions but one, and compared with the one that is left, in turn. What is left over in
-the motions that were not fitted, line by line of the spectrum, says how well a kind predicts.
+Each kind is fitted to all micro-motions but one, which it then predicts, in turn. The residual of the predicted
+motions, line by line of the spectrum, is the measure of the prediction.
 
-A kind is told from the best one if the logarithm of its residual power in a line, noise included, is larger by more
-than three standard errors in the mean over the lines. If every other kind is told from the best one, that is the
-element's; else the data cannot tell.
+A kind is ruled out if the logarithm of its residual power in a line, noise included, exceeds that of the best kind by
+more than three standard errors, in the mean over the lines. If every other kind is ruled out, the best one is the
+element's; else the data cannot decide.
 
-Elements that share joints are compared together, for only sums of their torques are measured: all sets of kinds are
+Elements that share joints are compared together, because only sums of their torques are measured: all sets of kinds are
 fitted to all motions, and for each kind of each element the set that fits best is cross-validated. So a kind of an
-element is told only if others of it predict worse whatever kinds its neighbours have.
+element is selected only if its other kinds predict worse with any kinds of its neighbours.
 """
 
 from __future__ import annotations
@@ -41,21 +41,21 @@ from rx90_emulator.identification.presliding.fit import PreslidingFit
 from rx90_emulator.identification.records import BagSource
 
 MIN_MOTIONS: Final = 3
-"""Micro-motions of a joint, below which nothing is left to be predicted."""
+"""Least number of micro-motions of a joint for a prediction."""
 MAX_ELEMENTS: Final = 3
-"""Elements that are compared together; with each more, the sets of kinds are three times as many."""
+"""Largest number of elements that are compared together; each further one triples the sets of kinds."""
 DISTINGUISHABLE_SE: Final = 3.0
-"""Standard errors by which a kind must predict worse than the best one to be told from it."""
-_MIN_RELATIVE_SD = {"c0": 0.002, "c1": 0.01}  # relative: encoder steps, and 10 us of timing, show in no residual
-_MIN_RELATIVE_SD_SHARED = {"c0": 0.02, "c1": 0.05}  # of elements that share joints: others' errors are alike in all
-_MIN_SD_OF_PARTS = 0.02  # of numbers in parts: errors of the sliding regime are the same in all motions
-_MAX_MISSED = 0.5  # of the friction torque, by the kind that predicts best, noise included
+"""Standard errors by which a kind must predict worse than the best one to be ruled out."""
+_MIN_RELATIVE_SD = {"c0": 0.002, "c1": 0.01}  # residuals do not show encoder steps, nor errors of 10 us in time
+_MIN_RELATIVE_SD_SHARED = {"c0": 0.02, "c1": 0.05}  # for elements that share joints: others' errors are the same in all
+_MIN_SD_OF_PARTS = 0.02  # of shares: errors of the sliding regime are the same in all motions
+_MAX_RESIDUAL_SHARE = 0.5  # of the friction torque, by the kind that predicts best, noise included
 _MAX_INERTIA_ERROR = 0.1  # relative error of the joint's inertia
-_MAX_REACH = 2.0  # of a block, in parts of the travel: there and back, a block with half of it slips
-_STARTS = (-0.8, -0.4, 0.0, 0.4, 0.8)  # deflections that fits begin at, over those of steady sliding
-_DAMPING_RATIO_S = 1e-3  # s, c1 over c0 where a fit begins
-_MAX_EVALUATIONS, _MAX_REFINEMENTS = 15, 6  # of the residuals, Jacobian apart: from a guess, and from a solution nearby
-_SHARED_EFFORT = 0.6  # of them, where elements share joints: a fit is long, and there are many
+_MAX_REACH = 2.0  # of a block, over the travel: on the way back a block with half of it slips
+_STARTS = (-0.8, -0.4, 0.0, 0.4, 0.8)  # start deflections of fits, over those of steady sliding
+_DAMPING_RATIO_S = 1e-3  # s, c1 over c0 at the start of a fit
+_MAX_EVALUATIONS, _MAX_REFINEMENTS = 15, 6  # of the residuals, without Jacobian: from a guess, and from a near solution
+_SHARED_EFFORT = 0.6  # factor on them where elements share joints: a fit takes long, and there are many
 _TOLERANCE = 1e-4  # relative, of the parameters and of the residual power
 
 
@@ -79,14 +79,14 @@ class GroupFit:
         scale = np.median(np.abs(np.concatenate([motion.target for motion in motions])), axis=0) + 1e-12
         model = GroupModel(tuple(families), tuple(motions), scale, _DAMPING_RATIO_S * c0)
         every = [family.guesses() for family in families]
-        if len(families) > 1:  # of elements that share joints each kind's guess in the middle: there are enough fits
+        if len(families) > 1:  # for elements that share joints only each kind's middle guess: there are enough fits
             every = [[np.mean(guesses, axis=0)] for guesses in every]
         place, found = model.inertial, []
         rest = np.zeros(place.stop - place.start + len(motions) * len(families))
         for shapes in itertools.product(*every):
             own = [np.concatenate([[np.log(c), 1.0], shape]) for c, shape in zip(c0, shapes, strict=True)]
             x = np.concatenate([*own, rest])
-            # Start deflections that fit best of a few, one element after the other.
+            # The best of a few start deflections, one element after the other.
             for index, column in itertools.product(range(len(motions)), range(len(families))):
                 own_start = np.arange(x.size) == place.stop + index * len(families) + column
                 tried = [np.where(own_start, start, x) for start in _STARTS]
@@ -108,9 +108,9 @@ class GroupFit:
         return self._solved(model, np.concatenate([self.x[:place], starts.ravel()]), _MAX_REFINEMENTS)
 
     def left_over(self, motion: KindMotion, starts: Array) -> Array:
-        """Return the residual spectrum of another motion in parts of the scale, shape (r, k).
+        """Return the residual spectrum of another motion in units of the scale, shape (r, k).
 
-        It begins at the start deflections that fit it best; the search for them begins at `starts`, shape (e,).
+        The start deflections are fitted to it, from `starts`, shape (e,), on.
         """
         model, fixed = replace(self.model, motions=(motion,)), self.x[: self.model.inertial.stop]
 
@@ -126,11 +126,11 @@ class GroupFit:
         return model.of_motion(np.concatenate([fixed, best]), 0)
 
     def bristles(self, place: int) -> BristlesPart | None:
-        """Return the bristles of the element at a place in the group; None is LuGre's."""
+        """Return the bristles of the element with index `place` in the group; None for LuGre's."""
         return self.model.kind(self.x[self.model.places[place]], place)
 
     def numbers(self, place: int) -> dict[str, float]:
-        """Return what was fitted of an element by its names: c0, Nm/rad, c1, Nm s/rad, bristles.share[0]."""
+        """Return the fitted values of an element by their names: c0, Nm/rad, c1, Nm s/rad, bristles.share[0]."""
         c0, c1 = self.model.values(self.x)[place].tolist()
         part = self.bristles(place)
         own = {} if part is None else {f"bristles.{name}": value for name, value in part.numbers().items()}
@@ -144,37 +144,37 @@ class GroupFit:
         coulomb = self.model.motions[0].traces[place].element.tau_c_positive
         return float(np.max(np.divide(part.share, part.stiffness))) * coulomb / self.numbers(place)["c0"]
 
-    def seen(self, place: int, index: int) -> tuple[Array, Array]:
-        """Return the measured torque of an element along a motion less all others', and its own, Nm, each (b,)."""
+    def friction_torques(self, place: int, index: int) -> tuple[Array, Array]:
+        """Return an element's torque along a motion, measured less all others' and fitted, Nm, each (b,)."""
         motion = self.model.motions[index]
-        left = motion.measured @ np.concatenate([[1.0], -self.x[self.model.inertial]])
+        remaining = motion.measured @ np.concatenate([[1.0], -self.x[self.model.inertial]])
         torques = [self.model.torque(self.x, index, n)[:, 0] for n in range(len(motion.traces))]
         for n, torque in enumerate(torques):
             if n != place:
-                left = left - np.outer(torque, motion.inputs[n])
+                remaining = remaining - np.outer(torque, motion.inputs[n])
         row = motion.inputs[place]
-        return np.asarray(left @ row / (row @ row)), torques[place]
+        return np.asarray(remaining @ row / (row @ row)), torques[place]
 
 
 @dataclass(frozen=True, eq=False)
 class KindTrial:
-    """What became of a kind of bristles.
+    """The trial of a kind of bristles.
 
     Attributes:
         family: the kind.
-        bristles: that fit all motions; None is LuGre's.
-        seen: torque of the element along its largest motion, measured, with others' taken off by the fit, and fitted,
+        bristles: fitted to all motions; None for LuGre's.
+        friction_torques: of the element along its largest motion, measured less the others' fitted ones, and fitted,
             block means, Nm, each shape (b,).
         estimates: of c0, c1 and the kind's own numbers; the deviations are those of the jackknife over the motions.
-        missed: RMS of what it misses in motions that were not fitted, over the RMS of the friction torque.
-        behind: by how many standard errors it predicts worse than the best kind; 0 for that.
+        missed: RMS residual in predicted motions over the RMS of the friction torque.
+        behind: standard errors by which it predicts worse than the best kind; 0 for that one.
         inertia: largest relative error of the joints' inertia.
         reach: largest deflection at which a block slips, rad; 0 without blocks.
     """
 
     family: KindFamily
     bristles: BristlesPart | None
-    seen: tuple[Array, Array]
+    friction_torques: tuple[Array, Array]
     estimates: dict[str, ParameterEstimate]
     missed: float
     behind: float
@@ -183,20 +183,20 @@ class KindTrial:
 
     @property
     def distinguishable(self) -> bool:
-        """Return whether the data tell it from the best kind."""
+        """Return whether the data rule it out against the best kind."""
         return self.behind > DISTINGUISHABLE_SE
 
 
 @dataclass(frozen=True, eq=False)
 class ElementKind:
-    """The kinds of bristles that were tried for an element, and what is known of its kind.
+    """The kinds of bristles that were tried for an element, and the decision.
 
     Attributes:
         element: its name.
-        trials: by kind, in the order of the families that were tried; none where nothing could be compared.
+        trials: by kind, in the order of the families that were tried; empty if nothing could be compared.
         position: along the element's largest motion, rad, block means, shape (b,).
-        lacking: why nothing could be compared; "" where it was.
-        sources: the bags that it rests on.
+        lacking: why nothing could be compared; "" otherwise.
+        sources: the bags that were used.
     """
 
     element: str
@@ -212,28 +212,28 @@ class ElementKind:
 
     @property
     def possible(self) -> tuple[KindTrial, ...]:
-        """Return the trials that the data cannot tell from the best, which is among them."""
+        """Return the trials that the data do not rule out, the best one included."""
         return tuple(trial for trial in self.trials if not trial.distinguishable)
 
     @property
     def kind(self) -> str | None:
-        """Return "LuGre", "elasto-plastic" or "Maxwell slip"; None where the data cannot tell."""
+        """Return "LuGre", "elasto-plastic" or "Maxwell slip"; None if the data cannot decide."""
         kinds = {trial.family.kind for trial in self.possible}
         return kinds.pop() if len(kinds) == 1 else None
 
     @property
     def margin(self) -> float:
-        """Return by how many standard errors the best trial of another kind than the best one's is behind."""
+        """Return the standard errors between the best trial and the best one of another kind."""
         others = [trial.behind for trial in self.trials if trial.family.kind != self.best.family.kind]
         return min(others, default=0.0)
 
     @property
     def reason(self) -> str:
-        """Return why no kind is told; "" if one is."""
+        """Return why no kind was selected; "" if one was."""
         if not self.trials:
             return self.lacking
         best, travel = self.best, float(np.ptp(self.position))
-        if best.missed > _MAX_MISSED:
+        if best.missed > _MAX_RESIDUAL_SHARE:
             return f"even the best kind, {best.family.name}, misses {100.0 * best.missed:.0f} % of the friction torque"
         if self.kind is None:
             return f"the data do not tell {listed([trial.family.name for trial in self.possible])} apart"
@@ -249,7 +249,7 @@ class ElementKind:
 
     @property
     def decided(self) -> bool:
-        """Return whether the data tell it, LuGre's too."""
+        """Return whether the data decide, for LuGre or another kind."""
         return bool(self.trials) and not self.reason
 
     @property
@@ -261,15 +261,15 @@ class ElementKind:
 
     @property
     def trial(self) -> KindTrial | None:
-        """Return the trial whose bristles take the place of LuGre's; None where LuGre's stay."""
+        """Return the trial whose bristles replace LuGre's; None if LuGre's stay."""
         return self.best if self.decided and self.best.bristles is not None else None
 
     @property
     def text(self) -> str:
-        """Return the decision with how sure it is, or why there is none."""
+        """Return the decision with its margin, or why there is none."""
         if self.reason:
             return f"{self.decision}: {self.reason}"
-        return f"{self.decision}, told from the others by {self.margin:.1f} standard errors or more"
+        return f"{self.decision}, better than the others by {self.margin:.1f} standard errors or more"
 
     @property
     def largest(self) -> tuple[Array, dict[str, Array]]:
@@ -280,7 +280,9 @@ class ElementKind:
         shown: dict[str, KindTrial] = {}
         for trial in sorted(self.trials, key=lambda trial: trial.behind):
             shown.setdefault(trial.family.kind, trial)
-        torques = {"measured": self.best.seen[0]} | {one.family.name: one.seen[1] for one in shown.values()}
+        torques = {"measured": self.best.friction_torques[0]} | {
+            one.family.name: one.friction_torques[1] for one in shown.values()
+        }
         return self.position - self.position.mean(), {name: each - each.mean() for name, each in torques.items()}
 
 
@@ -292,7 +294,7 @@ def choose_kinds(
     Args:
         fit: with LuGre's bristles, of the arm.
         arm: whose elements these are.
-        progress: called `kind_steps(arm)` times, with what is done next.
+        progress: called `kind_steps(arm)` times, with the name of the next step.
     """
     groups = {moved.elements: moved for moved in fit.groups}
     found: dict[int, ElementKind] = {}
@@ -324,7 +326,7 @@ def steps_of(elements: int, families: Sequence[KindFamily]) -> int:
 
 
 def _middle(families: Sequence[KindFamily]) -> dict[str, KindFamily]:
-    """Return a family for each kind, that in the middle."""
+    """Return the middle family of each kind."""
     kinds = itertools.groupby(families, key=lambda family: family.kind)
     return {kind: some[(len(some) - 1) // 2] for kind, some in ((kind, list(some)) for kind, some in kinds)}
 
@@ -336,15 +338,15 @@ def choose_kinds_of(
     families: Sequence[KindFamily] = FAMILIES,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[ElementKind]:
-    """Return which kinds of bristles the elements of a group of joints have.
+    """Return the selected kinds of bristles of the elements of a group of joints.
 
     Args:
         motions: micro-motions of the group of e elements, 2 e or more, and at least MIN_MOTIONS.
         c0: a first guess, Nm/rad, such as that of the fit with LuGre's bristles, shape (e,).
         names: of the elements.
-        families: what is tried, those of one kind one after the other.
-        progress: called `steps_of(e, families)` times, with the names of an element and of a kind before the kind is
-            tried.
+        families: kinds to try, those of one kind one after the other.
+        progress: called `steps_of(e, families)` times, with the names of an element and of a kind before the trial of
+            the kind.
     """
     places, middle = range(len(c0)), _middle(families)
     fits: dict[tuple[KindFamily, ...], GroupFit] = {}
@@ -358,7 +360,7 @@ def choose_kinds_of(
     for place, family in itertools.product(places, families):
         progress(f"{names[place]}: {family.name}")
         own = middle[family.kind]
-        # The set that fits best of those with the family at the place.
+        # The best-fitting set among those with the family at this index.
         best = min((some for some in searched if some[place] is own), key=lambda some: fits[some].cost, default=(own,))
         chosen = (*best[:place], family, *best[place + 1 :])
         if chosen not in power:
@@ -366,10 +368,10 @@ def choose_kinds_of(
             starts = whole.model.starts(whole.x)
 
             def squares(fit: GroupFit, index: int, starts: Array = starts) -> Array:
-                """Return what a fit misses in each spectral line of a motion, shape (lines,)."""
+                """Return a fit's squared residual in each spectral line of a motion, shape (lines,)."""
                 lines = np.unique(motions[index].line, return_inverse=True)[1]
-                left = fit.left_over(motions[index], starts[index])
-                return np.bincount(lines, np.sum(left**2, axis=1)).astype(np.float64)
+                residual = fit.left_over(motions[index], starts[index])
+                return np.bincount(lines, np.sum(residual**2, axis=1)).astype(np.float64)
 
             without[chosen], power[chosen] = leave_out(range(len(motions)), whole.without, squares)
     errors = HeldOutErrors(power)
@@ -382,14 +384,14 @@ def choose_kinds_of(
         largest = int(np.argmax([np.ptp(position) for position in positions]))
         trials = []
         for family in families:
-            # Of sets with the same kind here, which differ elsewhere, that which predicts best.
+            # The best-predicting set among those with this kind here and different kinds elsewhere.
             chosen = errors.best(each for each in power if each[place] == family)
             whole, rows = fits[chosen], [fit.numbers(place) for fit in without[chosen]]
             trials.append(
                 KindTrial(
                     family,
                     whole.bristles(place),
-                    whole.seen(place, largest),
+                    whole.friction_torques(place, largest),
                     jackknife_estimates(whole.numbers(place), rows, floor),
                     float(np.sqrt(power[chosen].sum() / friction)),
                     errors.behind(chosen, best),
@@ -404,10 +406,11 @@ def choose_kinds_of(
 def jackknife_estimates(
     whole: Mapping[str, float], without: Sequence[Mapping[str, float]], floor: Mapping[str, float]
 ) -> dict[str, ParameterEstimate]:
-    """Return what was fitted with the deviations of the jackknife: how far fits without one motion each lie apart.
+    """Return the fitted values with the deviations of the jackknife: the scatter of fits without one motion each.
 
     A variance of so few fits is itself uncertain: Student's distribution widens the deviations so that 1.96 of them
-    hold 95 %. What is the same in all motions does not show in it: the floor, in parts of c0 and c1, is for that.
+    cover 95 %. Errors that are the same in all motions do not show: the floor, in units of c0 and c1, accounts for
+    them.
     """
     rows = np.array([list(fit.values()) for fit in without])
     student = stats.t.ppf(0.975, len(rows) - 1) / stats.norm.ppf(0.975)

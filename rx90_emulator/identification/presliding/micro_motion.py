@@ -21,22 +21,22 @@ BLOCK = 8
 """Steps of the simulation in one block mean."""
 LOWEST_RATE = 500.0
 """Samples per second below which the damping of the bristles is not separable from a delay."""
-_BAND_HZ = (2.0, 50.0)  # Hz, that are compared: slower is creep and weight, faster is noise
-_DETECTION_HZ = (2.0, 60.0)  # Hz, of what micro-oscillations are detected by
+_BAND_HZ = (2.0, 50.0)  # Hz, compared band: below are creep and weight, above is noise
+_DETECTION_HZ = (2.0, 60.0)  # Hz, band in which micro-oscillations are detected
 _TAPER_SHARE = 0.2  # share of a motion under the window's cosine flanks, against leakage
 _SPAN_S = 0.5  # s, over which excursions and oscillations are measured
-_MAX_EXCURSION = 4e-3  # rad within a span; beyond it the bristles slide, and drift takes over
+_MAX_EXCURSION = 4e-3  # rad within a span; beyond it the bristles slide, and drift dominates
 _MIN_OSCILLATION = 5e-6  # rad, RMS; smaller ones are below the resolution of usual encoders
 _MIN_MOTION_S, _MAX_MOTION_S = 0.8, 10.0
 _BREAK_AWAY_SHARE = 0.7  # beyond it bristles slide, and their torque depends little on c0 and c1
 _MIN_RELATIVE_LOAD = 0.25  # of the strongest motion of a group
-_MIN_OWN_TORQUE = 2.0  # times the torque of the other joints' accelerations: so much is no mere reaction
+_MIN_OWN_TORQUE = 2.0  # least ratio to the torque of the other joints' accelerations: more than a reaction
 _MAX_MOTIONS_PER_BAG = 3  # of a group
-_MIN_STEP_S = 0.00025  # s, step of the simulation: recorded faster, torques are averaged over it
-_LOW_PASS_HZ = 200.0  # Hz, above which positions hold little but the encoder's noise
-_MAX_GAP_S, _MAX_GAP_SAMPLES = 3e-3, 2.5  # s, or sample periods where these are longer, that are interpolated
-_TRANSIENT_S = 0.01  # s beside a gap that its transient reaches through the low-pass
-_SPIKE_BLOCK_S = 1.0  # s, over which spikes are compared with the range: that of a small motion shows smaller ones
+_MIN_STEP_S = 0.00025  # s, least step of the simulation: torques that were recorded faster are averaged over it
+_LOW_PASS_HZ = 200.0  # Hz, above which positions contain little but the encoder's noise
+_MAX_GAP_S, _MAX_GAP_SAMPLES = 3e-3, 2.5  # longest gap that is interpolated: s or, if longer, sample periods
+_TRANSIENT_S = 0.01  # s on both sides of a gap that its transient reaches through the low-pass
+_SPIKE_BLOCK_S = 1.0  # s, over which spikes are compared with the range: in a small motion small spikes show
 _POSE_STEP = 1e-4  # rad, of differences of the weight
 
 
@@ -104,7 +104,7 @@ class MicroMotion:
 
     @property
     def own(self) -> float:
-        """Return torque over that of the other joints' accelerations, RMS, of the joint where this is least."""
+        """Return the least ratio, over the joints, of the RMS torque to that of the other joints' accelerations."""
         others = np.delete(np.arange(self.mass.shape[1]), self.joints)
         reaction = self.acceleration[:, others] @ self.mass[:, others].T
         return float((np.std(self.drive - reaction, axis=0) / np.maximum(np.std(reaction, axis=0), 1e-12)).min())
@@ -116,12 +116,12 @@ class MicroMotion:
 
     @property
     def inertia_scale(self) -> Array:
-        """Return sqrt(M_jj M_ii) of the group's joints, kg m^2, shape (k, k), by which errors of M are counted."""
+        """Return sqrt(M_jj M_ii) of the group's joints, kg m^2, shape (k, k), the unit of errors of M."""
         inertia = np.diag(self.mass[:, list(self.joints)])
         return np.asarray(np.sqrt(np.outer(inertia, inertia)))
 
     def load(self, break_away: Array) -> float:
-        """Return the amplitude of friction over the torques of break-away, Nm, shape (k,), of the joint with most."""
+        """Return the largest ratio, over the joints, of the friction's amplitude to break-away, Nm, shape (k,)."""
         friction = sosfiltfilt(butter(2, _DETECTION_HZ[1], fs=1.0 / self.step, output="sos"), self.friction, axis=0)
         low, high = np.percentile(friction, (1.0, 99.0), axis=0)
         return float(np.max(0.5 * (high - low) / break_away))
@@ -133,7 +133,7 @@ def find_micro_motions(
     """Return the micro-oscillations of each group of joints.
 
     Args:
-        record: a bag's record; the torque of a sample is what acted until its stamp.
+        record: a bag's record; the torque of a sample acted until its stamp.
         arm: for weight and mass matrix; its joints are the record's.
         groups: indices of joints that share friction elements.
         torque_delay: how much later than recorded the torque acted, s.
@@ -142,7 +142,7 @@ def find_micro_motions(
         IdentificationError: if the record is too slow.
     """
     step, time, position, torque, known = _on_grid(record, torque_delay)
-    # Central differences of fourth order; of second order they are 0.5 % low at 40 Hz and 0.5 ms.
+    # Central differences of fourth order; those of second order are 0.5 % low at 40 Hz and 0.5 ms.
     velocity = np.gradient(position, step, axis=0)
     velocity[2:-2] = (8.0 * (position[3:-1] - position[1:-3]) - (position[4:] - position[:-4])) / (12.0 * step)
     active, unit, found = _active(position, step) & known[:, None], np.eye(len(arm.names)), []
@@ -190,7 +190,7 @@ def most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[
     """
     loads = [motion.load(break_away) for motion in motions]
     below = [load for load in loads if load <= _BREAK_AWAY_SHARE]
-    # Faint motions are reactions to other joints'; where all motions break away, the smallest one is best.
+    # Faint motions are reactions to other joints; if all motions break away, the smallest one is best.
     faintest = _MIN_RELATIVE_LOAD * max(below) if below else 0.0
     limit = _BREAK_AWAY_SHARE if below else 1.5 * min(loads)
     chosen: dict[tuple[str, str], list[MicroMotion]] = {}
@@ -202,7 +202,7 @@ def most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[
 
 
 def _on_grid(record: JointRecord, torque_delay: float) -> tuple[float, Array, Array, Array, Mask]:
-    """Return step, times, positions and torques on equal steps, and which lie neither in a gap nor beside one."""
+    """Return step, times, positions and torques on equal steps, and which are not affected by a gap."""
     step = float(np.median(np.diff(record.time))) if len(record.time) > 1 else np.inf
     if 1.0 / step < LOWEST_RATE:
         raise IdentificationError(
@@ -216,8 +216,8 @@ def _on_grid(record: JointRecord, torque_delay: float) -> tuple[float, Array, Ar
     known = np.ones(len(time), dtype=np.bool_)
     for k in np.flatnonzero(np.diff(there) > max(_MAX_GAP_S, _MAX_GAP_SAMPLES * step)):
         known[slice(*np.searchsorted(time, (there[k] - _TRANSIENT_S, there[k + 1] + _TRANSIENT_S)))] = False
-    # Set-points are held, which leaves images of an oscillation beside multiples of their rate; without the low-pass,
-    # coarser steps would alias them onto it.
+    # Set-points are constant between updates, which makes images of an oscillation near multiples of their rate;
+    # without the low-pass, coarser steps would alias them onto it.
     sections = butter(4, min(_LOW_PASS_HZ, 0.4 / step), fs=1.0 / step, output="sos")
     position, torque = (
         np.asarray(sosfiltfilt(sections, np.column_stack([np.interp(at, there, c) for c in columns[rows].T]), axis=0))
@@ -235,7 +235,7 @@ def _on_grid(record: JointRecord, torque_delay: float) -> tuple[float, Array, Ar
 
 
 def _active(position: Array, step: float) -> Mask:
-    """Return where each joint oscillates without going far, shape (m, n)."""
+    """Return where each joint oscillates with small excursions, shape (m, n)."""
     span, rate = max(3, round(_SPAN_S / step)), 1.0 / step
     excursion = maximum_filter1d(position, span, axis=0) - minimum_filter1d(position, span, axis=0)
     band = butter(2, _DETECTION_HZ, btype="band", fs=rate, output="sos")

@@ -39,20 +39,21 @@ from rx90_emulator.identification.sliding.solver import (
 )
 from rx90_emulator.identification.zeros import ZeroCheck, check_zeros
 
-LEAST_SPEEDS = 5
-"""Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom.
+MIN_SPEEDS = 5
+"""Least number of speeds in each direction: four determine the seven parameters of an element, one more is redundant.
 
-A viscous exponent takes another speed.
+A viscous exponent needs one more speed.
 """
 _SAME_SPEED_RATIO = 1.1  # ratio of speeds up to which they count as one
 _SIGNIFICANT_SD = 3.0  # standard deviations of the Stribeck rise from 0, and of an exponent from 1
-_MIN_EXPONENT_SHIFT = 0.02  # distance of a viscous exponent from 1 that counts
+_MIN_EXPONENT_SHIFT = 0.02  # least relevant distance of a viscous exponent from 1
 _MIN_EXPONENT_SCORE = 2.0  # standard deviations by which a step from the linear fit moves an exponent
 _MAX_RELATIVE_SD = 0.3  # relative standard deviation up to which a parameter is identifiable
-_MAX_CORRELATION = 0.98  # correlation from which two parameters cannot be separated
+_MAX_CORRELATION = 0.98  # correlation above which two parameters cannot be separated
 _SYSTEMATIC_SD = 1e-3
-"""Relative standard deviation that repetition does not show: the mean of a sampled torque, rippling in step with the
-sampling, is off by so much even far from a beat (measured on the engine, whose parameters are known)."""
+"""Relative standard deviation beyond repeatability: the mean of a sampled torque whose ripple is nearly synchronous
+with the sampling has an error of this size even far from a beat (measured on the engine, whose parameters are
+known)."""
 _STRIBECK = ("tau_s_positive", "tau_s_negative", "omega_s", "delta")
 _LINE_POINTS = 100
 _DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"
@@ -68,11 +69,12 @@ class SlidingFit:
         curves: for each element; empty where the element could not be identified.
         inertial: estimated error of the arm's inertial parameters, to be added to them, shape (10 n,):
             rigid torque = arm.torque(...) + arm.regressor(...) @ inertial.
-        inertial_covariance: of it, that of the prior along directions that sweeps do not observe, shape (10 n, 10 n).
-        plateaus: how many stretches of constant velocity were used.
+        inertial_covariance: its covariance, the prior's along directions that sweeps do not observe, shape
+            (10 n, 10 n).
+        plateaus: number of stretches of constant velocity that were used.
         usage: what was used of each record, and why the rest was not.
         quality: goodness of fit of each element; None where it could not be identified.
-        zeros: what the torques say of the encoders' zeros.
+        zeros: check of the encoders' zeros by the torques.
     """
 
     estimates: tuple[ElementEstimate, ...]
@@ -88,7 +90,7 @@ class SlidingFit:
 def identify_sliding(
     records: Sequence[JointRecord], arm: RigidArm, zero: Array | None = None, model: Sequence[str] | None = None
 ) -> SlidingFit:
-    """Fit tau_c+-, tau_s+-, omega_s, delta, c2 and, where they prefer one, alpha of every element that slides.
+    """Fit tau_c+-, tau_s+-, omega_s, delta, c2 and, where the data prefer one, alpha of every element that slides.
 
     Errors of the arm's inertial parameters, such as an unknown payload, are nuisance parameters of the same fit, so
     that they do not bias the friction. Parameters that are not identifiable are marked as such in the estimates.
@@ -96,8 +98,8 @@ def identify_sliding(
     Args:
         records: sweeps of the arm's joints at constant velocity, both directions, several speeds.
         arm: rigid-body model.
-        zero: of the encoders, that the records are without, rad, shape (n,); by default 0.
-        model: names of the parts in SLIDING_PARTS that all elements have; by default those that show.
+        zero: zeros of the encoders that were subtracted from the records, rad, shape (n,); by default 0.
+        model: names of the parts in SLIDING_PARTS that all elements have; by default the significant ones.
 
     Raises:
         ConfigError: for a model with other parts.
@@ -109,7 +111,7 @@ def identify_sliding(
     blocks, usage = find_blocks(records, arm.element_matrix)
     blocks, lacking = _enough(blocks, arm)
     if len(lacking) == len(names):
-        # What an element lacks that moves says more than that another one rests.
+        # The reason of an element that moves is more informative than that of one at rest.
         name = min(lacking, key=lambda name: lacking[name] == _DOES_NOT_SLIDE)
         raise IdentificationError(f"{where}: {name} {lacking[name]}")
     zeros = check_zeros(blocks, arm, zero)
@@ -119,21 +121,21 @@ def identify_sliding(
     fit = CurveFit(rows, free)
     drives = (fit.at_bound & free)[:, LINEAR].all(axis=1)  # all torques lie at their bound, 0
     for e in np.flatnonzero(drives).tolist():
-        # Such torques may be the weight of an arm that stands elsewhere.
+        # Such torques may be the weight of an arm in another pose.
         error = (
             f"{where}: {names[e]}: the torque does not oppose the motion; accepted: efforts of the sign with which "
             "the drive moves the joint (check the signs of gears and torque constants)"
         )
         raise IdentificationError("; ".join(filter(None, (error, zeros.text))))
-    asked = None if model is None else model_parts(model, SLIDING_PARTS)
-    fit = _with_shown_parameters(fit) if asked is None else _with_parts(fit, asked)
+    requested = None if model is None else model_parts(model, SLIDING_PARTS)
+    fit = _with_shown_parameters(fit) if requested is None else _with_parts(fit, requested)
     sources = tuple(record.bag for record in records)
     estimates, curves, quality = [], [], []
     for e, name in enumerate(names):
         if name in lacking:
             estimates.append(ElementEstimate.unknown(name, SLIDING, lacking[name], sources))
         else:
-            given = asked is None or "stribeck-rise" in asked
+            given = requested is None or "stribeck-rise" in requested
             estimates.append(_estimate(fit, names, e, usage, sources, rising=given))
         curves.append(_curve(fit, e))
         quality.append(
@@ -143,16 +145,16 @@ def identify_sliding(
         )
     # The covariance of the inertial errors is that of the prior where nothing is observed.
     scale, directions = arm.inertial_scale(), rows.directions
-    seen = directions / scale[:, None]
+    scaled = directions / scale[:, None]
     covariance = directions @ fit.nuisance_covariance @ directions.T
-    covariance += scale[:, None] * (np.eye(len(scale)) - seen @ seen.T) * scale
+    covariance += scale[:, None] * (np.eye(len(scale)) - scaled @ scaled.T) * scale
     inertial = directions @ fit.nuisance
     count = len(np.unique(rows.plateau))
     return SlidingFit(tuple(estimates), tuple(curves), inertial, covariance, count, usage, tuple(quality), zeros)
 
 
 def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
-    """Mark elements with sweeps at too few speeds as not sliding, and return the blocks, and reasons by element."""
+    """Mark elements with sweeps at too few speeds as not sliding; return the blocks, and the reasons by element."""
     velocity = blocks.velocity @ arm.element_matrix.T
     sliding = blocks.sliding.copy()
     lacking = {}
@@ -163,9 +165,9 @@ def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
         elif min(up, down) == 0:
             only = "positive" if up else "negative"
             lacking[name] = f"slides at {only} velocities only; accepted: sweeps in both directions"
-        elif min(up, down) < LEAST_SPEEDS:
+        elif min(up, down) < MIN_SPEEDS:
             lacking[name] = (
-                f"slides at {up} speeds in positive and {down} in negative direction; accepted: {LEAST_SPEEDS} or "
+                f"slides at {up} speeds in positive and {down} in negative direction; accepted: {MIN_SPEEDS} or "
                 "more in each"
             )
         if name in lacking:
@@ -185,75 +187,75 @@ def _speeds(velocity: Array) -> tuple[int, int]:
 
 
 def _with_parts(fit: CurveFit, parts: Sequence[str]) -> CurveFit:
-    """Return the fit with the same parts for all elements; one with too few speeds has no exponent."""
+    """Return the fit with the same parts for all elements; an element with too few speeds has no exponent."""
     free = fit.free.copy()
     if "stribeck-rise" not in parts:
         free[:, RISE] = free[:, SHAPE] = False
     if "viscous-exponent" in parts:
-        free[:, EXPONENT] = fit.free.any(axis=1) & (np.array(_least_speeds(fit)) > LEAST_SPEEDS)
+        free[:, EXPONENT] = fit.free.any(axis=1) & (np.array(_least_speeds(fit)) > MIN_SPEEDS)
     return CurveFit(fit.rows, free)
 
 
 def _least_speeds(fit: CurveFit) -> list[int]:
-    """Return at how many speeds each element slides in the direction in which there are fewer."""
+    """Return the number of speeds of each element in the direction with fewer of them."""
     pairs = zip(fit.rows.velocity.T, fit.rows.gain.T, strict=True)
     return [min(_speeds(velocity[gain != 0.0])) for velocity, gain in pairs]
 
 
 def _with_shown_parameters(fit: CurveFit) -> CurveFit:
-    """Return the fit with the parameters that the data show: Stribeck effects, and exponents that differ from 1."""
+    """Return the fit with the significant parameters: Stribeck effects, and exponents that differ from 1."""
     rows, free = fit.rows, fit.free.copy()
     linear = _drop_insignificant_stribeck(fit)
-    # Most data are linear, and a step from their solution says so for a fraction of a fit.
-    free[:, EXPONENT] = (np.array(_least_speeds(fit)) > LEAST_SPEEDS) & (linear.exponent_score > _MIN_EXPONENT_SCORE)
+    # Most data are linear in velocity, which a step from the linear solution shows at a fraction of a fit's cost.
+    free[:, EXPONENT] = (np.array(_least_speeds(fit)) > MIN_SPEEDS) & (linear.exponent_score > _MIN_EXPONENT_SCORE)
     while free[:, EXPONENT].any():
         fit = _drop_insignificant_stribeck(CurveFit(rows, free.copy()))
-        bent = np.array([_has_exponent(fit, e) for e in range(len(free))])
-        if (bent == free[:, EXPONENT]).all():
+        has_exponent = np.array([_has_exponent(fit, e) for e in range(len(free))])
+        if (has_exponent == free[:, EXPONENT]).all():
             return fit
-        free[:, EXPONENT] = bent
+        free[:, EXPONENT] = has_exponent
     return linear
 
 
 def _drop_insignificant_stribeck(fit: CurveFit) -> CurveFit:
-    """Return the fit, made again without the Stribeck effects that do not show: no rise, or omega_s at its bound."""
+    """Return the fit, repeated without insignificant Stribeck effects: no rise, or omega_s at its bound."""
     free = fit.free.copy()
     for e in np.flatnonzero(free[:, SHAPE].all(axis=1)).tolist():
         deviation = np.sqrt(np.diag(fit.block(e)))[RISE]
-        # At a bound the deviation means nothing; a rise of 0 is on it.
-        flat = (fit.parameters[e, RISE] < _SIGNIFICANT_SD * deviation).all()
-        if flat or fit.at_bound[e, OMEGA_S]:
+        # At a bound the deviation has no meaning; a rise of 0 is at one.
+        insignificant = (fit.parameters[e, RISE] < _SIGNIFICANT_SD * deviation).all()
+        if insignificant or fit.at_bound[e, OMEGA_S]:
             free[e, RISE] = free[e, SHAPE] = False
     return fit if (free == fit.free).all() else CurveFit(fit.rows, free)
 
 
 def _has_exponent(fit: CurveFit, element: int) -> bool:
-    """Return whether an element shows a viscous exponent other than 1: significantly so, and not at a bound.
+    """Return whether the viscous exponent of an element differs from 1 significantly, and is not at a bound.
 
-    The deviations are those of the result: a misfit that plateaus or speeds share does not count as evidence.
+    The deviations are those of the result: a misfit common to plateaus or speeds does not count as evidence.
     """
     if not fit.free[element, EXPONENT] or fit.at_bound[element, EXPONENT]:
         return False
-    away = abs(float(np.exp(fit.parameters[element, EXPONENT])) - 1.0)
+    deviation_from_one = abs(float(np.exp(fit.parameters[element, EXPONENT])) - 1.0)
     deviation = float(np.sqrt(_natural_covariance(fit, element)[-1, -1]))
-    return away > max(_MIN_EXPONENT_SHIFT, _SIGNIFICANT_SD * deviation)
+    return deviation_from_one > max(_MIN_EXPONENT_SHIFT, _SIGNIFICANT_SD * deviation)
 
 
 def _natural_covariance(fit: CurveFit, element: int) -> Array:
-    """Return the covariance of an element's parameters as `natural` has them, shape (8, 8).
+    """Return the covariance of an element's parameters in the form of `natural`, shape (8, 8).
 
-    It is that of the fit, times the squared t factor and the design effect of plateaus at one speed or, where it is
-    larger, the factor of a misfit, plus what repetition does not show.
+    It is that of the fit, times the squared t factor and the design effect of plateaus at one speed or, if larger, the
+    factor of a misfit, plus errors beyond repeatability.
     """
-    mine = fit.rows.gain[:, element] != 0.0
-    design = float(fit.design_effect[mine].mean())
+    own_rows = fit.rows.gain[:, element] != 0.0
+    design = float(fit.design_effect[own_rows].mean())
     wider = np.sqrt(np.maximum(design, fit.widening[element]))
     # The degrees of freedom are Satterthwaite's: with the intraclass correlation of a plateau's blocks each plateau is
     # one observation, with the rest of the variance each block is one. The factor is that of the 97.5 % quantiles.
-    common = float(fit.common[mine].mean())
+    common = float(fit.common[own_rows].mean())
     fitted = int(fit.free[element].sum())
-    plateaus = max(1, len(np.unique(fit.rows.plateau[mine])) - fitted)
-    freedom = 1.0 / (common**2 / plateaus + (1.0 - common) ** 2 / max(1, int(mine.sum()) - fitted))
+    plateaus = max(1, len(np.unique(fit.rows.plateau[own_rows])) - fitted)
+    freedom = 1.0 / (common**2 / plateaus + (1.0 - common) ** 2 / max(1, int(own_rows.sum()) - fitted))
     factor = float(student.ppf(0.975, freedom) / student.ppf(0.975, np.inf))
     transform = natural_jacobian(fit.parameters[element])
     covariance = transform @ (wider[:, None] * fit.block(element) * wider) @ transform.T * factor**2
@@ -273,7 +275,7 @@ def _estimate(
     *,
     rising: bool,
 ) -> ElementEstimate:
-    """Return the estimates of one element that was fitted."""
+    """Return the estimates of one fitted element."""
     chosen = (*SLIDING, VISCOUS_EXPONENT) if fit.free[element, EXPONENT] else SLIDING
     covariance = _natural_covariance(fit, element)[: len(chosen), : len(chosen)]
     values, estimates = natural(fit.parameters[element]), {}
@@ -298,7 +300,7 @@ def _reason(
     if estimate.deviation > _MAX_RELATIVE_SD * abs(estimate.value):
         size = f"standard deviation {estimate.deviation:.3g} at a value of {estimate.value:.3g}"
         size += ", as the curve does not fit" * bool(fit.agreement[element] > MISFIT_SD)
-        # The parameter, of whatever element, that this one is fully correlated with.
+        # The parameter, of any element, that this one is fully correlated with.
         own = element * SIZE + FITTED.index(name)
         deviation = np.sqrt(np.diag(fit.covariance))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -316,17 +318,23 @@ def _reason(
 def _curve(fit: CurveFit, element: int) -> CurvePoints:
     """Subtract everything but one element from the equations, and average over each plateau."""
     rows, parameters = fit.rows, fit.parameters[element]
-    mine = np.flatnonzero(rows.gain[:, element])
-    gain, along = rows.gain[mine, element], rows.velocity[mine, element]
-    left = fit.residual[mine] + gain * torque(along, parameters)
-    number = np.unique(rows.plateau[mine], return_inverse=True)[1]
+    own_rows = np.flatnonzero(rows.gain[:, element])
+    gain, along = rows.gain[own_rows, element], rows.velocity[own_rows, element]
+    own_torque = fit.residual[own_rows] + gain * torque(along, parameters)
+    number = np.unique(rows.plateau[own_rows], return_inverse=True)[1]
     power, weighted, pull, noise, time = (
         np.bincount(number, values)
-        for values in (gain**2, gain**2 * along, gain * left, (gain * fit.noise[mine]) ** 2, rows.time[mine])
+        for values in (
+            gain**2,
+            gain**2 * along,
+            gain * own_torque,
+            (gain * fit.noise[own_rows]) ** 2,
+            rows.time[own_rows],
+        )
     )
     velocity = weighted / power
     line = np.zeros((3, 0))
-    if len(mine):  # velocity, torque and standard deviation of the identified curve
+    if len(own_rows):  # velocity, torque and standard deviation of the identified curve
         sides = [(sign, sign * velocity[sign * velocity > 0.0]) for sign in (-1.0, 1.0)]
         grids = [sign * np.geomspace(speed.min(), speed.max(), _LINE_POINTS) for sign, speed in sides if len(speed)]
         grid = np.sort(np.concatenate(grids))

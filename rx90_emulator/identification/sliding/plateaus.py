@@ -1,7 +1,8 @@
-"""Block means of the plateaus of records, and what of each bag was used.
+"""Block means of the plateaus of records, and an account of what was used of each bag.
 
-A plateau is a stretch in which every joint keeps its velocity, but for ripple and noise. What a servo loop and the
-bristles need to settle is left out at its beginning; the rest is cut into blocks, each judged by its own velocity.
+A plateau is a stretch in which every joint keeps its velocity, except for ripple and noise. The time that the servo
+loop and the bristles need to settle is left out at its beginning; the rest is cut into blocks, each with its own
+velocity.
 """
 
 from __future__ import annotations
@@ -23,59 +24,59 @@ from rx90_emulator.identification.records import BagSource, JointRecord
 from rx90_emulator.identification.zeros import Instants
 
 USED = "used"
-RESTS = "at rest"
+AT_REST = "at rest"
 CHANGES = "changes of velocity"
 ACCELERATES = "steady acceleration or a crest"
 SETTLES = "settling"
 SHORT = "too short"
 LITTLE_TRAVEL = "travel of less than 10 mrad"
 UNSTEADY = "blocks of another velocity"
-REASONS = (CHANGES, RESTS, LITTLE_TRAVEL, SETTLES, SHORT, ACCELERATES, UNSTEADY, USED)
-"""What a sample was used for, or why not."""
+REASONS = (CHANGES, AT_REST, LITTLE_TRAVEL, SETTLES, SHORT, ACCELERATES, UNSTEADY, USED)
+"""Use of a sample, or the reason why it was not used."""
 SETTLE_DISTANCE = 5e-3
 """Travel after which a bristle has its steady deflection, rad: ten times g or more for joints of this class."""
 _SCALES = ((0.02, np.inf), (0.1, 0.1), (0.4, 0.025))
-"""Times over which velocities are compared, s, with the speed up to which, rad/s: a drive that creeps ripples slowly,
-and what a joint does within 10 mrad does not count."""
+"""Times over which velocities are compared, s, each with the largest speed for it, rad/s: at creep speed the ripple is
+slow, and changes within 10 mrad of travel are ignored."""
 
-# Of the bins of velocity, which plateaus are made of.
-_BIN_SAMPLES = 3  # in a bin: a single one at 67 Hz is all noise
+# Bins of velocity, from which plateaus are made.
+_BIN_SAMPLES = 3  # in a bin: a single sample at 67 Hz is mostly noise
 _MIN_BINS = 4
 _NOISE_SD = 6.0  # standard deviations of a bin's velocity that end a plateau
-_VELOCITY_CHANGE = 0.02  # of its velocity, or
+_VELOCITY_CHANGE = 0.02  # largest change within a plateau, as a share of its velocity, or
 _REST_SHARE = 0.01  # of the fastest joint's velocity: moving joints shake those at rest
-_MAX_VELOCITY_ERROR = 0.75  # of its mean that a velocity may be off by, however noisy it is: it keeps its sign
+_MAX_VELOCITY_ERROR = 0.75  # of the plateau's mean, for any noise: the velocity keeps its sign
 _NOISE_CAP_SHARE, _MIN_NOISE_CAP = 0.01, 3e-3  # of the joint's own fastest velocity, or rad/s, that noise may explain
-_NOISE_WINDOW_S, _NOISE_WINDOW_BINS = 1.0, 10  # over which the noise is taken
+_NOISE_WINDOW_S, _NOISE_WINDOW_BINS = 1.0, 10  # over which the noise is estimated
 _END_S = 0.06  # s at the end of a plateau in which the next change of velocity may have begun
-# Of the trend of velocity within a plateau.
-_TREND_BINS = 5  # in which an acceleration can be told from noise
-_MAX_TREND, _P_VALUE = 0.003, 0.01  # of the velocity, and probability below which such a change is no accident
-_HALF_S = 1.0  # s from which the second half alone may do: the first may be a slow start
-_CONTEXT_S = (0.2, 1.0)  # s before and behind a short stretch, at least and at most, that tell whether it is one
-_CONTEXT_CHANGE = 0.15  # of the velocity that it may change by there
-# Of the blocks of a settled plateau.
+# The trend of velocity within a plateau.
+_TREND_BINS = 5  # least number of bins for a test of acceleration
+_MAX_TREND, _P_VALUE = 0.003, 0.01  # of the velocity, and probability below which such a change is significant
+_HALF_S = 1.0  # s, least length of a plateau whose second half is tried alone: the first may be a slow start
+_CONTEXT_S = (0.2, 1.0)  # s before and after a short stretch, at least and at most, for the test whether it is constant
+_CONTEXT_CHANGE = 0.15  # largest change of the velocity there
+# The blocks of a settled plateau.
 _SETTLE_S = 0.25  # s, for the servo loops after a change of velocity; their integrators' pole is near 20 /s
 _SETTLE_SHARE = 0.5  # of a plateau, within which the bristles must settle for the element to count as sliding
-_BLOCK_S, _BLOCK_TRAVEL = 0.25, 0.02  # s and rad at most: the rigid torque is linear in it but for a negligible rest
-_BLOCK_SAMPLES = 8  # at least
-_BLOCK_CHANGE = 0.75  # of the plateau's velocity that a block's may be off by
+_BLOCK_S, _BLOCK_TRAVEL = 0.25, 0.02  # largest size, s and rad: the rigid torque is nearly linear within it
+_BLOCK_SAMPLES = 8  # least size
+_BLOCK_CHANGE = 0.75  # largest deviation of a block's velocity, as a share of the plateau's
 _OUTLIER_SD = 5.0  # standard deviations from a block's median
-# Of the account.
+# The account.
 _REST_TRAVEL = 1e-3  # rad below which nothing moves
-_LISTED_S, _UNUSED_S = 0.05, 0.5  # s from which a reason is listed, and a stretch tells of a speed that is lacking
+_LISTED_S, _UNUSED_S = 0.05, 0.5  # s from which a reason is listed, and from which an unused stretch is
 
 
 @dataclass(frozen=True, eq=False)
 class BagUse:
-    """What was used of one bag of sweeps.
+    """The parts of one bag of sweeps that were used.
 
     Attributes:
         bag: the bag.
-        stretches: of constant velocity that were used.
-        seconds: in these.
-        speeds: rad/s, of each element the slowest and the fastest that was used, 0 without any, shape (n_el, 2).
-        left_out: seconds by the reason for which they were not used, the most first.
+        stretches: number of stretches of constant velocity that were used.
+        seconds: their total duration.
+        speeds: rad/s, slowest and fastest used speed of each element, 0 if there is none, shape (n_el, 2).
+        left_out: unused seconds by reason, the most frequent reason first.
         unused: mean speeds of the elements, rad/s, in stretches that were not used, shape (u, n_el); 0 at rest.
     """
 
@@ -100,7 +101,7 @@ class BagUse:
 
     @property
     def reasons(self) -> str:
-        """Return why how many seconds were not used."""
+        """Return the reasons for which time was not used, with the seconds of each."""
         return ", ".join(f"{seconds:.3g} s {why}" for why, seconds in self.left_out.items())
 
 
@@ -124,24 +125,24 @@ class Blocks(Instants):
 
 
 def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks, tuple[BagUse, ...]]:
-    """Cut records into plateaus, and these into blocks; say what was used of each record.
+    """Cut records into plateaus, and these into blocks; also return the account of each record.
 
     Args:
         records: of the same joints.
         elements: E, joint velocities to input velocities of the friction elements, shape (n_el, n).
 
     Raises:
-        IdentificationError: if no record holds a plateau in which an element slides.
+        IdentificationError: if no record contains a plateau in which an element slides.
     """
     parts: list[dict[str, Array]] = []
     usage, covariances = [], []
-    # A record begins by its stamps, or one behind the other where these overlap.
+    # Records begin by their stamps or, if these overlap, one after the other.
     order = sorted(records, key=lambda record: float(record.time[0]))
-    apart = all(a.time[-1] <= b.time[0] for a, b in pairwise(order))
+    disjoint = all(a.time[-1] <= b.time[0] for a, b in pairwise(order))
     begin = 0.0
     for source, record in enumerate(records):
         state, cut = _plateaus(record, elements)
-        shift = 0.0 if apart else begin - float(record.time[0])
+        shift = 0.0 if disjoint else begin - float(record.time[0])
         velocities = []
         for rows, sliding in cut:
             part, covariance = _block_means(record, rows)
@@ -164,7 +165,7 @@ def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks
 
 
 def _plateaus(record: JointRecord, elements: Array) -> tuple[Array, list[tuple[NDArray[np.int64], Mask]]]:
-    """Return the place in REASONS of each sample, and of each plateau its blocks' samples (b, m) and what slides."""
+    """Return the index in REASONS of each sample, and for each plateau its blocks' samples (b, m) and what slides."""
     state = np.full(len(record.time), REASONS.index(CHANGES))
     cut: list[tuple[NDArray[np.int64], Mask]] = []
     if len(record.time) < 2:
@@ -180,7 +181,7 @@ def _plateaus(record: JointRecord, elements: Array) -> tuple[Array, list[tuple[N
                     continue
                 sliding = travel * _SETTLE_SHARE >= SETTLE_DISTANCE
                 if not sliding.any():
-                    state[rows] = REASONS.index(LITTLE_TRAVEL if travel.max() > _REST_TRAVEL else RESTS)
+                    state[rows] = REASONS.index(LITTLE_TRAVEL if travel.max() > _REST_TRAVEL else AT_REST)
                     continue
                 state[rows] = REASONS.index(SETTLES)
                 kept, reason = _settled_part(record, elements, rows, size, sliding)
@@ -195,9 +196,9 @@ def _plateaus(record: JointRecord, elements: Array) -> tuple[Array, list[tuple[N
     return state, cut
 
 
-def _runs(held: Mask) -> list[list[int]]:
-    """Return the first sample of each run in which something holds, and the one behind its last."""
-    return np.flatnonzero(np.diff(held, prepend=False, append=False)).reshape(-1, 2).tolist()
+def _runs(mask: Mask) -> list[list[int]]:
+    """Return first index and end of each run of true values."""
+    return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist()
 
 
 def _travel(record: JointRecord, elements: Array, rows: slice) -> tuple[float, Array]:
@@ -224,20 +225,20 @@ def _steady_stretches(record: JointRecord, rows: slice, period: float, size: int
     velocity = record.velocity[rows][: count * size].reshape(count, size, -1).mean(axis=1)
     first = np.arange(count) * size
     gap = time[np.minimum(first + size, len(time) - 1)] - time[first] > 2.0 * size * period
-    # In third differences, whose variance is 20 times that of a velocity, an acceleration, and its change, do not
-    # count. The median over the bins around leaves out jumps, and tells rest from motion.
+    # Noise from third differences, whose variance is 20 times that of a velocity: an acceleration, and its change,
+    # cancel. The median over the neighbouring bins excludes jumps, and separates rest from motion.
     third = np.abs(np.diff(velocity, n=3, axis=0, prepend=velocity[:1], append=velocity[-2:]))
     span = max(_NOISE_WINDOW_BINS, round(_NOISE_WINDOW_S / (size * period)))
     middle = [median_filter(column, 2 * (span // 2) + 1, mode="nearest") for column in third.T]
     noise = 1.4826 / np.sqrt(20.0) * np.stack(middle, axis=1)
     cap = np.maximum(_NOISE_CAP_SHARE * fastest, _MIN_NOISE_CAP)
-    # Slow ripple hardly shows in third differences; jumps show it, and accelerations, too, hence the limit.
+    # Slow ripple hardly shows in third differences; jumps contain it, but accelerations, too, hence the limit.
     jumps = _NOISE_SD * 1.4826 / np.sqrt(2.0) * np.median(np.abs(np.diff(velocity, axis=0)), axis=0)
     tolerance = np.maximum(_NOISE_SD * noise + 1e-9, np.minimum(jumps, cap))
     number = np.empty(count, dtype=np.int64)
     _number_plateaus(velocity, tolerance, gap, cap, (_VELOCITY_CHANGE, _REST_SHARE, _MAX_VELOCITY_ERROR), number)
     edges = np.flatnonzero(np.diff(number, prepend=-1, append=number[-1] + 1))
-    # The first bin and the last ones may hold a part of a change of velocity.
+    # The first bin and the last ones may contain a part of a change of velocity.
     end = max(1, round(_END_S / (size * period)))
     cut = [(int(start + 1), int(stop - end)) for start, stop in pairwise(edges)]
     return [slice(rows.start + a * size, rows.start + b * size) for a, b in cut if b - a > 1]
@@ -252,7 +253,7 @@ def _number_plateaus(
     bins, joints = velocity.shape
     relative, at_rest, steady = shares
     mean = velocity[0].copy()
-    held, current = 1, 0
+    samples, current = 1, 0
     number[0] = 0
     for k in range(1, bins):
         same = not gap[k] and not gap[k - 1]
@@ -262,53 +263,53 @@ def _number_plateaus(
             if abs(velocity[k, j] - mean[j]) > max(noise, relative * abs(mean[j]), at_rest * fastest):
                 same = False
         if same:
-            held += 1
+            samples += 1
             for j in range(joints):
-                mean[j] += (velocity[k, j] - mean[j]) / held
+                mean[j] += (velocity[k, j] - mean[j]) / samples
         else:
             current += 1
-            held = 1
+            samples = 1
             for j in range(joints):
                 mean[j] = velocity[k, j]
         number[k] = current
 
 
 def _settled_part(record: JointRecord, elements: Array, rows: slice, size: int, sliding: Mask) -> tuple[slice, str]:
-    """Return the part of a plateau that is settled and keeps its velocity, and why it cannot be used, if it cannot."""
+    """Return the settled part of a plateau with constant velocity, and the reason if it cannot be used."""
     inputs = record.position[rows] @ elements[sliding].T
     along = inputs * np.sign(inputs[-1] - inputs[0])
-    gone = (along - np.minimum.accumulate(along, axis=0)).min(axis=1)
+    travelled = (along - np.minimum.accumulate(along, axis=0)).min(axis=1)
     late = record.time[rows] - record.time[rows][0] >= _SETTLE_S
-    ready = np.flatnonzero(late & (gone >= SETTLE_DISTANCE))
+    ready = np.flatnonzero(late & (travelled >= SETTLE_DISTANCE))
     start = int(rows.start + ready[0]) if len(ready) else rows.stop
     if (rows.stop - start) // size < _TREND_BINS:
         return slice(start, rows.stop), SHORT
     moving = (elements[sliding] != 0.0).any(axis=0)
     half = (start + rows.stop) // 2
-    # Of a wave's crest a short half would look straight.
+    # Half of a wave's crest, if short, would look straight.
     long = float(record.time[rows.stop - 1] - record.time[half]) >= _HALF_S
     for begin in (start, half)[: 1 + long]:
-        kept = slice(begin, rows.stop)
-        if not _accelerates(record, kept, size, moving):
-            around = kept if long else _with_context(record, elements[sliding], kept, size)
-            if around == kept or not _accelerates(record, around, size, moving):
-                return kept, ""
-    return kept, ACCELERATES
+        settled = slice(begin, rows.stop)
+        if not _accelerates(record, settled, size, moving):
+            around = settled if long else _with_context(record, elements[sliding], settled, size)
+            if around == settled or not _accelerates(record, around, size, moving):
+                return settled, ""
+    return settled, ACCELERATES
 
 
 def _accelerates(record: JointRecord, rows: slice, size: int, moving: Mask) -> bool:
     """Return whether a moving joint speeds up, slows down or turns at the crest of a wave, rather than ripples.
 
-    A parabola through the velocities changes by more than 0.3 %, and explains more than chance does (F test, with
-    the first autocorrelation of what is left taken into account).
+    A parabola through the velocities changes by more than 0.3 %, and is significant (F test that accounts for the first
+    autocorrelation of the residuals).
     """
     count = (rows.stop - rows.start) // size
     velocity = record.velocity[rows.start : rows.start + count * size].reshape(count, size, -1).mean(axis=1)
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), 3))[0]
     fitted = basis @ (basis.T @ velocity)
-    left, mean = velocity - fitted, velocity.mean(axis=0)
-    power = np.maximum(np.sum(left**2, axis=0), 1e-24)
-    repeated = np.clip(np.sum(left[1:] * left[:-1], axis=0) / power, 0.0, 0.95)
+    residual, mean = velocity - fitted, velocity.mean(axis=0)
+    power = np.maximum(np.sum(residual**2, axis=0), 1e-24)
+    repeated = np.clip(np.sum(residual[1:] * residual[:-1], axis=0) / power, 0.0, 0.95)
     free = np.maximum((count - 3) * (1.0 - repeated) / (1.0 + repeated), 1.0)
     explained = np.sum((fitted - mean) ** 2, axis=0) / 2.0
     chance = fdtrc(2.0, free, explained / power * free)
@@ -317,10 +318,10 @@ def _accelerates(record: JointRecord, rows: slice, size: int, moving: Mask) -> b
 
 
 def _with_context(record: JointRecord, elements: Array, kept: slice, size: int) -> slice:
-    """Return a short stretch with what goes on at nearly its velocity before and behind, if both do.
+    """Return a short stretch extended by its neighbourhood where this has nearly its velocity on both sides.
 
-    Noise cuts a wave into stretches too short to show its curvature; a stretch between two changes of velocity stays
-    as it is.
+    Noise cuts a wave into stretches too short to show its curvature; a stretch between two changes of velocity is not
+    extended.
     """
     usual = (record.velocity[kept] @ elements.T).mean(axis=0)
     period = float(record.time[kept.stop - 1] - record.time[kept.start]) / (kept.stop - 1 - kept.start)
@@ -339,9 +340,9 @@ def _with_context(record: JointRecord, elements: Array, kept: slice, size: int) 
 
 
 def _blocks(record: JointRecord, elements: Array, kept: slice, sliding: Mask) -> tuple[NDArray[np.int64], Mask]:
-    """Return the samples of each block (b, m), and which blocks have a velocity of their own near that of all.
+    """Return the samples of each block (b, m), and which blocks have a velocity near that of the plateau.
 
-    Either the mean velocity or the travel over time may say so: the one is noisy, the other counts encoder steps.
+    Either the mean velocity or the travel over time suffices: the first is noisy, the second has encoder steps.
     """
     count, time, position = kept.stop - kept.start, record.time, record.position
     if count < _BLOCK_SAMPLES:
@@ -362,10 +363,10 @@ def _blocks(record: JointRecord, elements: Array, kept: slice, sliding: Mask) ->
 
 def _block_means(record: JointRecord, rows: NDArray[np.int64]) -> tuple[dict[str, Array], Array]:
     """Return means over the blocks of a plateau, of its samples (b, m), and the covariance of the torque's samples."""
-    flat, mean_time = rows.ravel(), record.time[rows].mean(axis=1)
-    centre = record.time[flat].mean()
-    spread = record.time[flat] - centre
-    slope = spread @ record.velocity[flat] / (spread @ spread)
+    samples, mean_time = rows.ravel(), record.time[rows].mean(axis=1)
+    centre = record.time[samples].mean()
+    spread = record.time[samples] - centre
+    slope = spread @ record.velocity[samples] / (spread @ spread)
     torque = record.torque[rows]
     distance = np.abs(torque - np.median(torque, axis=1, keepdims=True))
     good = distance <= _OUTLIER_SD * 1.4826 * np.median(distance, axis=1, keepdims=True) + 1e-12
@@ -375,7 +376,7 @@ def _block_means(record: JointRecord, rows: NDArray[np.int64]) -> tuple[dict[str
     steps = steps[usual] if usual.any() else steps
     means = {
         "position": record.position[rows].mean(axis=1),
-        "velocity": record.velocity[flat].mean(axis=0) + (mean_time[:, None] - centre) * slope,
+        "velocity": record.velocity[samples].mean(axis=0) + (mean_time[:, None] - centre) * slope,
         "acceleration": np.tile(slope, (len(rows), 1)),
         "torque": np.where(good, torque, 0.0).sum(axis=1) / used,
         "count": used.min(axis=1).astype(np.float64),
@@ -385,18 +386,18 @@ def _block_means(record: JointRecord, rows: NDArray[np.int64]) -> tuple[dict[str
 
 
 def _account(record: JointRecord, elements: Array, state: Array, velocities: Sequence[Array]) -> BagUse:
-    """Return what was used of a record, from the state of its samples and its plateaus' velocities (b, n_el)."""
+    """Return the account of a record, from the state of its samples and its plateaus' velocities (b, n_el)."""
     period = float(np.median(np.diff(record.time))) if len(record.time) > 1 else 0.0
     speeds = np.zeros((len(elements), 2))
     for e in range(len(elements)):
-        mine = [abs(float(v[:, e].mean())) for v in velocities if v[:, e].any()]
-        if mine:
-            speeds[e] = min(mine), max(mine)
+        own_speeds = [abs(float(v[:, e].mean())) for v in velocities if v[:, e].any()]
+        if own_speeds:
+            speeds[e] = min(own_speeds), max(own_speeds)
     seconds = {why: float(np.sum(state == k)) * period for k, why in enumerate(REASONS)}
     used = seconds.pop(USED)
     listed = sorted(((why, s) for why, s in seconds.items() if s >= _LISTED_S), key=lambda pair: -pair[1])
     unused = [np.zeros((0, len(elements)))]
-    for begin, end in _runs(~np.isin(state, [REASONS.index(why) for why in (USED, RESTS, SETTLES)])):
+    for begin, end in _runs(~np.isin(state, [REASONS.index(why) for why in (USED, AT_REST, SETTLES)])):
         lasted, travel = _travel(record, elements, slice(begin, end))
         if lasted >= _UNUSED_S and travel.max() > _REST_TRAVEL:
             unused.append(np.where(travel > _REST_TRAVEL, travel / lasted, 0.0)[None])

@@ -1,9 +1,9 @@
-"""How well the curves of the sliding fit go through the plateaus: misfit over the speeds, drift over the series.
+"""Goodness of fit of the sliding curves: misfit over the speeds, drift over the series.
 
-A random effect takes what the blocks of a plateau share as accidental. Where a curve of the model's form does not go
-through the data, the errors of plateaus at neighbouring speeds have one sign, and the estimates are off by more than
-independent errors say. How much shows when bands of speeds are left out in turn. Drift of the friction, as by
-temperature, is a trend of the residuals over the series; its test takes their autocorrelation into account.
+The random effect treats the errors common to the blocks of a plateau as random. If a curve of the model's form does not
+go through the data, the errors of plateaus at neighbouring speeds have one sign, and the errors of the estimates are
+larger than with independent errors. Leaving out bands of speeds in turn shows by how much. Drift of the friction, for
+example by temperature, is a trend of the residuals over the series; its test accounts for their autocorrelation.
 """
 
 from __future__ import annotations
@@ -20,17 +20,18 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_emulator.identification.estimates import cluster_variances, digits
 
 FALSE_ALARMS = 0.01
-"""Probability that drift is claimed in a series without any, of all elements together."""
+"""Probability of reporting drift in a series without any, for all elements together."""
 MISFIT_SD = 3.0
-"""Standard deviations of the sum of products of neighbouring residuals from which a curve does not fit."""
-_CORRELATION_LENGTH = 1.0  # of ln |speed| over which errors hang together: a factor of e
-_SAME_SPEED = 0.1  # of ln |speed| below which ripple of one speed may be the reason, which has a factor of its own
-_BAND_WIDTH = 1.0  # of ln |speed|, within which errors are taken as one
+"""Standard deviations of the sum of products of neighbouring residuals, above which a curve does not fit."""
+_CORRELATION_LENGTH = 1.0  # of ln |speed| over which errors are correlated: a factor of e
+_MIN_LOG_SPEED_DISTANCE = 0.1
+"""Of ln |speed|. Residuals that are closer may agree because of the ripple at one speed, which has its own factor."""
+_BAND_WIDTH = 1.0  # of ln |speed|, within which errors count as one
 _MIN_RESIDUAL_LEVERAGE = 0.1  # lower bound of 1 - leverage of a band
-_SCATTER_NEIGHBOURS = 4  # residuals on either side by which the scatter is judged
+_SCATTER_NEIGHBOURS = 4  # residuals on either side from which the scatter is estimated
 _RANK_CUTOFF = 1e-10  # of the largest singular value: smaller ones are rounding
-_MIN_PLATEAUS = 12  # in which a drift can be told
-_BANDS = 6  # bands of speed, as wide as each other in the logarithm, by which residuals are reported
+_MIN_PLATEAUS = 12  # for a test of drift
+_BANDS = 6  # bands of speed, of equal logarithmic width, by which residuals are reported
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,7 @@ class Residuals:
     """Residuals of r equations of unit noise, in c plateaus.
 
     Attributes:
-        left: residuals, shape (r,).
+        residual: shape (r,).
         slope: derivatives by the q free parameters, nuisance parameters eliminated, shape (r, q).
         gain: of the elements' torques along their motion, nuisance parameters eliminated, shape (r, n_el).
         plateau: number of each equation's plateau, 0 to c - 1, shape (r,).
@@ -47,7 +48,7 @@ class Residuals:
         time: s, shape (c,).
     """
 
-    left: Array
+    residual: Array
     slope: Array
     gain: Array
     plateau: NDArray[np.int64]
@@ -57,11 +58,11 @@ class Residuals:
 
 
 def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> tuple[Array, Array]:
-    """Return what the residuals of a fit say of the form of each element's curve.
+    """Return the misfit of each element's curve by the residuals of a fit.
 
-    That is how far residuals at neighbouring speeds agree, in standard deviations of what independent ones show, from
-    MISFIT_SD on a misfit, shape (n_el,), and the factor on the variance of each parameter because of it, 1 without one,
-    shape (n_el, p).
+    The first result is the correlation of residuals at neighbouring speeds, in standard deviations for independent
+    residuals; above MISFIT_SD it is a misfit, shape (n_el,). The second is the factor on the variance of each parameter
+    due to the misfit, 1 without one, shape (n_el, p).
 
     Args:
         residuals: of the fit.
@@ -71,28 +72,32 @@ def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> tuple[Arr
     agreement, widening = np.zeros(len(free)), np.ones(free.shape)
     column = np.cumsum(free.ravel()).reshape(free.shape) - 1
     for e, own in enumerate(free):
-        mine = np.flatnonzero(residuals.velocity[:, e]) if own.any() else np.zeros(0, dtype=np.int64)
-        if len(mine):
-            speed = np.log(np.abs(residuals.velocity[mine, e]))
-            along, distance = residuals.along[mine, e], np.abs(speed[:, None] - speed)
+        own_rows = np.flatnonzero(residuals.velocity[:, e]) if own.any() else np.zeros(0, dtype=np.int64)
+        if len(own_rows):
+            speed = np.log(np.abs(residuals.velocity[own_rows, e]))
+            along, distance = residuals.along[own_rows, e], np.abs(speed[:, None] - speed)
             along = along / _scatter(along, np.argsort(speed))
-            kernel = np.triu(np.maximum(0.0, 1.0 - distance / _CORRELATION_LENGTH) * (distance > _SAME_SPEED), 1)
+            kernel = np.triu(
+                np.maximum(0.0, 1.0 - distance / _CORRELATION_LENGTH) * (distance > _MIN_LOG_SPEED_DISTANCE), 1
+            )
             spread = float(np.sqrt(along**2 @ kernel**2 @ along**2))
             agreement[e] = float(along @ kernel @ along) / spread if spread > 0.0 else 0.0
             if agreement[e] > MISFIT_SD:
                 band = np.full(len(residuals.velocity), -1)
-                band[mine] = np.floor((speed - speed.min()) / _BAND_WIDTH)
+                band[own_rows] = np.floor((speed - speed.min()) / _BAND_WIDTH)
                 values, vectors = np.linalg.eigh(covariance)
                 root, bands = vectors * np.sqrt(np.maximum(values, 0.0)), band[residuals.plateau]
-                variance = cluster_variances(residuals.slope, residuals.left, bands, root, 1.0, _MIN_RESIDUAL_LEVERAGE)
-                variance *= 1.0 - 1.0 / len(np.unique(band[mine]))
+                variance = cluster_variances(
+                    residuals.slope, residuals.residual, bands, root, 1.0, _MIN_RESIDUAL_LEVERAGE
+                )
+                variance *= 1.0 - 1.0 / len(np.unique(band[own_rows]))
                 chosen = column[e, own]
                 widening[e, own] = np.maximum(1.0, variance[chosen] / np.diag(covariance)[chosen])
     return agreement, widening
 
 
 def _scatter(residual: Array, order: NDArray[np.intp]) -> Array:
-    """Return the standard deviation of each residual by its differences from its neighbours, which share a misfit."""
+    """Return the standard deviation of each residual from differences to its neighbours, which have the same misfit."""
     if len(residual) < 3:
         return np.ones(len(residual))
     squares = np.diff(residual[order]) ** 2 / 2.0
@@ -108,10 +113,10 @@ class Drift:
     """Change of an element's friction torque along its motion, from the beginning of a series to its end.
 
     Attributes:
-        size: Nm; NaN where too few plateaus tell.
+        size: Nm; NaN if there are too few plateaus.
         deviation: standard deviation, with the first autocorrelation of the plateaus, Nm.
         seconds: from the first to the last plateau of the element, s.
-        significant: whether it is no accident.
+        significant: whether it is significant.
     """
 
     size: float = math.nan
@@ -127,16 +132,16 @@ def drifts_of(residuals: Residuals, free: Mask) -> list[Drift]:
         residuals: of the fit.
         free: which parameters of the elements were fitted, shape (n_el, p).
     """
-    # Of the derivatives by all parameters, of which those of coupled elements may be dependent.
+    # Of the derivatives by all parameters, some of those of coupled elements may be dependent.
     size = np.linalg.norm(residuals.slope, axis=0)
     basis, values, _ = np.linalg.svd(residuals.slope / np.where(size > 0.0, size, 1.0), full_matrices=False)
     basis = basis[:, values > _RANK_CUTOFF * values.max(initial=0.0)]
     quantile = 1.0 - 0.5 * FALSE_ALARMS / max(1, int(free.any(axis=1).sum()))
     found = []
     for e, fitted in enumerate(free.sum(axis=1).tolist()):
-        mine = np.flatnonzero(residuals.velocity[:, e])
-        time, gain, plateau = residuals.time[mine], residuals.gain[:, e], residuals.plateau
-        count, span = len(mine), float(np.ptp(time)) if len(mine) else 0.0
+        own_rows = np.flatnonzero(residuals.velocity[:, e])
+        time, gain, plateau = residuals.time[own_rows], residuals.gain[:, e], residuals.plateau
+        count, span = len(own_rows), float(np.ptp(time)) if len(own_rows) else 0.0
         power = 0.0
         if fitted and count >= max(_MIN_PLATEAUS, 2 * fitted) and span > 0.0:
             trend = gain * ((residuals.time - time.mean()) / span)[plateau]
@@ -145,11 +150,11 @@ def drifts_of(residuals: Residuals, free: Mask) -> list[Drift]:
         if power < 1e-9:
             found.append(Drift())
             continue
-        change = float(trend @ residuals.left) / power
-        left = residuals.left - change * trend
-        pull, weight = (np.bincount(plateau, values, len(residuals.time)) for values in (gain * left, gain**2))
-        along = (pull / np.sqrt(np.maximum(weight, 1e-300)))[mine[np.argsort(time, kind="stable")]]
-        # What a fitted level and trend take from the first autocorrelation is given back (Kendall 1954).
+        change = float(trend @ residuals.residual) / power
+        residual = residuals.residual - change * trend
+        pull, weight = (np.bincount(plateau, values, len(residuals.time)) for values in (gain * residual, gain**2))
+        along = (pull / np.sqrt(np.maximum(weight, 1e-300)))[own_rows[np.argsort(time, kind="stable")]]
+        # The fit of level and trend biases the first autocorrelation low, which is corrected (Kendall 1954).
         squares = float(along @ along)
         correlation = float(along[1:] @ along[:-1]) / max(squares, 1e-300)
         correlation = min(max((count * correlation + 2.0) / (count - 4), 0.0), 0.95)
@@ -162,7 +167,7 @@ def drifts_of(residuals: Residuals, free: Mask) -> list[Drift]:
 
 @dataclass(frozen=True, eq=False)
 class CurvePoints:
-    """Measured against fitted friction torque of one element, one point for each of p plateaus.
+    """Measured and fitted friction torque of one element, one point for each of p plateaus.
 
     Attributes:
         velocity: rad/s, shape (p,).
@@ -171,7 +176,7 @@ class CurvePoints:
         fitted: torque by the identified parameters, Nm, shape (p,).
         time: in the series, s, shape (p,).
         line: the identified curve over the measured speeds, in either direction: velocity, torque, and the standard
-            deviation of the torque that follows from that of the parameters, shape (3, k).
+            deviation of the torque due to the parameters, shape (3, k).
     """
 
     velocity: Array
@@ -184,16 +189,16 @@ class CurvePoints:
 
 @dataclass(frozen=True, eq=False)
 class FitQuality:
-    """How well one element's curve fits its plateaus.
+    """Goodness of fit of one element's curve.
 
     Attributes:
         rms: of the plateaus' residual torque, Nm.
         friction: RMS friction torque, Nm.
-        chi2: sum of the squared residuals over those of the blocks' noise, for each degree of freedom; 1 where nothing
-            but that noise is left.
+        chi2: sum of the squared residuals over those of the blocks' noise, for each degree of freedom; 1 for noise
+            alone.
         bands: slowest and fastest speed, rad/s, mean residual along the motion, Nm; shape (k, 3).
-        agreement: of the residuals at neighbouring speeds, as of `misfits_of`.
-        widening: largest factor on the deviation of a parameter because of it, 1 without a misfit.
+        agreement: correlation of the residuals at neighbouring speeds, as in `misfits_of`.
+        widening: largest factor on the deviation of a parameter due to a misfit, 1 without one.
         drift: of the friction torque over the series.
     """
 
@@ -229,7 +234,7 @@ class FitQuality:
         return self.rms / self.friction if self.friction > 0.0 else math.nan
 
     def lines(self, name: str) -> list[str]:
-        """Return it in words for an element: how well the curve fits, and drift where there is some."""
+        """Return lines for an element: the goodness of its fit, and a drift if there is one."""
         text = f"fit of {name}: residual {self.rms:.3g} Nm RMS, {self.share:.2%} of its friction, chi2 {self.chi2:.3g}"
         text += " per degree of freedom"
         if self.misfit:
@@ -243,7 +248,7 @@ class FitQuality:
 
     @property
     def drift_text(self) -> str:
-        """Return how large the drift is."""
+        """Return the size of the drift in words."""
         drift, share = self.drift, self.drift.size / self.friction if self.friction > 0.0 else math.nan
         if math.isnan(drift.size):
             return "unknown: too few stretches"

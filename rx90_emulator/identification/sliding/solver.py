@@ -2,13 +2,13 @@
 
 A block gives, joint by joint, drive torque - rigid torque = E^T f + Y p with the friction torques f of the
 elements and errors p of the inertial parameters (an unknown payload, a wrong mass). The torque of an element that
-sticks is unknown, so only combinations of joints are kept in which no such element acts: the columns of N with
-E_stuck N = 0. With joints 5 and 6 turning against each other, element 7 sticks, and the one combination left for it
+sticks is unknown, so only combinations of joints are used in which no such element acts: the columns of N with
+E_stuck N = 0. With joints 5 and 6 turning against each other, element 7 sticks, and the only remaining combination
 is the difference of the two torques.
 
 An element has one velocity in a plateau, hence one torque. The equations are linear in these torques f and in the
 nuisance parameters p. Eliminating p leaves a quadratic form in f, the normal equations, which is sufficient for the
-friction. It is small, so the non-linear fit of the curves costs nothing.
+friction. It is small, so the non-linear fit of the curves takes hardly any time.
 
 With dz/dt = 0, equations 17 to 19 leave f = sign(v) [tau_c + d exp(-(|v| / omega_s)^delta) + c2 |v|^alpha] with the
 Stribeck rise d = tau_s - tau_c. Written in d and in the logarithms of omega_s, delta and alpha, the bounds
@@ -146,10 +146,10 @@ def _unloaded(stuck: Array) -> Array:
 class _Weights:
     """A transformation of the equations to unit noise (random effects, quasi-demeaning).
 
-    Besides noise from block to block, all blocks of a plateau share an error (ripple, temperature, an arm that is not
-    quite rigid). With variances s^2 of a block and t^2 of a plateau of m blocks, the equations less the share
+    Besides noise from block to block, all blocks of a plateau have a common error (ripple, temperature, an arm that is
+    not quite rigid). With variances s^2 of a block and t^2 of a plateau of m blocks, the equations less the share
     1 - s / sqrt(s^2 + m t^2) of their plateau's mean, over s, have unit noise. As the equations are scaled, t^2 grows
-    with the samples in a block. At first all of the noise is that of the samples.
+    with the samples in a block. At first all of the noise is taken as that of the samples.
     """
 
     def __init__(self, rows: SlidingRows) -> None:
@@ -163,26 +163,26 @@ class _Weights:
         self.factor = np.ones(len(rows.value))  # of each row, 1 / s and Huber's weight
 
     def update(self, residual: Array, leverage: Array) -> None:
-        """Find the weights by the variance components of residuals (r,), with the leverage of the clusters' means."""
+        """Estimate the weights by the variance components of residuals (r,), with the leverage of clusters' means."""
         cluster, count, rows = self.cluster, self.count, self._rows
         mean = np.bincount(cluster, residual) / count
-        # The shared error of a plateau is a torque, and the equations of long blocks are scaled up.
+        # The common error of a plateau is a torque, and the equations of long blocks are scaled up.
         power = np.bincount(cluster, rows.scale**2)
         inner = residual - mean[cluster]
-        # Bessel's correction; a plateau of one block has no distance from its mean, and is left out.
+        # Bessel's correction; a plateau of one block equals its mean, and is excluded.
         several = count[cluster] > 1
-        apart = inner / np.sqrt(1.0 - 1.0 / np.where(several, count[cluster], np.inf))
+        corrected = inner / np.sqrt(1.0 - 1.0 / np.where(several, count[cluster], np.inf))
         group = rows.group[self.first]
         for g in np.unique(group):
-            inside, mine = rows.group == g, group == g
-            known = apart[inside & several]
+            inside, of_group = rows.group == g, group == g
+            known = corrected[inside & several]
             # Without such plateaus the noise is that of the samples, by which the equations are scaled.
             noise = max(_robust_sd(known), 1e-9) if len(known) else 1.0
             # The mean square of the residuals' means is (1 - leverage) (s^2 / m + t^2).
-            left = np.maximum(_MIN_RESIDUAL_LEVERAGE, 1.0 - leverage[mine])
-            excess = np.sum(count[mine] * mean[mine] ** 2) - noise**2 * np.sum(left)
-            common = max(0.0, float(excess / np.sum(power[mine] * left)))
-            self.share[mine] = 1.0 - noise / np.sqrt(noise**2 + power[mine] * common)
+            residual_share = np.maximum(_MIN_RESIDUAL_LEVERAGE, 1.0 - leverage[of_group])
+            excess = np.sum(count[of_group] * mean[of_group] ** 2) - noise**2 * np.sum(residual_share)
+            common = max(0.0, float(excess / np.sum(power[of_group] * residual_share)))
+            self.share[of_group] = 1.0 - noise / np.sqrt(noise**2 + power[of_group] * common)
             size = np.abs(inner[inside]) / noise
             self.factor[inside] = np.sqrt(np.minimum(1.0, _HUBER_SD / np.maximum(size, 1e-12))) / noise
 
@@ -202,7 +202,7 @@ class _Weights:
         return csr_array(_diagonal(self.factor) @ less)
 
     def design_effect(self, residual: Array) -> Array:
-        """Return Kish's design effect of plateaus at one speed, whatever their pose and direction, on each row (r,).
+        """Return Kish's design effect of plateaus at one speed, in any pose and direction, for each row (r,).
 
         Ripple depends on the speed and changes its sign with it, so the errors of plateaus at one speed are correlated.
         The variance of an estimate is that with independent plateaus, times the sum of S^2 over the speeds over the sum
@@ -216,11 +216,13 @@ class _Weights:
             level = np.round(np.log(np.abs(velocity)) / _SPEED_CLASS_WIDTH)
         factor = np.ones(len(residual))
         for g in np.unique(group):
-            mine = np.flatnonzero((group == g) & (velocity != 0.0))
-            number = np.unique(np.column_stack([source[mine], level[mine]]), axis=0, return_inverse=True)[1].ravel()
-            power = float(np.sum(along[mine] ** 2))
+            of_group = np.flatnonzero((group == g) & (velocity != 0.0))
+            number = np.unique(np.column_stack([source[of_group], level[of_group]]), axis=0, return_inverse=True)[
+                1
+            ].ravel()
+            power = float(np.sum(along[of_group] ** 2))
             if power > 0.0:
-                together = float(np.sum(np.bincount(number, along[mine]) ** 2))
+                together = float(np.sum(np.bincount(number, along[of_group]) ** 2))
                 factor[rows.group == g] = max(1.0, together / power)
         return factor
 
@@ -263,7 +265,7 @@ def natural(parameters: Array) -> dict[str, float]:
 
 
 def natural_jacobian(parameters: Array) -> Array:
-    """Return the derivatives of what `natural` returns by the parameters of the fit, shape (8, 8)."""
+    """Return the derivatives of the result of `natural` by the parameters of the fit, shape (8, 8)."""
     matrix = np.zeros((SIZE, SIZE))
     matrix[0, 0] = matrix[1, 1] = matrix[2, 0] = matrix[2, 2] = matrix[3, 1] = matrix[3, 3] = matrix[6, VISCOUS] = 1.0
     matrix[4, 5], matrix[5, 6], matrix[7, EXPONENT] = np.exp(parameters[SHAPE.start :])
@@ -288,9 +290,10 @@ class CurveFit:
         at_bound: free parameters that lie on a bound, shape (n_el, 8).
         residual: of the equations, shape (r,).
         noise: standard deviation of each row over the one that it was scaled by, shape (r,).
-        common: intraclass correlation: share of the variance of a plateau's mean that its blocks share, shape (r,).
-        design_effect: Kish's factor on the variance because plateaus at one speed err together, shape (r,).
-        agreement, widening: whether each element's curve fits, and how much wider that makes the variances, as of
+        common: intraclass correlation: share of the variance of a plateau's mean that is common to its blocks, shape
+            (r,).
+        design_effect: Kish's factor on the variance due to the correlation of plateaus at one speed, shape (r,).
+        agreement, widening: misfit of each element's curve and the factor on the variances due to it, as in
             `misfits_of`, shapes (n_el,) and (n_el, 8).
         drifts: of each element's friction over the series.
     """
@@ -317,7 +320,7 @@ class CurveFit:
         self.at_bound = free & (inside < _BOUND_MARGIN)
         self.residual, self.nuisance = self._left(), self._nuisance(self._torques(self.parameters))
         slope = self._slope(self.parameters)
-        # The covariance of the free parameters is huge for what is not identifiable.
+        # The covariance of the free parameters is huge for those that are not identifiable.
         jacobian = np.vstack([self._root @ slope, self._ties()])
         scale = np.linalg.norm(jacobian, axis=0)
         scale[scale == 0.0] = 1.0
@@ -342,8 +345,7 @@ class CurveFit:
         their covariance at given torques is spread @ spread^T.
         """
         value, friction = operator @ self.rows.value[:, None], operator @ self._design
-        # By an orthogonal basis (QR): normal equations in nuisance parameters as badly scaled as these would lose all
-        # digits.
+        # By an orthogonal basis (QR): normal equations in such badly scaled nuisance parameters would lose all digits.
         basis, upper = _basis(operator @ self.rows.nuisance)
         along = np.hstack([basis.T @ value, basis.T @ friction])
         form = (friction.T @ friction).toarray() - along[:, 1:].T @ along[:, 1:]
@@ -358,10 +360,10 @@ class CurveFit:
         return np.asarray(self._back[:, 0] - self._back[:, 1:] @ torques)
 
     def _residuals(self, operator: csr_array, slope: Array) -> Residuals:
-        """Return what the fit leaves, by the derivatives of the equations by the free parameters, shape (r, q)."""
-        rows, left = self.rows, np.asarray(operator @ self.residual)
+        """Return the residuals of the fit, with the equations' derivatives by the free parameters, shape (r, q)."""
+        rows, residual = self.rows, np.asarray(operator @ self.residual)
         number = np.asarray(np.unique(rows.plateau, return_inverse=True)[1], dtype=np.int64)
-        gather = csr_array((np.ones(len(left)), (number, np.arange(len(left)))))
+        gather = csr_array((np.ones(len(residual)), (number, np.arange(len(residual)))))
         slides = rows.gain != 0.0
         shared = np.maximum(np.asarray(gather @ slides.astype(np.float64)), 1.0)
         gain = np.asarray(operator @ (np.sign(rows.velocity) * rows.gain))
@@ -369,18 +371,18 @@ class CurveFit:
         both = np.hstack([np.asarray(operator @ slope), gain])
         both = both - basis @ (basis.T @ both)
         return Residuals(
-            left=left,
+            residual=residual,
             slope=both[:, : slope.shape[1]],
             gain=both[:, slope.shape[1] :],
             plateau=number,
             velocity=np.asarray(gather @ (rows.velocity * slides)) / shared,
-            along=np.asarray(gather @ (gain * left[:, None])) / np.sqrt(np.maximum(gather @ gain**2, 1e-300)),
+            along=np.asarray(gather @ (gain * residual[:, None])) / np.sqrt(np.maximum(gather @ gain**2, 1e-300)),
             time=np.asarray(gather @ rows.time) / np.bincount(number),
         )
 
     @cached_property
     def exponent_score(self) -> Array:
-        """Return how far, in standard deviations, a Gauss-Newton step moves each exponent from 1, shape (n_el,).
+        """Return by how many standard deviations a Gauss-Newton step moves each exponent from 1, shape (n_el,).
 
         It is 0 where the exponent is free already.
         """
@@ -389,7 +391,7 @@ class CurveFit:
         root, parameters = self._root, self.parameters
         added = root @ self._slope(parameters, exponent)
         basis = np.linalg.qr(root @ self._slope(parameters))[0]
-        # What the other parameters do not explain (Frisch, Waugh and Lovell).
+        # The part that the other parameters do not explain (Frisch, Waugh and Lovell).
         added -= basis @ (basis.T @ added)
         residual = self._target - root @ self._torques(parameters)
         normal = np.linalg.pinv(added.T @ added, hermitian=True)
@@ -413,9 +415,9 @@ class CurveFit:
         """Return the derivatives of the friction torques by the free, or the chosen, parameters, shape (c, p)."""
         parts = []
         chosen = self.free if chosen is None else chosen
-        for columns, values, mine in zip(self._columns, parameters, chosen, strict=True):
-            part = np.zeros((len(self._velocity), int(mine.sum())))
-            part[columns] = torque_jacobian(self._velocity[columns], values)[:, mine]
+        for columns, values, free in zip(self._columns, parameters, chosen, strict=True):
+            part = np.zeros((len(self._velocity), int(free.sum())))
+            part[columns] = torque_jacobian(self._velocity[columns], values)[:, free]
             parts.append(part)
         return np.hstack(parts)
 
@@ -470,8 +472,8 @@ class CurveFit:
     def _ties(self) -> Array:
         """Return equations tau_c+ = tau_c- for the elements beyond the joints, shape (n_el - n or less, p).
 
-        The difference of the two is a constant torque. Constants k of the elements act on the joints as E^T k, whatever
-        sticks or slides, so n_el - n of them are not identifiable by any motion.
+        The difference of the two is a constant torque. Constants k of the elements act on the joints as E^T k, for any
+        motion, so n_el - n of them are not identifiable.
         """
         column = np.cumsum(self.free.ravel()).reshape(self.free.shape) - 1
         joints = len(self.rows.directions) // 10
@@ -484,7 +486,7 @@ class CurveFit:
 
 
 def _basis(nuisance: Array) -> tuple[Array, Array]:
-    """Return Q and R of the nuisance columns with the rows of their prior, of Q only the rows of the equations."""
+    """Return Q and R of the nuisance columns with the rows of their prior; Q has only the rows of the equations."""
     basis, upper = np.linalg.qr(np.vstack([nuisance, np.eye(nuisance.shape[1])]))
     return basis[: len(nuisance)], upper
 
@@ -495,5 +497,5 @@ def _leverage(slope: Array, nuisance: Array) -> Array:
     prior = np.hstack([np.zeros((count, slope.shape[1])), np.eye(count)])
     matrix = np.vstack([np.hstack([slope, nuisance]), prior])
     size = np.linalg.norm(matrix, axis=0)
-    left, values, _ = np.linalg.svd(matrix / np.where(size > 0.0, size, 1.0), full_matrices=False)
-    return np.asarray(np.sum(left[: len(slope), values > 1e-10 * values[0]] ** 2, axis=1))
+    left_vectors, values, _ = np.linalg.svd(matrix / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    return np.asarray(np.sum(left_vectors[: len(slope), values > 1e-10 * values[0]] ** 2, axis=1))

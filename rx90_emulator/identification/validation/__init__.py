@@ -1,1 +1,1 @@
-"""What bags that were not used say of an arm's friction: torques along them, and the closed loop along their path."""
+"""Validation by bags that were not used: torques along them, and the closed loop along their path."""

@@ -1,4 +1,4 @@
-"""Simulate what a measured arm did, in the closed loop without ROS, and compare torques and positions."""
+"""Simulate the motion of a measured arm in the closed loop without ROS, and compare torques and positions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array, Mask
-from rx90_common.base.entries import MOST_JOINTS
+from rx90_common.base.entries import MAX_JOINTS
 from rx90_common.base.errors import ConfigError, IdentificationError, TrajectoryError, check_type
 from rx90_common.base.quoting import listed
 from rx90_common.base.rates import NANOSECONDS
@@ -54,20 +54,20 @@ from rx90_emulator.loop.result import FastSeries, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
 
 REFERENCE = "rx90_controller/reference"
-_HOLD_S = 0.5  # s at rest before a motion, in which the integrators take the arm's weight
-_MIN_LEAD_S = 0.5  # s, least time in which the arm gets the velocity that a record begins with
+_HOLD_S = 0.5  # s at rest before a motion, in which the integrators take over the arm's weight
+_MIN_LEAD_S = 0.5  # s, least time for reaching the velocity at the beginning of a record
 _REST_SPEED = 1e-6  # rad/s, of a set-point
 _RANGE_SLACK = 1e-5  # of a range: times are whole nanoseconds
-_MAX_GAP_PERIODS = 3.5  # periods between set-points that still are interpolated
+_MAX_GAP_PERIODS = 3.5  # longest gap between set-points that is interpolated, in periods
 
 _OTHER_ARMS = (
-    f"the closed loop simulates arms of 1 to {MOST_JOINTS} revolute joints in series, by drives, friction and "
+    f"the closed loop simulates arms of 1 to {MAX_JOINTS} revolute joints in series, by drives, friction and "
     "controller files; for the torque of another arm: rx90_identify --friction FILE --validation BAG --urdf URDF"
 )
 
 
 def simulated_setup(files: RobotFiles) -> Setup:
-    """Return the setup of a robot's files; refuse an arm of another structure with what can be done for it.
+    """Return the setup of a robot's files; refuse an arm of another structure, naming what is possible for it.
 
     Raises:
         ConfigError: naming file and what is accepted.
@@ -88,7 +88,7 @@ def simulated_setup(files: RobotFiles) -> Setup:
 
 
 def _bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
-    """Return what to read of a bag; refuse that of another arm, whose first message names none of its joints."""
+    """Return the layout of a bag; refuse the bag of another arm, whose first message names none of its joints."""
     check_robot(bag, setup.robot.model.name)
     joints = setup.robot.joint_names
     options, mapping = with_signals(options, [bag])
@@ -114,15 +114,14 @@ class MeasuredComparison:
         simulated_torque: Nm, shape (k, n).
         position: measured, rad, shape (k, n).
         simulated_position: rad, shape (k, n).
-        compared: where a joint's torque is compared: not at rest, where it depends on what happened before,
-            shape (k, n).
-        lag: by how much the simulated motion was later than the measured one, s; it is taken out of the series.
+        compared: where a joint's torque is compared: not at rest, where it depends on the earlier motion, shape (k, n).
+        lag: delay of the simulated against the measured motion, s; the series are shifted by it.
         bandwidths: of the set-points, and of torques and positions here.
-        setpoints: where the set-points come from, in words.
+        setpoints: source of the set-points, in words.
         paths: path errors along the set-points, measured and simulated.
         saturated: share of the time in which each motor was at its limit in the simulation, shape (n,).
-        remarks: what else there is to say, a sentence each.
-        tolerances: what counts as agreement.
+        remarks: further notes, a sentence each.
+        tolerances: limits for agreement.
     """
 
     names: tuple[str, ...]
@@ -144,7 +143,7 @@ class MeasuredComparison:
 
     @cached_property
     def agreement(self) -> TorquePrediction:
-        """Return the torques, as a validation of friction compares them."""
+        """Return the torques in the form in which a validation of friction compares them."""
         return TorquePrediction(self.time, self.torque, self.simulated_torque, self.compared)
 
     torque_rms = property(attrgetter("agreement.rms"), doc="RMS torque difference, Nm, shape (n,); NaN at rest.")
@@ -170,7 +169,7 @@ class MeasuredComparison:
 
     @property
     def criteria(self) -> tuple[Criterion, Criterion, Criterion]:
-        """Return what the verdict rests on: torques of all joints and of each, and positions."""
+        """Return the criteria of the verdict: torques of all joints and of each, and positions."""
         limits = self.tolerances
         return (
             Criterion("torque RMS of all joints", self.total_share, limits.total_torque),
@@ -184,10 +183,10 @@ class MeasuredComparison:
         return all(one.passed for one in self.criteria)
 
 
-_MAX_BANDWIDTH_SHARE = 0.3  # bandwidth of the set-points over the rate of the position loop, at most
-_MAX_LAG_S = 0.1  # s, by which the simulated motion may be later or earlier
-_MIN_TRAVEL = 2e-3  # rad, some times the presliding travel of a joint: who stays within it rests
-_LAG_ROUNDS = 4  # of the search for that time
+_MAX_BANDWIDTH_SHARE = 0.3  # largest bandwidth of the set-points over the rate of the position loop
+_MAX_LAG_S = 0.1  # s, largest lag or lead of the simulated motion
+_MIN_TRAVEL = 2e-3  # rad, several times the presliding travel of a joint; a joint that moves less is at rest
+_LAG_ROUNDS = 4  # iterations of the search for the lag
 _DEFAULT_LAYOUT = MeasuredLayout()
 _DEFAULT_TOLERANCES = MeasuredTolerances()
 
@@ -201,23 +200,23 @@ def compare_measured(
     bandwidth: float | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> MeasuredComparison:
-    """Run the closed loop along what a measured arm did and compare torques and positions with the measured ones.
+    """Run the closed loop along the motion of a measured arm and compare torques and positions with the measured ones.
 
-    Set-points are those of this project's controller where the bag holds them, else the measured path, smoothed
-    without delay, with the velocities and accelerations that belong to it. Both runs pass the same zero-phase low-pass.
+    Set-points are those of this project's controller if the bag contains them, else the measured path, smoothed without
+    delay, with its velocities and accelerations. Both runs pass the same zero-phase low-pass.
 
     Args:
         bag: of an arm of this project's structure, with positions and efforts of its joints or motors.
         setup: the robot to simulate.
-        layout: what the bag holds.
-        tolerances: what counts as agreement.
-        bandwidth: of the measured path as set-points, Hz, a third of it for torques and positions that are compared;
-            by default chosen from the data, as for an identification.
+        layout: the contents of the bag.
+        tolerances: limits for agreement.
+        bandwidth: of the measured path as set-points, Hz; a third of it for the compared torques and positions. By
+            default chosen from the data, as for an identification.
         progress: called with the name of each of three steps before it.
 
     Raises:
         BagError: for a bag that cannot be read.
-        IdentificationError: for a bag or options that do not fit, or a bag in which nothing moves.
+        IdentificationError: for a bag or options that contradict each other, or a bag in which nothing moves.
         TrajectoryError: for a path beyond a joint's range, naming joint, value, time and range.
         DivergenceError: naming joint and tick.
         SupervisionError: if the controller's supervision cuts the power.
@@ -229,10 +228,10 @@ def compare_measured(
     record = read_record(path, what)
     pieces = filter_record(record, _bandwidths(record, setup, bandwidth))
     run = max(pieces, key=lambda piece: len(piece.time))
-    # A joint moves where every motor and friction element moves that it turns.
+    # A joint counts as moving if every motor and friction element that it turns is moving.
     matrix = setup.drives.turning.element_matrix
-    rests = element_states(run, matrix)[0] @ (matrix != 0.0)
-    moves = np.asarray(~rests & (np.ptp(run.position, axis=0) > _MIN_TRAVEL))
+    resting = element_states(run, matrix)[0] @ (matrix != 0.0)
+    moves = np.asarray(~resting & (np.ptp(run.position, axis=0) > _MIN_TRAVEL))
     nothing = IdentificationError(
         f"{path}: no joint moves, and torques at rest are not compared; accepted: a joint that slides over "
         f"{1e3 * _MIN_TRAVEL:g} mrad or more"
@@ -245,7 +244,7 @@ def compare_measured(
     simulated, begin, end, saturated = _simulated(setup, setpoints, run)
     progress("comparison")
     time = run.time[run.rows]
-    rows = (time >= begin + _MAX_LAG_S) & (time <= end - _MAX_LAG_S)  # covered, however late the simulated arm is
+    rows = (time >= begin + _MAX_LAG_S) & (time <= end - _MAX_LAG_S)  # covered for any lag of the simulated arm
     if not rows.any():
         raise IdentificationError("measured and simulated run have no time in common; accepted: a longer bag")
     if not moves[rows].any():
@@ -284,7 +283,7 @@ def compare_measured(
 
 
 def _bandwidths(record: JointRecord, setup: Setup, bandwidth: float | None) -> Bandwidths:
-    """Return the bandwidths that the data, or the user, and the position loop's rate allow."""
+    """Return the bandwidths by the data, or by the user, as far as the position loop's rate allows."""
     highest = _MAX_BANDWIDTH_SHARE * setup.rates.position_hz
     if bandwidth is None:
         chosen = Bandwidths.of([record])
@@ -298,7 +297,7 @@ def _bandwidths(record: JointRecord, setup: Setup, bandwidth: float | None) -> B
 
 
 class _SetPoints(NamedTuple):
-    """What the simulated arm is to follow; times by the bag's stamps, s, before `begin` the arm is brought there."""
+    """Set-points for the simulated arm; times by the bag's stamps, s; before `begin` the arm moves to the first."""
 
     start: float
     values: Array  # position rad, velocity rad/s, acceleration rad/s^2, one for each position tick, shape (m, 3, n)
@@ -308,10 +307,10 @@ class _SetPoints(NamedTuple):
 
 
 def _recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, layout: BagLayout) -> _SetPoints | None:
-    """Return the set-points of this project's controller that a bag holds; None where it holds none.
+    """Return the set-points of this project's controller in a bag; None if it contains none.
 
-    A bag that begins at time 0 with an arm at rest is simulated as it ran, from its brakes on. `first` is where the
-    measured arm was at first, rad, shape (n,).
+    A bag that begins at time 0 with an arm at rest is simulated as it ran, from the release of its brakes on. `first`
+    is the first measured position, rad, shape (n,).
     """
     bag, period = run.source.path, setup.rates.position_period
     found = read_setpoints(bag, run.names, layout.zero, layout.mapping)
@@ -335,7 +334,7 @@ def _recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, layout: Ba
 
 
 def path_setpoints(run: FilteredRun, setup: Setup) -> _SetPoints:
-    """Return the smoothed measured path as set-points, with the velocities and accelerations that belong to it."""
+    """Return the smoothed measured path as set-points, with its velocities and accelerations."""
     period = setup.rates.position_period
     # From 0 on: stamps of the wall clock are rounded too much for accelerations.
     samples = np.arange(len(run.time)) / run.rate
@@ -347,24 +346,24 @@ def path_setpoints(run: FilteredRun, setup: Setup) -> _SetPoints:
 
 
 def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> _SetPoints:
-    """Put a rest before set-points, and a motion from there to the velocity that they begin with."""
+    """Prepend a rest, and a motion from rest to the velocity of the first set-point."""
     period, limits = setup.rates.position_period, setup.controller.limits(setup.robot)
     position, velocity, _ = values[0]
     lasting = max(_MIN_LEAD_S, float(np.max(2.0 * np.abs(velocity) / limits.acceleration)))
     lead, hold = round(lasting / period), round(_HOLD_S / period)
-    rest = np.clip(position - 0.5 * lead * period * velocity, limits.lower, limits.upper)
-    rest = np.where(np.abs(velocity) < _REST_SPEED, position, rest)
-    still = np.stack([rest, 0.0 * rest, 0.0 * rest])
+    start_pose = np.clip(position - 0.5 * lead * period * velocity, limits.lower, limits.upper)
+    start_pose = np.where(np.abs(velocity) < _REST_SPEED, position, start_pose)
+    still = np.stack([start_pose, 0.0 * start_pose, 0.0 * start_pose])
     curve, time = BPoly.from_derivatives([0.0, lead * period], np.stack([still, values[0]])), np.arange(lead) * period
     moving = np.stack([curve(time, nu) for nu in range(3)], axis=1)
     whole = np.ascontiguousarray(np.concatenate([np.broadcast_to(still, (hold, *still.shape)), moving, values]))
-    return _SetPoints(begin - (hold + lead) * period, whole, begin, rest, source)
+    return _SetPoints(begin - (hold + lead) * period, whole, begin, start_pose, source)
 
 
 def _beyond(setpoints: _SetPoints, bag: Path, setup: Setup) -> tuple[str, ...]:
     """Return a sentence for velocities, and one for accelerations, that the controller would refuse.
 
-    A measured arm did move so: they are simulated all the same, up to what the controller's supervision stops.
+    The measured arm did move so: these are simulated nevertheless, up to the limits of the controller's supervision.
     Positions beyond a joint's range are refused.
     """
     limits, found = setup.controller.limits(setup.robot), []
@@ -391,13 +390,13 @@ def _beyond(setpoints: _SetPoints, bag: Path, setup: Setup) -> tuple[str, ...]:
 
 
 def _simulated(setup: Setup, setpoints: _SetPoints, run: FilteredRun) -> tuple[BSpline, float, float, Array]:
-    """Return the simulated run through the low-pass of the measured one.
+    """Return the simulated run, filtered by the low-pass of the measured one.
 
     Returns:
-        Position rad and torque Nm by the time since the first set-point, shape (k, 2, n), first and last time that it
-        covers, by the bag's stamps, and the share of the time in which each motor was at its limit, shape (n,).
+        Position rad and torque Nm by the time since the first set-point, shape (k, 2, n), the first and last time
+        covered, by the bag's stamps, and the share of the time in which each motor was at its limit, shape (n,).
     """
-    # As often as it was measured: what a slow sampling folds into the band is then the same on both sides.
+    # Sampled at the measured rate: aliasing by slow sampling is then the same on both sides.
     rates, often = setup.rates, run.rate > 1.5 * setup.rates.position_hz
     fast, slow, saturated = run_along(setup, setpoints.values, setpoints.initial_position, record_fast=often)
     values, rate = slow.joint_states[:, ::2], float(rates.base_hz if often else rates.position_hz)
@@ -415,9 +414,9 @@ def _simulated(setup: Setup, setpoints: _SetPoints, run: FilteredRun) -> tuple[B
 
 
 def _remarks(record: JointRecord, pieces: tuple[FilteredRun, ...], run: FilteredRun) -> tuple[str, ...]:
-    """Return what of the bag is not compared, and why."""
+    """Return which parts of the bag are not compared, and why."""
     found = []
-    cut = 2.0 * (1.5 / run.bandwidths.position + 12.0 / run.rate)  # what the filters take at both ends
+    cut = 2.0 * (1.5 / run.bandwidths.position + 12.0 / run.rate)  # cut off by the filters at both ends
     if len(pieces) > 1 or record.time[-1] - record.time[0] - (run.time[-1] - run.time[0]) > 1.5 * cut:
         found.append(
             f"there are gaps in the record: only {run.time[0]:.3f} to {run.time[-1]:.3f} s of {record.time[0]:.3f} to "
@@ -433,13 +432,13 @@ def _remarks(record: JointRecord, pieces: tuple[FilteredRun, ...], run: Filtered
 def read_setpoints(
     bag: Path, names: Sequence[str], zero: Array | None, mapping: LogMapping | None = None
 ) -> tuple[JointSeries, Array, Array] | None:
-    """Return the set-points of this project's controller that a bag holds; None where it holds none.
+    """Return the set-points of this project's controller in a bag; None if it contains none.
 
     Args:
         bag: the bag.
         names: of the joints.
-        zero: recorded angles where those of the URDF are 0, rad, shape (n,); they are taken off the positions.
-        mapping: what the columns of a table hold, where that is not in the file beside it.
+        zero: recorded angles in the zero pose of the URDF, rad, shape (n,); they are subtracted from the positions.
+        mapping: the columns of a table, if the file beside it does not state them.
 
     Returns:
         The series as it is in the bag, positions rad and velocities rad/s, shape (m, n).
@@ -453,7 +452,7 @@ def read_setpoints(
 
 
 def setpoint_rows(position: Array, velocity: Array, setup: Setup) -> Array:
-    """Return set-points at the position loop's rate with the accelerations that belong to them, shape (m, 3, n)."""
+    """Return set-points at the position loop's rate with their accelerations, shape (m, 3, n)."""
     acceleration = np.gradient(velocity, setup.rates.position_period, axis=0)
     return np.ascontiguousarray(np.stack([position, velocity, acceleration], axis=1))
 
@@ -464,8 +463,8 @@ def run_along(
     """Run the closed loop along set-points, shape (m, 3, n), from rest at `start`, rad, shape (n,).
 
     Returns:
-        What the base rate and the position loop's rate recorded, and the share of the ticks in which each motor was at
-        its limit, shape (n,).
+        The records at the base rate and at the position loop's rate, and the share of the ticks in which each motor was
+        at its limit, shape (n,).
     """
     ticks = len(setpoints) * setup.rates.ratio
     plant, controller = setup.plant(), setup.cs7b()

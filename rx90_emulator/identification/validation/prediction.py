@@ -1,8 +1,8 @@
-"""The verdict on friction by a bag that was not used for it: the drives' torques, and the path of the tip.
+"""The verdict on friction by an unused bag: the drives' torques, and the path of the tip.
 
-Torques are predicted by what is written, for a given friction file and for one that was just identified alike: the
-rigid arm, and the elements' bristles along the recorded motion. Recorded and predicted torques pass one low-pass and
-are compared at the rows of excitation runs: where the joint moves, reversals included, and no element on it rests.
+Torques are predicted by the values in the files, for a given friction file and for a new one alike: rigid arm, and the
+elements' bristles along the recorded motion. Recorded and predicted torques pass one low-pass and are compared at the
+rows of excitation runs: where the joint moves, reversals included, and no element on it rests.
 """
 
 from __future__ import annotations
@@ -51,25 +51,25 @@ from rx90_emulator.identification.validation.verdict import (
 from rx90_emulator.identification.zeros import ZeroCheck, check_zeros, record_instants
 
 _NO_PAYLOADS: Mapping[Path, Payload | None] = MappingProxyType({})
-_MAX_WEIGHT_SD = 0.05  # standard deviation over RMS torque up to which a joint's error of the weights is applied
-_BRISTLE_STEP_S = 1e-3  # s, over which a velocity is held, at most
-_MAX_BANDWIDTH_OVER_RATE = 0.3  # of the positions, where a bag is slower than those that a file was identified from
+_MAX_WEIGHT_SD = 0.05  # standard deviation over RMS torque up to which a joint's error of the weights is corrected
+_BRISTLE_STEP_S = 1e-3  # s, longest step of constant velocity
+_MAX_BANDWIDTH_OVER_RATE = 0.3  # of the positions, if a bag is slower than those of the identification
 
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """Recorded against predicted torques, and the recorded tip against the simulated one.
+    """Recorded and predicted torques, and the distance between recorded and simulated tip.
 
     Attributes:
         names: joints, n of them.
         torque: recorded and predicted torques of the joints.
-        tip_time: s, shape (k,); empty where the bag holds no set-points.
+        tip_time: s, shape (k,); empty if the bag contains no set-points.
         tip_distance: of the simulated from the recorded tip, m, shape (k,).
-        tolerances: what counts as agreement.
+        tolerances: limits for agreement.
         source: the bag.
-        zeros: what the torques say of the encoders' zeros, where a given friction is held against the bag.
-        unit: of the torques, which are currents where the friction was identified from currents.
-        notes: what of the bag was left out, where a given friction is held against it.
+        zeros: check of the encoders' zeros, if the bag is compared with a given friction.
+        unit: of the torques, which are currents if the friction was identified from currents.
+        notes: what was left out of the bag, if it is compared with a given friction.
     """
 
     names: tuple[str, ...]
@@ -104,7 +104,7 @@ class Validation:
 
     @property
     def criteria(self) -> tuple[Criterion, ...]:
-        """Return what the verdict rests on: torques of all joints and of each, and distance of the tips."""
+        """Return the criteria of the verdict: torques of all joints and of each, and distance of the tips."""
         limits, torque = self.tolerances, self.torque
         worst = largest("largest torque difference", self.names, torque.worst_share, limits.worst_torque)
         return (
@@ -115,14 +115,14 @@ class Validation:
 
     @property
     def passed(self) -> bool:
-        """Return whether everything that could be compared agrees."""
+        """Return whether every compared quantity agrees."""
         return all(one.passed for one in self.criteria)
 
 
 def filtered_runs(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths) -> tuple[FilteredRun, ...]:
-    """Return the runs of a record; of this project's plant with set-points, which real arms and tables do not have."""
+    """Return the filtered runs of a record; for this project's plant with set-points, which other logs do not have."""
     simulated, reference = _reference(record, robot)
-    # A torque of this project's plant is that of the tick that ends at its stamp; a real arm's is not.
+    # A torque of this project's plant belongs to the tick that ends at its stamp; a real arm's does not.
     lead = 0.0 if robot.plant_period is None or not simulated else 0.5 * robot.plant_period
     return filter_record(record, bandwidths, reference, lead)
 
@@ -148,7 +148,7 @@ def recorded_equations(
 def _reference(record: JointRecord, robot: RecordedRobot) -> tuple[bool, Array | None]:
     """Return whether a simulation wrote a bag, and its set-points at the record's times, shape (m, n).
 
-    They are None where they do not cover it, as for real arms and tables, which have none.
+    The set-points are None if they do not cover the record, as for real arms and tables, which have none.
     """
     found = None
     if robot.plant_period is not None and not is_table(record.source):
@@ -164,7 +164,7 @@ def _reference(record: JointRecord, robot: RecordedRobot) -> tuple[bool, Array |
 
 
 def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Bandwidths:
-    """Return those of an identification, as far as the bag's rate carries them; those of the bag where none are known.
+    """Return the bandwidths of an identification, limited by the bag's rate; without one, those of the bag.
 
     Raises:
         IdentificationError: if nothing moves.
@@ -174,16 +174,16 @@ def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Ban
     highest = _MAX_BANDWIDTH_OVER_RATE / float(np.median(np.diff(record.time)))
     if chosen.position <= highest:
         return chosen
-    said = f"{chosen.reason}; no more than {_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"
-    return chosen._replace(position=highest, torque=min(chosen.torque, highest / 3.0), reason=said)
+    reason = f"{chosen.reason}; no more than {_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"
+    return chosen._replace(position=highest, torque=min(chosen.torque, highest / 3.0), reason=reason)
 
 
 def written_torque(problem: ExcitationProblem, arm: RigidArm, elements: Sequence[FrictionElement]) -> Array:
-    """Return the torque of a problem's rows by what files hold, filtered like the recorded one, Nm, shape (r,).
+    """Return the torque of a problem's rows by the values in the files, filtered like the recorded one, Nm, shape (r,).
 
     Args:
-        problem: the rows; of its arm the kinematics.
-        arm: its twin with the links, rotors, springs and offsets of the files.
+        problem: the rows, and the arm's kinematics.
+        arm: the same arm with the links, rotors, springs and offsets of the files.
         elements: one for each of the arm's.
     """
     along = (
@@ -196,7 +196,7 @@ def written_torque(problem: ExcitationProblem, arm: RigidArm, elements: Sequence
 def drive_torque(
     arm: RigidArm, elements: Sequence[FrictionElement], motion: tuple[Array, Array, Array], step: float
 ) -> Array:
-    """Return what the drives give at the joints along a motion, friction included, Nm, shape (m, n).
+    """Return the drive torque at the joints along a motion, friction included, Nm, shape (m, n).
 
     Args:
         arm: of n joints.
@@ -212,11 +212,11 @@ def element_torque(elements: Sequence[FrictionElement], velocity: Array, step: f
     """Return the friction torque of elements at samples, from undeflected bristles on, Nm, shape (m, e).
 
     Args:
-        elements: e elements, of which nothing but friction law and bristles is seen.
+        elements: e elements; only friction law and bristles are used.
         velocity: of each at the samples, linear between them, rad/s, shape (m, e).
         step: between the samples, s.
     """
-    # Finer than the samples: within one of them at a reversal the bristles go a part of their way.
+    # Finer than the samples: within one sample at a reversal the bristles are deflected only partly.
     fine = max(1, math.ceil(step / _BRISTLE_STEP_S))
     share = (np.arange(fine) + 0.5)[:, None] / fine
     between = velocity[:-1, None] + share * np.diff(velocity, axis=0)[:, None]
@@ -235,15 +235,15 @@ def validate(
     sliding: SlidingFit | None = None,
     bandwidths: Bandwidths | None = None,
 ) -> Validation:
-    """Compare friction with a bag; the tip only for this project's robot, where set-points are in the bag.
+    """Compare friction with a bag; the tip only for this project's robot, if set-points are in the bag.
 
     Args:
         robot: that the bag comes from.
         elements: of its friction.
-        record: what was read of the bag.
-        tolerances: what counts as agreement, or a part of it; else what a bag with set-points of this project's
-            controller has to keep, or what all others have to.
-        sliding: fit that the elements come from; None for elements that are given.
+        record: read from the bag.
+        tolerances: limits for agreement, all or some; by default those for a bag with set-points of this project's
+            controller, or those for all others.
+        sliding: fit that the elements come from; None for given elements.
         bandwidths: of the runs that the elements were identified from; by default those of the bag.
 
     Raises:
@@ -260,7 +260,7 @@ def validate(
     tip_time, distance = _tip_difference(robot, elements, record)
     if not isinstance(tolerances, ValidationTolerances):
         tolerances = replace(EMULATED if len(distance) else RECORDED, **tolerances)
-    # With sweeps, these have been asked already.
+    # For sweeps, the zeros have been checked already.
     zeros = check_zeros(record_instants(record, robot.arm), robot.arm, robot.zero) if sliding is None else None
     (torque,) = run_torques(problem, predicted)
     names = tuple(name for name in record.names if name not in robot.followed)
@@ -270,9 +270,10 @@ def validate(
 def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationProblem) -> Array:
     """Return the torque of the arm's inertial errors at the rows, Nm, shape (r,); 0 for joints where it is uncertain.
 
-    Sweeps of some joints, or at one pose, leave the weights of other joints and at other poses undetermined. The
-    fit's error of them is then hundreds of Nm with a standard deviation as large, and the weights of the description
-    are better. Sweeps at constant velocity determine hardly anything of the inertias.
+    Sweeps of some joints, or at one pose, leave the weights of other joints and at other poses undetermined. Their
+    error in the fit is then hundreds of Nm with a standard deviation as large, and the weights of the description are
+    better.
+    Sweeps at constant velocity determine hardly anything of the inertias.
     """
     position = np.concatenate([run.position[run.rows] for run in problem.runs])
     recorded = np.concatenate([run.parallel(run.torque) for run in problem.runs])
@@ -288,9 +289,9 @@ def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationPro
 def _tip_difference(
     robot: RecordedRobot, lugre: tuple[FrictionElement, ...], record: JointRecord
 ) -> tuple[Array, Array]:
-    """Return time and distance of the tip of the closed loop, run along the recorded set-points, from the recorded one.
+    """Return time and distance between recorded tip and closed loop, run along the recorded set-points.
 
-    They are empty where that cannot be simulated; set-points with gaps are refused.
+    They are empty if that cannot be simulated; set-points with gaps are refused.
     """
     setup = robot.setup
     series = None if setup is None else read_setpoints(record.source, record.names, robot.zero, robot.mapping)

@@ -1,6 +1,6 @@
-"""Recorded against predicted torques of bags, and the verdict on them: each quantity with its joint, value and limit.
+"""Recorded and predicted torques of bags, and the verdict: each quantity with its joint, value and limit.
 
-Joints are compared where they move: the torque of a joint at rest depends on vibrations that no bag shows.
+Joints are compared while they move: the torque of a joint at rest depends on vibrations that no bag shows.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ class TorquePrediction:
 
 
 _DIFFERENCES, _DIFFERENCE_GAIN = 3, 20.0  # the third difference 1, -3, 3, -1 has 20 times the variance of white noise
-_NORMAL_MAD = 0.6745  # median of a standard normal's size
-_MAX_CHI_SQUARE = 1e4  # chi^2 up to which it tells something
+_NORMAL_MAD = 0.6745  # median of a standard normal's absolute value
+_MAX_CHI_SQUARE = 1e4  # chi^2 up to which it is meaningful
 
 
 class JointTorque(NamedTuple):
@@ -104,7 +104,7 @@ class JointTorque(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RunTorques(TorquePrediction):
-    """Recorded against predicted torques of one bag.
+    """Recorded and predicted torques of one bag.
 
     Attributes:
         names: n joints.
@@ -136,12 +136,12 @@ class RunTorques(TorquePrediction):
 
     @property
     def noiseless(self) -> Array:
-        """Return whether the noise is below a hundredth of the difference, shape (n,): chi^2 then tells nothing."""
+        """Return whether the noise is below a hundredth of the difference, shape (n,): chi^2 then has no meaning."""
         return np.asarray((self.rms > 0.0) & (self.noise < self.rms / math.sqrt(_MAX_CHI_SQUARE)))
 
 
 def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorques, ...]:
-    """Return the torques of each bag of a problem, of its identified joints; pieces of a bag are put together.
+    """Return the torques of each bag of a problem, for its identified joints; pieces of a bag are joined.
 
     Args:
         problem: r rows.
@@ -177,8 +177,8 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
 def torque_noise(run: FilteredRun) -> Array:
     """Return the standard deviation of the noise of the filtered torque, Nm, shape (n,).
 
-    The median third difference of the recorded torque tells the noise of a sample: motion is smooth between samples,
-    and the steps of friction are rare. Of white noise the filter passes the sum of its squared taps.
+    The median third difference of the recorded torque gives the noise of a sample: motion is smooth between samples,
+    and the steps of friction are rare. The filter passes the sum of its squared taps of white noise.
     """
     size = np.median(np.abs(np.diff(run.torque, _DIFFERENCES, axis=0)), axis=0)
     return np.asarray(size / (_NORMAL_MAD * math.sqrt(_DIFFERENCE_GAIN)) * math.sqrt(np.sum(run.taps**2)))
@@ -186,15 +186,15 @@ def torque_noise(run: FilteredRun) -> Array:
 
 @dataclass(frozen=True)
 class Criterion:
-    """A quantity that a verdict rests on.
+    """A quantity of a verdict.
 
     Attributes:
         quantity: in words.
         value: its largest value, NaN if it is not compared.
         limit: up to which it agrees.
-        joint: that has the value; "" for a quantity of the whole arm.
+        joint: joint with the value; "" for a quantity of the whole arm.
         unit: of the text: %, mrad or um.
-        digits: behind the point.
+        digits: after the decimal point.
     """
 
     quantity: str
@@ -222,7 +222,7 @@ class Criterion:
 def largest(
     quantity: str, names: Sequence[str], values: Array, limit: float, unit: str = "%", digits: int = 2
 ) -> Criterion:
-    """Return the criterion of the joint with the largest value; NaN stands for a joint that is not compared."""
+    """Return the criterion of the joint with the largest value; NaN means that a joint is not compared."""
     joint = int(np.argmax(np.nan_to_num(values, nan=-1.0)))
     return Criterion(quantity, float(values[joint]), limit, names[joint], unit, digits)
 
@@ -230,29 +230,29 @@ def largest(
 def torque_criteria(
     names: Sequence[str], total: float, share: Array, most: float, most_of_joint: float, by: str = ""
 ) -> tuple[Criterion, Criterion]:
-    """Return what every verdict on torques rests on: RMS difference over RMS torque of all joints, and of each.
+    """Return the criteria of every verdict on torques: RMS difference over RMS torque of all joints, and of each.
 
     Args:
         names: n joints.
         total: of all joints.
-        share: of each, NaN where it is not compared, shape (n,).
-        most: accepted of all joints.
-        most_of_joint: accepted of a single one.
-        by: behind the quantity, such as " by the files".
+        share: of each, NaN if it is not compared, shape (n,).
+        most: limit for all joints.
+        most_of_joint: limit for a single one.
+        by: suffix of the quantity, such as " by the files".
     """
     all_joints = Criterion(f"torque RMS of all joints{by}", total, most)
     return all_joints, largest(f"torque RMS of a joint{by}", names, share, most_of_joint)
 
 
 def verdict(source: object, words: tuple[str, str], *parts: Criterion | str) -> str:
-    """Return one sentence: the bag, the verdict in the first or the second words, and what decides.
+    """Return one sentence: the bag, the verdict in the first or the second words, and the decisive criteria.
 
-    What is beyond its limit stands before all that is not: that decided.
+    Exceeded limits come first, because they decide.
     """
     failed, kept = ([one.text for one in parts if isinstance(one, Criterion) and one.passed is good]
                     for good in (False, True))  # fmt: skip
-    said = [one for one in parts if isinstance(one, str)]
+    remarks = [one for one in parts if isinstance(one, str)]
     if not failed:
-        return f"{source}: {words[0]}: {'; '.join([', '.join(kept), *said])}"
+        return f"{source}: {words[0]}: {'; '.join([', '.join(kept), *remarks])}"
     within = [f"within the limits {', '.join(kept)}"] if kept else []
-    return f"{source}: {words[1]}: {'; '.join([', '.join(failed), *within, *said])}"
+    return f"{source}: {words[1]}: {'; '.join([', '.join(failed), *within, *remarks])}"

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from rx90_common.process.files import hidden_beside, write_text
+from rx90_common.process.files import hidden_folder, write_text
 
 _HOLDS = """
 import sys
 from pathlib import Path
-from rx90_common.process.files import hidden_beside
-with hidden_beside(Path(sys.argv[1])) as folder:
+from rx90_common.process.files import hidden_folder
+with hidden_folder(Path(sys.argv[1])) as folder:
     (folder / "half").write_text("made")
     print(folder, flush=True)
     sys.stdin.read()
@@ -33,7 +33,7 @@ def test_what_a_killed_process_left_is_swept_and_what_a_running_one_makes_is_not
             left = Path(holder.stdout.readline().strip())
             mine = tmp_path / ".table.csv.rx90-notes"  # a user's, whose name is another one
             mine.mkdir()
-            with hidden_beside(other) as beside:
+            with hidden_folder(other) as beside:
                 assert (left / "half").read_text() == "made"
                 write_text(target, "new")
                 assert beside.is_dir()
@@ -48,7 +48,7 @@ def test_many_at_once_do_not_sweep_each_other(tmp_path: Path) -> None:
     """Folders that are made, used and swept by many at the same time: each finds its own as it left it."""
 
     def make(number: int) -> str:
-        with hidden_beside(tmp_path / "same") as folder:
+        with hidden_folder(tmp_path / "same") as folder:
             (folder / "own").write_text(str(number))
             return (folder / "own").read_text()
 
@@ -59,6 +59,6 @@ def test_many_at_once_do_not_sweep_each_other(tmp_path: Path) -> None:
 
 def test_an_error_in_the_block_leaves_nothing(tmp_path: Path) -> None:
     """As the end of the block does."""
-    with pytest.raises(RuntimeError), hidden_beside(tmp_path / "file"):
+    with pytest.raises(RuntimeError), hidden_folder(tmp_path / "file"):
         raise RuntimeError
     assert not list(tmp_path.iterdir())

@@ -17,11 +17,11 @@ from typing import Any
 import pytest
 from processes import wait_until
 
-from rx90_common.process.interrupts import StopRequest, install_deferred_sigint, interrupts_later, stop_request
+from rx90_common.process.interrupts import StopRequest, deferred_interrupts, install_deferred_sigint, stop_request
 
 
 def _interrupted_block(reached: list[str], *, check: bool) -> None:
-    with interrupts_later() as check_interrupt:
+    with deferred_interrupts() as check_interrupt:
         signal.raise_signal(signal.SIGINT)
         reached.append("after the signal")
         if check:
@@ -44,7 +44,7 @@ def test_an_ignored_signal_stays_ignored() -> None:
     """Where a parent told the process to ignore Ctrl-C, the block does not take it up."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        with interrupts_later() as check:
+        with deferred_interrupts() as check:
             signal.raise_signal(signal.SIGINT)
             check()
     finally:

@@ -23,7 +23,7 @@ from schema_faults import schema_faults, validator
 from rx90_common.base.config import load_yaml
 from rx90_common.base.declared import Declared, declarations
 from rx90_common.base.entries import (
-    MOST_JOINTS,
+    MAX_JOINTS,
     REQUIRED,
     Entry,
     Integer,
@@ -260,7 +260,7 @@ def bad_values(entry: Entry) -> list[Any]:
     match entry:
         case Numbers():
             ends = (1.0, 0.5, 0.1, entry.low, entry.high)
-            count = entry.count or MOST_JOINTS
+            count = entry.count or MAX_JOINTS
             good = [next(x for x in ends if accepts(entry, (float(x),) * count))] * (count - 1)
             lengths = [good if entry.count else [], [*good, good[0], good[0]]]
             bad = [*WRONG_KINDS[:3], {}, *lengths, *([*good, one] for one in bad_numbers(entry))]
@@ -275,7 +275,7 @@ def bad_values(entry: Entry) -> list[Any]:
         case Texts():
             bad = ["text", None, [1], {}, *([[], ["a", "a"]] if entry.once else [])]
         case Rows():
-            count = entry.count or MOST_JOINTS
+            count = entry.count or MAX_JOINTS
             bad = [3.0, [], [[1.0] * (count + 1)], [["text"] * count]]
         case Other():
             bad = [value for value in (*WRONG_KINDS, math.nan, -1.0) if not entry.good(value)]

@@ -205,7 +205,7 @@ def test_an_arm_goes_on_where_the_engine_has_ended(shipped: Setup, task: rx.Line
     assert not why
     first = kept(learned, earlier, tmp_path / "0.yaml")
     assert first.worst == pytest.approx([*earlier.worst, 5.0 * engine], rel=0.02)
-    assert first.seen == ("encoders, engine",) * 2 + (record,)
+    assert first.measurements == ("encoders, engine",) * 2 + (record,)
     file, step = first, first.correction.offsets - earlier.correction.offsets
     for number, factor in enumerate((9.0, 8.0, 7.0)):
         learned, why = trial(factor, file)

@@ -219,7 +219,7 @@ def test_elements_that_share_joints_are_told_each() -> None:
         for name, value in ({} if kind is None else numbers_of(kind)).items():
             if name != "bristles.attraction":
                 assert estimates[name].value == pytest.approx(value, abs=0.12), name
-        measured, fitted = choice.best.seen
+        measured, fitted = choice.best.friction_torques
         assert np.std(measured - fitted) < 0.1 * np.std(measured)
 
 
@@ -346,13 +346,13 @@ def test_a_validation_holds_the_bristles(outcome: Outcome) -> None:
 
 def test_terminal_and_page_show_the_choice(outcome: Outcome) -> None:
     """A table of all kinds with the decision and how sure it is; progress names joint and kind and ends complete."""
-    assert "bristles of joint_4: elasto-plastic, told from the others by" in outcome.said
+    assert "bristles of joint_4: elasto-plastic, better than the others by" in outcome.said
     assert "bristles of joint_5, joint_6, joint_5_6: not compared: 0 micro-oscillations; 6 or more" in outcome.said
     assert "joint_4: elasto-plastic" in outcome.shown
     assert "| 54/54 [" in outcome.shown  # three bags, two fits, four joints and the wrist's 27 + 9, one validation
     text = outcome.file.with_suffix(".html").read_text(encoding="utf-8")
     assert "Kinds of bristles" in text
-    assert "told from the others by" in text
+    assert "better than the others by" in text
 
 
 SLIPPING = {"kind": "maxwell_slip", "stiffness": [0.61234567, 0.38765433], "share": [0.25, 0.75], "attraction": 5000.0}

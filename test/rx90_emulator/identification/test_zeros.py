@@ -67,7 +67,7 @@ def test_right_zeros_give_no_line(arm: RigidArm) -> None:
     """With links 10 % off and right zeros no alarm is raised in 6 series, nor for an axis along gravity."""
     checks = [check_zeros(recorded(arm, np.array([1.0, 0.0, 0.0]), seed), arm) for seed in range(6)]
     assert [check.text for check in checks] == [""] * 6
-    assert not any(check.told[0] for check in checks)
+    assert not any(check.identifiable[0] for check in checks)
 
 
 @pytest.mark.parametrize("seed", [1, 5, 9])

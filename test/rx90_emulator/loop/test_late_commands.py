@@ -205,7 +205,7 @@ def test_the_oldest_command_that_is_applied_is_harmless(
 ) -> None:
     """Commands as old as is accepted, always or in turns, leave deviation and torque of the motion as they are."""
     ideal, _ = run(shipped, constant(TICKS, 0))
-    worst, end = run(shipped, pattern(TICKS, held_command.MOST_AGE))
+    worst, end = run(shipped, pattern(TICKS, held_command.MAX_AGE))
     assert end == -1
     assert np.all(worst[0] < ideal[0] + 2e-5)
     assert np.all(worst[1] < 0.7 * shipped.drives.gear * shipped.drives.peak_torque)

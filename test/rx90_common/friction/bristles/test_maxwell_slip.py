@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristles.maxwell_slip import MOST_BLOCKS, maxwell_slip_step, maxwell_slip_torque
+from rx90_common.friction.bristles.maxwell_slip import MAX_BLOCKS, maxwell_slip_step, maxwell_slip_torque
 from rx90_common.friction.bristles.step import bristles_dtype
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 from rx90_common.friction.parts.bristles import MaxwellSlip, fill_bristles
@@ -38,7 +38,7 @@ def test_a_step_at_constant_velocity_is_exact(seed: int) -> None:
     blocks = MaxwellSlip(tuple(stiffness), tuple(share), 10.0 ** rng.uniform(2.0, 4.0))
     oracle = MaxwellSlipOracle(element, stiffness, share, blocks.attraction)
     compiled, arrays = one_element(element_arrays((element,))[0], 0), record_of(blocks)
-    state, forces = np.zeros((2, MOST_BLOCKS)), np.zeros(count)
+    state, forces = np.zeros((2, MAX_BLOCKS)), np.zeros(count)
     for sign in (1.0, 1.0, 1.0, -1.0, -1.0, 1.0):
         velocity, step = sign * 10.0 ** rng.uniform(-2.5, 0.7), 10.0 ** rng.uniform(-4.0, -2.2)
         forces, exact = oracle.hold(forces, velocity, step)
@@ -53,7 +53,7 @@ def test_a_step_at_constant_velocity_is_exact(seed: int) -> None:
 
 def test_a_slipping_block_that_moves_as_a_stuck_one_still_slips() -> None:
     """Slow steps in which the attraction asks for more than the velocity make no block stick: faster, it slips on."""
-    arrays, state, forces = record_of(BLOCKS), np.zeros((2, MOST_BLOCKS)), np.zeros(3)
+    arrays, state, forces = record_of(BLOCKS), np.zeros((2, MAX_BLOCKS)), np.zeros(3)
     oracle = MaxwellSlipOracle(ELEMENT, np.array(BLOCKS.stiffness), np.array(BLOCKS.share), BLOCKS.attraction)
     moved = []
     for velocity, step in ((1.0, 0.05), (1e-3, 1e-3), (2e-3, 2e-3), (0.05, 2e-3), (0.01, 1e-3)):
@@ -77,7 +77,7 @@ def test_every_velocity_gives_numbers_within_the_blocks_range(
 ) -> None:
     """No history gives NaN or a block beyond its share of the static torque."""
     arrays = record_of(MaxwellSlip(BLOCKS.stiffness, BLOCKS.share, attraction))
-    state = np.zeros((2, MOST_BLOCKS))
+    state = np.zeros((2, MAX_BLOCKS))
     for velocity in velocities:
         z, torque = maxwell_slip_step(COMPILED, arrays, 0, state, velocity, step)
         assert math.isfinite(torque)
@@ -97,7 +97,7 @@ def test_the_bound_of_c1_is_sharp() -> None:
     for c1, created in ((0.99 * bound, False), (1.01 * bound, True)):
         element = FrictionElement(tau, tau, 20.0 * tau, 20.0 * tau, 1e-3, 1.0, 1e5, c1, 0.0)
         compiled, step = one_element(element_arrays((element,))[0], 0), 1e-9
-        state = np.zeros((2, MOST_BLOCKS))
+        state = np.zeros((2, MAX_BLOCKS))
         state[0, 0], state[1, 0] = z0, _ = beyond * tau / 1e5, 1.0
         z, torque = maxwell_slip_step(compiled, arrays, 0, state, speed, step)
         dissipated = torque * speed * step - 0.5e5 * (z - z0) * (z + z0)

@@ -366,13 +366,13 @@ def test_a_gain_is_judged_by_paired_blocks(weighted: WeightedProblem) -> None:
     assert list(large.validations(small)) == ["blocks"]
     rows = np.bincount(time.block)
     uneven = np.where(np.arange(len(rows)) % 2, 0.9, 1.1) * rows  # a standard error of some percent
-    even, at = uneven * rows.sum() / uneven.sum(), large.left["blocks"]
+    even, at = uneven * rows.sum() / uneven.sum(), large.held_out["blocks"]
     for loss, accepted in ((0.0, True), (0.002, True), (0.2, False)):
-        worse = replace(large, left={"blocks": at, "runs": (rows * (1.0 + loss), 0.0)})
-        assert worse.better_than(replace(small, left={**small.left, "runs": (even, 0.0)})) is accepted
+        worse = replace(large, held_out={"blocks": at, "runs": (rows * (1.0 + loss), 0.0)})
+        assert worse.better_than(replace(small, held_out={**small.held_out, "runs": (even, 0.0)})) is accepted
     for gain, better in ((0.002, False), (0.2, True)):  # by blocks, with the same standard error
-        other = replace(large, left={"blocks": (rows * (1.0 - gain), 0.0)})
-        assert other.better_than(replace(small, left={"blocks": (even, 0.0)})) is better
+        other = replace(large, held_out={"blocks": (rows * (1.0 - gain), 0.0)})
+        assert other.better_than(replace(small, held_out={"blocks": (even, 0.0)})) is better
 
 
 RISING = (stribeck(2.0, 3.0, 0.1, 1.5), LAWS[1])

@@ -233,7 +233,7 @@ def test_a_known_payload_tells_the_drive_gains(tmp_path: Path) -> None:
     scaled = drive_gains(ExcitationProblem.of(rigid, other, carried), friction)
     assert scaled.factor == pytest.approx(400.0 * gains.factor, rel=1e-3)
     assert scaled.deviation.max() > 0.1
-    assert scaled.implausible.tolist() == scaled.told.tolist() == [0, 1, 2]
+    assert scaled.implausible.tolist() == scaled.identified.tolist() == [0, 1, 2]
     corrected = gains.applied(problem)
     columns = all_columns(corrected)
     fit = solve(corrected, columns)
@@ -263,7 +263,7 @@ def test_a_motor_whose_gain_is_lost_in_noise_keeps_it(tmp_path: Path) -> None:
     ]
     problem = ExcitationProblem.of(rigid, recorded, [None, body])
     gains = drive_gains(problem, coulomb_viscous(problem))
-    assert gains.told.tolist() == [0]
+    assert gains.identified.tolist() == [0]
     assert gains.factor == pytest.approx([1.1, 1.0], abs=3.0 * gains.deviation[0])
     assert gains.factor[1] == 1.0
     assert gains.deviation[1] == np.inf
