@@ -19,7 +19,7 @@ from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY
-from rx90_common.friction.parts.part import LEAST_SPEED
+from rx90_common.friction.parts.part import MIN_SPEED
 from rx90_emulator.identification.estimates import ElementEstimate, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.excitation.bodies import Consistency
 from rx90_emulator.identification.excitation.choice import ModelRow
@@ -338,7 +338,7 @@ def _element(known: Mapping[str, ParameterEstimate], other: FrictionElement | No
     found.setdefault("c0", mean / _PRESLIDING_DISTANCE if other is None else other.c0)
     found.setdefault("c1", found["c0"] * _BRISTLE_RELAXATION if other is None else other.c1)
     least = min(found["tau_c_positive"], found["tau_c_negative"])
-    fades = max(min(_DAMPING_FADE_SPEED, _PASSIVE_FADING * least / max(found["c1"], 1e-300)), LEAST_SPEED)
+    fades = max(min(_DAMPING_FADE_SPEED, _PASSIVE_FADING * least / max(found["c1"], 1e-300)), MIN_SPEED)
     found["omega_d"] = fades if other is None else other.omega_d
     return FrictionElement(**found)
 
