@@ -179,7 +179,7 @@ if TYPE_CHECKING:
         PerturbationResult as PerturbationResult,
         prepare_perturbation as prepare_perturbation,
     )
-    from rx90_emulator.sweep.execution import read_sweep as read_sweep, run_sweep as run_sweep
+    from rx90_emulator.sweep.execution import run_sweep as run_sweep
     from rx90_emulator.sweep.plan import (
         Block as Block,
         LogUniform as LogUniform,
@@ -191,6 +191,7 @@ if TYPE_CHECKING:
         Values as Values,
         load_sweep_plan as load_sweep_plan,
     )
+    from rx90_emulator.sweep.store import read_sweep as read_sweep
     from rx90_emulator.sweep.sweep import Sweep as Sweep
 
 

@@ -42,7 +42,6 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError
-from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import LINK, DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.dynamics import body_dtype, manipulator_dtype
@@ -140,7 +139,7 @@ def plant_steps(
     """
     _check_directions(friction)
     rows = _rows(drives, friction, robot.max_velocity)
-    numbers = robot.lower, robot.upper, drives.rotor_inertia, drives.turning.turns
+    numbers = robot.lower, robot.upper, drives.rotor_inertia, drives.turning.turns, drives.turning.element_matrix
     elastic, link_friction = drives.elasticity.elastic.tobytes(), drives.elasticity.friction_side == LINK
     gram = _compliance(arm.tobytes(), *(one.astype(np.float64).tobytes() for one in numbers), elastic, link_friction)
     most = MAX_AUTOMATIC_STEPS if requested is None else requested
@@ -238,7 +237,14 @@ def _load(values: Array, part: slice, gram: Array, most: float, cover: float | N
 
 @lru_cache(maxsize=8)
 def _compliance(
-    arm: bytes, lower: bytes, upper: bytes, rotor: bytes, turns: bytes, elastic: bytes, link_friction: bool
+    arm: bytes,
+    lower: bytes,
+    upper: bytes,
+    rotor: bytes,
+    turns: bytes,
+    elements: bytes,
+    elastic: bytes,
+    link_friction: bool,
 ) -> Array:
     """Return the largest entries, by size, of W M^-1 W^T over the arm's range, 1/(kg m^2), shape (e + 3 n,) twice.
 
@@ -247,8 +253,7 @@ def _compliance(
     low, high, inertia = np.frombuffer(lower), np.frombuffer(upper), np.diag(np.frombuffer(rotor))
     soft = np.frombuffer(elastic, np.bool_)
     n = len(soft)
-    coupling = np.frombuffer(turns).reshape(n, n)
-    inputs = Coupling(coupling).element_matrix
+    coupling, inputs = np.frombuffer(turns).reshape(n, n), np.frombuffer(elements).reshape(-1, n)
     count, e = int(soft.sum()), len(inputs)
     whole = np.zeros((n + count, n + count))
     if count:  # the motors run ahead of the links by twists

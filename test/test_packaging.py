@@ -6,16 +6,17 @@ import os
 import re
 import subprocess
 import sys
+from contextlib import closing
 from importlib.metadata import distribution, requires
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 from catkin_pkg.package import parse_package
-from processes import Processes, script, wait_until
+from processes import Processes, script
 
 from rx90_common.base.requirements import SOURCES
-from rx90_common.process.children import TIMEOUT, ChildProcess
+from rx90_common.process.children import TIMEOUT
 from rx90_emulator.cli.frame import EXECUTABLES as TABLE
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -115,77 +116,44 @@ def test_the_version_is_the_same_everywhere() -> None:
     assert {version, distribution(PACKAGE).version, newest[1]} == {version}
 
 
-def test_colcon_installs_every_data_file_and_the_marker(prefix: Path) -> None:
-    """Each file under config/ and launch/ is installed as it is, and the ament index names the package."""
-    for source in [p for room in ("config", "launch") for p in (ROOT / room).rglob("*") if p.is_file()]:
-        if "__pycache__" not in source.parts:
-            target = prefix / "share" / PACKAGE / source.relative_to(ROOT)
-            assert target.read_bytes() == source.read_bytes(), target
-    assert (prefix / "share/ament_index/resource_index/packages" / PACKAGE).is_file()
+def test_the_install_space_is_whole_and_needs_no_source_tree(
+    prefix: Path, workspace: Path, processes: Processes
+) -> None:
+    """Modules, templates, config/ and launch/ are installed as they are, and the ament index names the package.
 
-
-def test_colcon_installs_every_module_and_template(prefix: Path) -> None:
-    """Each Python file, type marker and template of the rooms is in the install space."""
+    Its executables are those of the pip environment, and each answers --help with its usage and exit code 0. In a
+    sourced workspace modules and data come from the install space.
+    """
     site = next((prefix / "lib").glob("python*/site-packages"))
     rooms = [path.parent for path in ROOT.glob("*/__init__.py") if path.parent.name not in {"test", "benchmarks"}]
     assert {path.name for path in rooms} >= {"rx90_sim", "rx90_controller", "rx90_emulator"}
-    for source in [path for room in rooms for path in room.rglob("*") if path.is_file()]:
-        if source.suffix in {".py", ".j2"} or source.name == "py.typed":
-            assert (site / source.relative_to(ROOT)).is_file(), source
-
-
-def test_colcon_and_pip_install_the_same_executables(prefix: Path) -> None:
-    """The names under lib/rx90_emulator are those of the pip environment's console scripts."""
-    assert sorted(path.name for path in (prefix / "lib" / PACKAGE).iterdir()) == EXECUTABLES
-    assert sorted(TABLE) == EXECUTABLES
-
-
-@pytest.mark.parametrize("name", EXECUTABLES)
-def test_every_installed_executable_explains_itself(name: str, workspace: Path, processes: Processes) -> None:
-    """Each executable of the install space answers --help with its usage and exit code 0."""
-    done = processes.run(str(workspace / name), "--help")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith(f"usage: {name}")
-
-
-def test_the_install_space_needs_no_source_tree(workspace: Path) -> None:
-    """In a sourced workspace modules and data come from the install space, not from the source tree."""
+    kept = {".py", ".j2"}
+    for folder, target in [(ROOT / room, prefix / "share" / PACKAGE) for room in ("config", "launch")] + [
+        (room, site) for room in rooms
+    ]:
+        for source in (path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts):
+            if target is not site or source.suffix in kept or source.name == "py.typed":
+                assert (target / source.relative_to(ROOT)).read_bytes() == source.read_bytes(), source
+    assert (prefix / "share/ament_index/resource_index/packages" / PACKAGE).is_file()
+    assert sorted(path.name for path in workspace.iterdir()) == sorted(TABLE) == EXECUTABLES
+    for name in EXECUTABLES:
+        done = processes.run(str(workspace / name), "--help")
+        assert (done.returncode, done.stderr) == (0, "")
+        assert done.stdout.startswith(f"usage: {name}")
     code = "import rx90_sim, rx90_common.base.share as s; print(rx90_sim.__file__); print(s.share_directory())"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=TIMEOUT)
-    found = [Path(line).resolve() for line in done.stdout.splitlines()]
-    assert len(found) == 2, done.stderr
-    assert all(workspace.parent.parent in path.parents for path in found), found
+    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=TIMEOUT)
+    found = [Path(line).resolve() for line in printed.stdout.splitlines()]
+    assert len(found) == 2
+    assert all(prefix in path.parents for path in found), found
 
 
 @pytest.mark.ros
 def test_installed_nodes_run_together(workspace: Path, processes: Processes) -> None:
     """Simulation and controller out of the install space run in lock-step: joint_states go on in time."""
-    import rclpy  # only now: it reads the domain when it is first used
-    from sensor_msgs.msg import JointState
+    from ros_client import Client, seconds  # only now: rclpy reads the domain when it is first used
 
-    stamps: list[float] = []
-    nodes: list[ChildProcess] = []
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    watcher = rclpy.create_node("watcher", context=context)
-    executor = rclpy.executors.SingleThreadedExecutor(context=context)
-    executor.add_node(watcher)
-    watcher.create_subscription(
-        JointState,
-        "joint_states",
-        lambda m: stamps.append(m.header.stamp.sec + m.header.stamp.nanosec * 1e-9),
-        10,
-    )
-
-    def ran_on() -> bool:
+    with closing(Client()) as client:
+        heard = client.listen("joint_states")
+        nodes = [processes.start(str(workspace / name)) for name in NODES]
+        client.spin_until(lambda: bool(heard) and seconds(heard[-1]) >= seconds(heard[0]) + 0.2, "0.2 s to pass")
         assert [node.returncode for node in nodes] == [None, None]
-        executor.spin_once(timeout_sec=0.1)
-        return bool(stamps) and stamps[-1] - stamps[0] >= 0.2
-
-    try:
-        nodes += [processes.start(str(workspace / name)) for name in NODES]
-        wait_until(ran_on, "0.2 s of simulated time")
-    finally:
-        executor.shutdown()
-        watcher.destroy_node()
-        rclpy.shutdown(context=context)

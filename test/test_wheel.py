@@ -48,20 +48,18 @@ def pip(*arguments: object, folder: Path) -> None:
     run(sys.executable, "-m", "pip", "--disable-pip-version-check", *arguments, folder=folder)
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def wheel(tmp_path: Path) -> Path:
     """Build the wheel from a copy of the source tree: an old build/ would leave its modules in the wheel."""
-    folder = tmp_path_factory.mktemp("wheel")
+    (folder := tmp_path / "wheel").mkdir()
     shutil.copytree(ROOT, folder / "source", ignore=NOT_SOURCES)
     pip("wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", folder, "./source", folder=folder)
     (built,) = folder.glob("*.whl")
     return built
 
 
-@pytest.fixture(scope="module")
-def binaries(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def installed(wheel: Path, prefix: Path) -> Path:
     """Install the wheel into a new environment that borrows the libraries alone; return its folder of executables."""
-    prefix = tmp_path_factory.mktemp("installed") / "environment"
     venv.create(prefix, symlinks=True)
     python = prefix / "bin/python"
     pip("--python", python, "install", "--no-deps", "--no-index", "--no-compile", wheel, folder=prefix)
@@ -72,8 +70,12 @@ def binaries(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return prefix / "bin"
 
 
-def test_the_wheel_holds_all_modules_and_data_and_no_more(wheel: Path) -> None:
-    """Modules, type markers, templates, config/, launch/, firmware/ and the ament marker are in it; tests are not."""
+def test_the_wheel_is_whole_and_works_without_the_source_tree(wheel: Path, tmp_path: Path) -> None:
+    """Modules, type markers, templates, config/, launch/, firmware/ and the ament marker are in it; tests are not.
+
+    Installed into an environment of its own it has each command, finds its modules and data there, and loads the
+    shipped robot; `rx90_run` writes the bag and the arrays that the source tree would.
+    """
     share = f"{PACKAGE}-{distribution(PACKAGE).version}.data/data/share"
     modules = [path for package in PACKAGES for path in (ROOT / package).rglob("*") if path.is_file()]
     wanted = {
@@ -89,16 +91,10 @@ def test_the_wheel_holds_all_modules_and_data_and_no_more(wheel: Path) -> None:
     held = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert held == wanted
 
-
-def test_every_command_is_installed(binaries: Path) -> None:
-    """The environment has a script for each command, and the node's and the tool's explain themselves."""
+    binaries = installed(wheel, tmp_path / "environment")
     assert {path.name for path in binaries.iterdir()} >= EXECUTABLES
     for name in ("rx90_sweep", "rx90_identify"):
         assert run(binaries / name, "--help", folder=binaries.parent).startswith("usage:")
-
-
-def test_modules_and_data_come_from_the_wheel(binaries: Path) -> None:
-    """All packages and the shipped files are found in the environment, and the shipped robot loads."""
     code = (
         f"import importlib\nfor name in {PACKAGES}:\n    print(importlib.import_module(name).__file__)\n"
         "import rx90_emulator as rx\nfrom rx90_common.base.share import config_path\n"
@@ -108,9 +104,6 @@ def test_modules_and_data_come_from_the_wheel(binaries: Path) -> None:
     assert len(found) == len(PACKAGES) + 2
     assert all(path.is_file() and path.is_relative_to(binaries.parent) for path in found), found
 
-
-def test_a_line_runs_from_the_wheel(binaries: Path, tmp_path: Path) -> None:
-    """`rx90_run` of the wheel, in a folder of its own, writes the bag and the arrays that the source tree would."""
     (tmp_path / "task.yaml").write_text(SHORT_TASK, encoding="utf-8")
     words = ("--task", "task.yaml", "--output", "bag", "--arrays", "run.npz")
     assert "path error: worst 0.2" in run(binaries / "rx90_run", *words, folder=tmp_path)

@@ -6,16 +6,13 @@ import re
 from argparse import ArgumentParser, _SubParsersAction
 from collections.abc import Callable, Iterator
 from functools import partial
-from importlib import import_module
 
 from rx90_emulator.cli.frame import EXECUTABLES
-from rx90_emulator.cli.options import CommandParser
+from rx90_emulator.cli.options import command_of
 
 
 def _parser(name: str) -> ArgumentParser:
-    command = import_module(EXECUTABLES[name])
-    parser = CommandParser(prog=name, description=command.__doc__)
-    command.add_arguments(parser)
+    parser, _ = command_of(name, EXECUTABLES[name])
     for each in _with_verbs(parser):
         each.description, each.epilog = _as_written(each.description), _as_written(each.epilog)
     return parser

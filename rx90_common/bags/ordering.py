@@ -1,9 +1,9 @@
 """Determine log time and order of recorded messages from simulated time alone.
 
 The order in which messages of different topics arrive depends on the load of the machine. They are held for a moment
-and sorted by their stamps, so that equal runs make equal bags. The moment is one of simulated time, by which topics
-run apart, and one of the wall clock, in which the middleware sends again what was lost: a run may be faster than real
-time.
+and sorted by their stamps, so that equal runs make equal bags. They are held for a time in simulated time, by which
+topics differ, and for a time of the wall clock, within which the middleware repeats lost messages: a run may be faster
+than real time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import ENCAPSULATION, cdr_stamp_ns
 
 _HOLD_NS = 500_000_000  # of simulated time; far above the differences between topics
-_SENT_AGAIN_NS = 1_000_000_000  # of the wall clock; a lost message keeps its topic waiting for some heartbeats
+_RESEND_NS = 1_000_000_000  # of the wall clock; a lost message delays its topic by several heartbeats
 _MAX_UNDATED_BYTES = 16 << 20
 OTHER_CLOCK_NS: Final = 86_400 * NANOSECONDS
 """A stamp this far from the newest one belongs to another clock: wall-clock time among simulated times, for example."""
@@ -92,7 +92,7 @@ class LogOrder:
         self._held: list[Dated] = []
         self._undated: list[Arrived] = []
         self._next_release = 0
-        # What the newest log time was at receptions of the last second, and the last one before: pairs, ns.
+        # Reception and the newest log time then, ns, for the last second and once before it.
         self._progress: deque[tuple[int, int]] = deque()
 
     @property
@@ -118,7 +118,7 @@ class LogOrder:
         received = max((int(each.received_ns[-1]) for each in arrived if len(each.messages)), default=None)
         if self._newest is not None and received is not None:
             self._progress.append((received, self._newest))
-            while len(self._progress) > 1 and self._progress[1][0] <= received - _SENT_AGAIN_NS:
+            while len(self._progress) > 1 and self._progress[1][0] <= received - _RESEND_NS:
                 self._progress.popleft()
 
     def release(self) -> Dated | None:
@@ -128,7 +128,7 @@ class LogOrder:
         if self._newest < self._next_release:
             return None
         (before, known), (now, _) = self._progress[0], self._progress[-1]
-        if now - before < _SENT_AGAIN_NS:
+        if now - before < _RESEND_NS:
             return None
         self._next_release = self._newest + _HOLD_NS // 2
         return self._cut(min(known, self._newest - _HOLD_NS))

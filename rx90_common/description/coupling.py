@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,6 +87,7 @@ class Coupling:
             )
 
     @classmethod
+    @cache
     def usual(cls, joints: int) -> Coupling:
         """Return the coupling of an arm whose files have none: the RX family's wrist for six joints, else none."""
         turns = np.eye(joints)

@@ -6,7 +6,7 @@ evaluations, is fast, and does not give the same bits on every machine.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -40,23 +40,28 @@ class _Frames(NamedTuple):
     tcp: Pose
 
 
-def _frames(chain: RigidChain, q: Array) -> _Frames:
+def _poses(chain: RigidChain, q: Array) -> Iterator[Pose]:
+    """Yield for each joint where it is, and the orientation of the link before it; then the tool centre point."""
     q = np.asarray(q, dtype=np.float64)
     rotation = np.broadcast_to(np.eye(3), (*q.shape[:-1], 3, 3))
-    position = np.zeros((*q.shape[:-1], 3))
-    centers, axes = [], []
+    position = np.moveaxis(np.zeros((3, *q.shape[:-1])), 0, -1)  # as `axis_rotation` has its components
     for i, (origin, axis) in enumerate(zip(chain.origin, chain.axis, strict=True)):
         position = position + rotated(rotation, origin)
-        axes.append(rotated(rotation, axis))
-        centers.append(position)
+        yield Pose(position, rotation)
         rotation = product(rotation, axis_rotation(axis, q[..., i]))
-    tcp = Pose(position + rotated(rotation, chain.tcp_position), product(rotation, chain.tcp_rotation))
-    return _Frames(np.stack(centers, axis=-2), np.stack(axes, axis=-2), tcp)
+    yield Pose(position + rotated(rotation, chain.tcp_position), product(rotation, chain.tcp_rotation))
+
+
+def _frames(chain: RigidChain, q: Array) -> _Frames:
+    *joints, tcp = _poses(chain, q)
+    axes = [rotated(joint.rotation, axis) for joint, axis in zip(joints, chain.axis, strict=True)]
+    return _Frames(np.stack([joint.position for joint in joints], axis=-2), np.stack(axes, axis=-2), tcp)
 
 
 def forward(chain: RigidChain, q: Array) -> Pose:
     """Return the pose of the tool centre point at `q` (..., n) rad."""
-    return _frames(chain, q).tcp
+    *_, tcp = _poses(chain, q)
+    return Pose(np.ascontiguousarray(tcp.position), np.ascontiguousarray(tcp.rotation))
 
 
 def jacobian(chain: RigidChain, q: Array) -> Array:
@@ -112,8 +117,9 @@ def path_error(positions: Array, start: Array, end: Array) -> PathError:
     direction = np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64)
     if not direction.any():
         raise ValueError("a line needs two different points")
-    along, across = decompose(np.asarray(positions) - np.asarray(start), direction)
-    return PathError(along, length(across))
+    unit, off = direction / length(direction), np.asarray(positions) - np.asarray(start)
+    along = dot(off, unit)
+    return PathError(along, length(off - np.multiply.outer(unit, along).T))
 
 
 def nearest_corner(points: Array, corners: Array, near: Index | None = None) -> Index:
@@ -168,13 +174,18 @@ def tip_position(chain: RigidChain, q: Array) -> Array:
     the time.
     """
     angles = np.ascontiguousarray(q.T)  # in columns a row for each coordinate: half the time of rows
-    sine, cosine = np.sin(angles), 1.0 - np.cos(angles)
+    sine, cosine = sines_cosines(angles)  # compiled: a twentieth of NumPy's time
     point = np.broadcast_to(chain.tcp_position[:, None], (3, len(q)))
     for i in range(len(chain.axis) - 1, -1, -1):
         x, y, z = chain.axis[i]
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        point = point + sine[i] * (cross @ point) + cosine[i] * (cross @ cross @ point) + chain.origin[i][:, None]
-    return np.ascontiguousarray(point.T)
+        turned, twice = cross @ point, cross @ cross @ point
+        turned *= sine[i]
+        twice *= 1.0 - cosine[i]
+        point = point + turned
+        point += twice
+        point += chain.origin[i][:, None]
+    return np.asarray(point.T)
 
 
 class LinkTransforms:

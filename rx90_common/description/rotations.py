@@ -49,12 +49,17 @@ def outer(a: Array, b: Array) -> Array:
 
 
 def axis_rotation(axis: Array, angle: ArrayLike) -> Array:
-    """Return the rotation (..., 3, 3) by `angle` (...) rad about the unit vector `axis` (3,) (Rodrigues)."""
+    """Return the rotation (..., 3, 3) by `angle` (...) rad about the unit vector `axis` (3,) (Rodrigues).
+
+    In memory the nine components lie behind each other, as in what `product` makes of many such: NumPy's loops then run
+    over the angles, and not over three numbers at a time.
+    """
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sine, cosine = (value[..., None, None] for value in sines_cosines(angle))
-    rotation: Array = np.eye(3) + sine * cross + (1.0 - cosine) * product(cross, cross)
-    return rotation
+    sine, cosine = sines_cosines(angle)
+    unit, once, twice = (each.reshape(3, 3, *(1,) * sine.ndim) for each in (np.eye(3), cross, product(cross, cross)))
+    rotation: Array = unit + sine * once + (1.0 - cosine) * twice
+    return np.moveaxis(rotation, (0, 1), (-2, -1))
 
 
 def rpy_quaternion(rpy: ArrayLike) -> Array:

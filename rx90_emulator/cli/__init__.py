@@ -1,1 +1,1 @@
-"""The commands, one file for each, in one frame that turns what goes wrong into one line and an exit code."""
+"""The commands, in one frame that turns every error into one line and an exit code."""

@@ -31,14 +31,14 @@ from rx90_emulator.cli.options import (
 if TYPE_CHECKING:
     from rx90_common.bags.recorder.recording import TopicCount
 
-_LONGEST = 4_294_967_296  # s: stamps count so far, and two of them do not overflow 64 bits of ns
+_MAX_STAMP = 4_294_967_296  # s: stamps count so far, and two of them do not overflow 64 bits of ns
 _KINDS = ("csv", "parquet", "npz")
 # What several verbs have in common.
 _BAG: dict[str, Any] = {"metavar": "BAG", "help": "bag: folder, .mcap, .db3 or ROS 1 .bag file"}
 _STORAGE: dict[str, Any] = {"choices": ("mcap", "sqlite3"), "default": STORAGE, "help": "storage (default: mcap)"}
 _TOPIC: dict[str, Any] = {"nargs": "+", "dest": "topics", "metavar": "TOPIC"}
-_NOTHING = "nothing was written"
-_ROBOT = ("urdf", "tool", "drives")  # files of a robot that say where a bag's tip was
+_NOTHING_WRITTEN = "nothing was written"
+_TIP_FILES = ("urdf", "tool", "drives")  # files of a robot that say where a bag's tip was
 
 _MAPPING = """\
 a mapping file (docs/howto/bags.md says more):
@@ -56,15 +56,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add a parser for each verb, whose help is what its function says of itself."""
     parser.set_defaults(ros_args=[])  # `ros2 run` and launch files append them
     add_verbs(parser, _VERBS)
-
-
-def main(options: argparse.Namespace) -> int | None:
-    """Run the verb; return its exit code.
-
-    Raises:
-        Rx90Error: if it cannot be done.
-    """
-    return options.run(options)  # type: ignore[no-any-return]  # of a verb, below
 
 
 def _add_record(parser: argparse.ArgumentParser) -> None:
@@ -151,7 +142,7 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     parser.add_argument("--path-error", action="store_true", help="print, too, how far each tip is from the path of "
                         "its set-points, across and along it, and the tool from its orientation")  # fmt: skip
-    add_robot_arguments(parser, *_ROBOT)
+    add_robot_arguments(parser, *_TIP_FILES)
 
 
 def _compare(args: argparse.Namespace) -> int:
@@ -164,7 +155,7 @@ def _compare(args: argparse.Namespace) -> int:
     from rx90_common.bags.comparison import Scope, compare_bags
     from rx90_common.bags.tables import comparison_json, comparison_text
 
-    check_needs(args, ("robot", *_ROBOT), ("path_error",))
+    check_needs(args, ("robot", *_TIP_FILES), ("path_error",))
     check_apart(args, ("json",), "path_error", "one of them")
     rules = load_rules(Path(args.tolerances)) if args.tolerances else []
     rules += [parse_rule(text) for text in args.tolerance]
@@ -213,15 +204,15 @@ def alignment(text: str) -> int | str:
 def _time(option: str, text: str, accepted: str = "a time in s, e.g. 1.25") -> int:
     """Return a time in ns without the detour over floating point, which spoils stamps of the wall clock."""
     try:
-        if abs(time := Decimal(text)) <= _LONGEST:  # raises for what is no number
+        if abs(time := Decimal(text)) <= _MAX_STAMP:  # raises for what is no number
             return int(time * NANOSECONDS)
     except (InvalidOperation, ValueError):
         pass
-    raise BagError(f"{option} is {quoted(text)}; accepted: {accepted}, up to {_LONGEST:,} s")
+    raise BagError(f"{option} is {quoted(text)}; accepted: {accepted}, up to {_MAX_STAMP:,} s")
 
 
 def _add_plot(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(interrupted=_NOTHING)
+    parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("bag", type=Path, **_BAG)
     parser.add_argument("second", type=Path, nargs="?", metavar="BAG2", help="bag to draw over it")
     parser.add_argument("--signals", type=Path, metavar="FILE",
@@ -266,7 +257,7 @@ def _plot(args: argparse.Namespace) -> None:
 
 
 def _add_export(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(interrupted=_NOTHING)
+    parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("bag", type=Path, **_BAG)
     parser.add_argument("-o", "--output", type=new_folder, required=True, metavar="FILE|FOLDER",
                         help="FILE.csv, FILE.parquet (one topic), FILE.npz, or a folder; must not exist")  # fmt: skip
@@ -300,7 +291,7 @@ def _export(args: argparse.Namespace) -> None:
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, _MAPPING
-    parser.set_defaults(interrupted=_NOTHING)
+    parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG",
                         help="log to read, of several the rows belong together; or an exported folder")  # fmt: skip
     parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +11,7 @@ from rx90_common.bags.topics import SUITE_TOPICS
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import shipped_robots
 from rx90_emulator.cli.node import NODES
-from rx90_emulator.cli.options import CommandParser, new_file, new_folder, place
+from rx90_emulator.cli.options import command_of, new_file, new_folder, place
 
 SHELLS: Final = ("bash", "zsh", "fish")
 _FILES = {"FILE", "BAG", "A", "B", "LOG", "TASK", "PATH", "REFERENCE", "DIR", "BASELINE"}
@@ -24,20 +23,19 @@ def completion(shell: str, executables: Mapping[str, str]) -> str:
 
     Args:
         shell: one of SHELLS.
-        executables: the module of each, by name.
+        executables: where the functions of each are, by its name.
     """
     import shtab
 
     parts: list[str] = []
-    for name, module in sorted(executables.items()):
-        parser = CommandParser(prog=name)
+    for name, where in sorted(executables.items()):
+        parser, _ = command_of(name, where)
         if name in NODES:  # whose arguments ROS reads
             ros = parser.add_argument_group("ros")
             ros.add_argument("--ros-args", action="store_true", help="what follows is for ROS")
             ros.add_argument("--params-file", metavar="FILE", help="parameter file")
             ros.add_argument("-p", "--param", metavar="NAME:=VALUE", help="parameter")
             ros.add_argument("-r", "--remap", metavar="FROM:=TO", help="other name of a topic, a service or the node")
-        import_module(module).add_arguments(parser)
         parser.description = None
         for action in _actions(parser):
             if (found := _completed_by(action, shtab.FILE, shtab.DIRECTORY)) is not None:

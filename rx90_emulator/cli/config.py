@@ -34,16 +34,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_verbs(parser, _VERBS)
 
 
-def main(options: argparse.Namespace) -> int:
-    """Run the verb; return its exit code.
-
-    Raises:
-        Rx90Error: if it cannot be done.
-    """
-    code: int = options.run(options)
-    return code
-
-
 def _add_check(check: argparse.ArgumentParser) -> None:
     check.add_argument("files", nargs="+", type=Path, metavar="FILE",
                        help="YAML file of the project, or a robot folder: its files, and whether they fit "

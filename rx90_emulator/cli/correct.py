@@ -38,16 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_verbs(parser, _VERBS)
 
 
-def main(options: argparse.Namespace) -> int | None:
-    """Run the verb.
-
-    Raises:
-        Rx90Error: if it cannot be done.
-    """
-    code: int | None = options.run(options)
-    return code
-
-
 def _add_learn(learn: argparse.ArgumentParser) -> None:
     learn.set_defaults(interrupted="nothing was written")
     learn.add_argument("path", metavar="PATH", help="path file, task file of a line, or a trajectory (YAML, as "
@@ -266,8 +256,8 @@ def _precompensate(options: argparse.Namespace) -> None:
     correction = load_correction(options.file).fitting(setup, path)
     found = precompensate(setup, path, correction, options.cutoff or CUTOFF)
     write_text(options.output, yaml_text(message_content(setup.robot.joint_names, found.points)))
-    told = {"without correction": found.plain, "as offsets": found.channel, "as this trajectory": found.path}
-    errors = [f"{name} {error * 1e3:.4f} mm" for name, error in told.items()]
+    played = {"without correction": found.plain, "as offsets": found.channel, "as this trajectory": found.path}
+    errors = [f"{name} {error * 1e3:.4f} mm" for name, error in played.items()]
     print(one_line(f"written to {options.output}: {len(found.points.times)} points"))
     print(f"worst path error on the engine: {', '.join(errors)}")
 

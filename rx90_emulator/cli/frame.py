@@ -10,7 +10,6 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
-from importlib import import_module
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -30,10 +29,10 @@ from rx90_emulator.cli.node import NODES
 
 EXECUTABLES = {
     **dict.fromkeys(NODES, "rx90_emulator.cli.node"),
-    "friction_bench": "rx90_emulator.cli.friction_bench",
-    "friction_ramp": "rx90_emulator.cli.friction_ramp",
-    "friction_presliding": "rx90_emulator.cli.friction_presliding",
-    "friction_rig_emulator": "rx90_emulator.cli.friction_rig_emulator",
+    "friction_bench": "rx90_emulator.cli.friction_rig:bench",
+    "friction_ramp": "rx90_emulator.cli.friction_rig:ramp",
+    "friction_presliding": "rx90_emulator.cli.friction_rig:presliding",
+    "friction_rig_emulator": "rx90_emulator.cli.friction_rig:emulator",
     "rx90_bag": "rx90_emulator.cli.bag",
     "rx90_config": "rx90_emulator.cli.config",
     "rx90_correct": "rx90_emulator.cli.correct",
@@ -41,22 +40,23 @@ EXECUTABLES = {
     "rx90_controller_check": "rx90_emulator.cli.controller_check",
     "rx90_demo": "rx90_emulator.cli.demo",
     "rx90_experiment": "rx90_emulator.cli.experiment",
-    "rx90_export": "rx90_emulator.cli.export",
+    "rx90_export": "rx90_emulator.cli.export:export",
     "rx90_identify": "rx90_emulator.cli.identify",
-    "rx90_import": "rx90_emulator.cli.import_",
-    "rx90_line": "rx90_emulator.cli.line",
+    "rx90_import": "rx90_emulator.cli.export:import_",
+    "rx90_line": "rx90_emulator.cli.line:line",
     "rx90_own_controller": "rx90_emulator.cli.own_controller",
-    "rx90_path": "rx90_emulator.cli.path",
+    "rx90_path": "rx90_emulator.cli.line:path",
     "rx90_run": "rx90_emulator.cli.run",
     "rx90_sweep": "rx90_emulator.cli.sweep",
     "rx90_view": "rx90_emulator.cli.view",
 }
-"""The module of each executable. It has a docstring, which `--help` shows, and two functions:
+"""The module of each executable, or MODULE:NAME. `--help` shows the module's docstring, or that of its function NAME.
 
-- `add_arguments(parser)` adds the options. It may set two defaults: `interrupted` says what an interrupt leaves behind,
-  with {names} of options in it; `ros_args=[]` accepts arguments for ROS, which `main` gets with their `--ros-args`.
-- `main(options)` returns the exit code or None, and raises Rx90Error; what is slow to import it imports itself.
-  `options.executables` is this table.
+- `add_arguments(parser)`, or `add_NAME`, adds the options. It may set two defaults: `interrupted` says what an
+  interrupt leaves behind, with {names} of options in it; `ros_args=[]` accepts arguments for ROS, which `main` gets
+  with their `--ros-args`.
+- `main(options)`, or NAME, returns the exit code or None, and raises Rx90Error; what is slow to import it imports
+  itself. `options.executables` is this table. A command of verbs (`add_verbs`) has no `main`.
 """
 
 
@@ -94,7 +94,7 @@ def execute(program: str, words: Sequence[str] | None = None) -> int:
 
 
 def run(program: str, words: Sequence[str]) -> int:
-    """Run an executable with these arguments; return its exit code. What goes wrong is one line on standard error."""
+    """Run an executable with these arguments; return its exit code. Every error is one line on standard error."""
     options = SimpleNamespace(executables=EXECUTABLES)
     try:
         try:
@@ -127,11 +127,9 @@ def run(program: str, words: Sequence[str]) -> int:
 
 
 def _run(program: str, words: Sequence[str], options: SimpleNamespace) -> int:
-    from rx90_emulator.cli.options import CommandParser, split_ros_args
+    from rx90_emulator.cli.options import command_of, split_ros_args
 
-    command = import_module(EXECUTABLES[program])
-    parser = CommandParser(prog=program, description=command.__doc__)
-    command.add_arguments(parser)
+    parser, main = command_of(program, EXECUTABLES[program])
     own, ros_args = split_ros_args(words)
     parser.parse_args(own, options)
     if ros_args:
@@ -150,7 +148,7 @@ def _run(program: str, words: Sequence[str], options: SimpleNamespace) -> int:
                 others(message, category, *where, **more)
 
         warnings.showwarning = cast(Any, show)
-        return int(command.main(options) or 0)
+        return int(main(options) or 0)
 
 
 def _say(line: str) -> None:

@@ -1,4 +1,4 @@
-"""Move the tool along a straight line with a trapezoidal velocity profile."""
+"""The commands that move the tool: along a straight line, or a path of lines, arcs and splines."""
 
 from __future__ import annotations
 
@@ -33,28 +33,32 @@ _EPILOG = """\
 Positions are those of the tool centre point in base_link; the tool's z axis is the beam, and rpy 0 180 0
 points it down. example: rx90_line --start 0.6 -0.2 0.2 --end 0.6 0.2 0.2 --speed 0.1 --approach
 """
+_PATH_EPILOG = """\
+The path file says where its points come from: itself, a CSV file, G-code or a DXF drawing.
+example: rx90_path seam.yaml --approach
+"""
 _TIMEOUT, _STARTING = 30.0, 120.0  # s, without --timeout: for nodes, and more for one that compiles when it starts
 _PLAIN_OPTIONS = ("start", "end", "speed", "acceleration", "rest_before", "rest_after", "singularity_margin",
                   "start_posture")  # fmt: skip
 """Options that go into the task as they are."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's options."""
+def add_line(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `rx90_line`."""
     parser.epilog, parser.formatter_class = _EPILOG, argparse.RawDescriptionHelpFormatter
-    line = parser.add_argument_group("line")
+    motion = parser.add_argument_group("line")
     xyz, rpy = ("X", "Y", "Z"), ("ROLL", "PITCH", "YAW")
-    given = line.add_mutually_exclusive_group()
+    given = motion.add_mutually_exclusive_group()
     given.add_argument("--from-file", metavar="TASK", help="task file; options given beside it win over it")
     given.add_argument("--reference", action="store_true", help="the robot's reference task, its task.yaml, likewise")
-    line.add_argument("--start", type=FINITE, nargs=3, metavar=xyz, help="m")
-    line.add_argument("--end", type=FINITE, nargs=3, metavar=xyz, help="m")
-    line.add_argument("--speed", type=FINITE, help="m/s (0.1)")
-    line.add_argument("--acceleration", type=FINITE, help="m/s^2 (1)")
-    line.add_argument("--tool-rpy", type=FINITE, nargs=3, metavar=rpy, help="deg, fixed axes (0 180 0: down)")
-    line.add_argument("--end-tool-rpy", type=FINITE, nargs=3, metavar=rpy, help="deg, if it turns on the way")
-    line.add_argument("--rest-before", type=FINITE, metavar="S", help="s at rest before the line (0.5)")
-    line.add_argument("--rest-after", type=FINITE, metavar="S", help="s at rest after it (0.5)")
+    motion.add_argument("--start", type=FINITE, nargs=3, metavar=xyz, help="m")
+    motion.add_argument("--end", type=FINITE, nargs=3, metavar=xyz, help="m")
+    motion.add_argument("--speed", type=FINITE, help="m/s (0.1)")
+    motion.add_argument("--acceleration", type=FINITE, help="m/s^2 (1)")
+    motion.add_argument("--tool-rpy", type=FINITE, nargs=3, metavar=rpy, help="deg, fixed axes (0 180 0: down)")
+    motion.add_argument("--end-tool-rpy", type=FINITE, nargs=3, metavar=rpy, help="deg, if it turns on the way")
+    motion.add_argument("--rest-before", type=FINITE, metavar="S", help="s at rest before the line (0.5)")
+    motion.add_argument("--rest-after", type=FINITE, metavar="S", help="s at rest after it (0.5)")
     posture = parser.add_argument_group("posture")
     posture.add_argument("--shoulder", choices=SHOULDERS)
     posture.add_argument("--elbow", choices=SIGNS, help="sign of joint 3")
@@ -66,10 +70,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--singularity-margin", type=FINITE, metavar="M", help="closest to a singularity, 0.001 to 1 (0.05)"
     )
     add_robot_arguments(parser, "urdf", "tool", "controller")
-    add_sending(parser)
+    _add_sending(parser)
 
 
-def add_sending(parser: argparse.ArgumentParser) -> None:
+def _add_sending(parser: argparse.ArgumentParser) -> None:
     """Add the options of what becomes of a plan."""
     parser.set_defaults(ros_args=[], program=parser.prog)
     send = parser.add_argument_group("sending")
@@ -84,26 +88,35 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
     send.add_argument("--output", type=place, metavar="FILE", help="write the trajectory as a YAML message")
 
 
-def main(options: argparse.Namespace) -> None:
-    """Plan the line, show it, and send it, except with --dry-run.
-
-    Raises:
-        Rx90Error: if the line is refused; as an ExchangeError if it could not be delivered.
-    """
+def line(options: argparse.Namespace) -> None:
+    """Move the tool along a straight line with a trapezoidal velocity profile."""
     filed = options.reference or options.from_file is not None
     if not filed and (options.end is None or (options.start is None and options.start_posture is None)):
         raise LineError("a line needs --start or --start-posture, and --end, or --from-file or --reference")
-    plan_and_send(options, _task)
+    _plan_and_send(options, _task)
 
 
-def plan_and_send(
+def add_path(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `rx90_path`."""
+    parser.epilog, parser.formatter_class = _PATH_EPILOG, argparse.RawDescriptionHelpFormatter
+    parser.add_argument(
+        "path", metavar="PATH", help="path file, or the name of a shipped one, such as paths/circle.yaml"
+    )
+    add_robot_arguments(parser, "urdf", "tool", "controller")
+    _add_sending(parser)
+
+
+def path(options: argparse.Namespace) -> None:
+    """Move the tool along a path of lines, arcs and splines, from a path file."""
+    from rx90_emulator.loop.path_file import load_path
+
+    _plan_and_send(options, lambda *_: load_path(options.path))
+
+
+def _plan_and_send(
     options: argparse.Namespace, task_of: Callable[[argparse.Namespace, RobotFiles, RobotModel], TipTask]
 ) -> None:
-    """Plan what `task_of` reads for an arm, show it, write it where asked for, and send it, except with --dry-run.
-
-    Raises:
-        Rx90Error: if the path is refused; as an ExchangeError if it could not be delivered.
-    """
+    """Plan what `task_of` reads for an arm, show it, write it where asked for, and send it, except with --dry-run."""
     check_needs(options, ("approach_speed", "approach_acceleration"), ("approach",))
     # Here, because --help must not wait for them.
     from rx90_common.base.config import yaml_text

@@ -11,7 +11,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -34,9 +34,9 @@ gone, disk full); 130 interrupted; 141 the reader of the output has gone.
 _NEGATIVE = re.compile(r"-((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf|infinity|nan)$", re.IGNORECASE)
 _BAR = "{desc}: {percentage:3.0f} % |{bar}| [{elapsed}<{remaining}]"
 CONTROLLER = "rx90_controller"
-"""The controller node, where no other is named."""
+"""Name of the controller node, unless another one is given."""
 STORAGE = "mcap"
-"""Of a bag, where no other is asked for."""
+"""Storage format of bags, unless another one is asked for."""
 _LONGEST_DELAY = 0.05  # s; more is a slip of the unit
 
 
@@ -59,6 +59,21 @@ class CommandParser(argparse.ArgumentParser):
         super().error(one_line(message))
 
 
+def command_of(program: str, place: str) -> tuple[CommandParser, Callable[[Any], int | None]]:
+    """Return the parser of an executable with its options, and what runs it.
+
+    Args:
+        program: its name.
+        place: of its functions, as the frame's table has it.
+    """
+    path, _, name = place.partition(":")
+    module = import_module(path)
+    run = getattr(module, name or "main", None) or (lambda options: options.run(options))
+    parser = CommandParser(prog=program, description=inspect.getdoc(run if name else module))
+    getattr(module, f"add_{name or 'arguments'}")(parser)
+    return parser, run
+
+
 def split_ros_args(words: Sequence[str]) -> tuple[list[str], list[str]]:
     """Separate a command's own arguments from those for ROS: from --ros-args, which is kept, to -- or the end."""
     own: list[str] = []
@@ -74,22 +89,24 @@ def split_ros_args(words: Sequence[str]) -> tuple[list[str], list[str]]:
     return own, ros
 
 
-def number(accepted: str, good: Callable[[float], bool] = lambda _: True) -> Callable[[str], float]:
-    """Return a type for argparse: finite numbers for which `good` holds.
+def number(
+    accepted: str, good: Callable[[float], bool] = lambda _: True, kind: type[float] = float
+) -> Callable[[str], float]:
+    """Return a type for argparse: finite numbers for which `good` holds; argparse itself does not say what is accepted.
 
     Args:
         accepted: what is, in words, for the refusal.
         good: which finite numbers are.
+        kind: `int` for whole numbers.
     """
 
     def parse(text: str) -> float:
         try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not (math.isfinite(value) and good(value)):
-            raise argparse.ArgumentTypeError(f"{quoted(text)}; accepted: {accepted}")
-        return value
+            if math.isfinite(value := kind(text)) and good(value):
+                return value
+        except (ValueError, OverflowError):
+            pass
+        raise argparse.ArgumentTypeError(f"{quoted(text)}; accepted: {accepted}")
 
     return parse
 
@@ -97,31 +114,22 @@ def number(accepted: str, good: Callable[[float], bool] = lambda _: True) -> Cal
 _NOT_ZERO = number("a finite number other than 0", lambda value: value != 0.0)
 FINITE = number("a finite number")
 POSITIVE = number("a positive number", lambda value: value > 0.0)
+whole_number = number("a whole number", kind=int)
 
 
-def whole_number(text: str, low: float = -math.inf, high: float = math.inf, accepted: str = "a whole number") -> int:
-    """Return a whole number, as a type for argparse; argparse itself does not say what would be accepted."""
-    try:
-        if low <= (value := int(text)) <= high:
-            return value
-    except ValueError:
-        pass
-    raise argparse.ArgumentTypeError(f"{quoted(text)}; accepted: {accepted}")
-
-
-def whole_from(low: int, high: int) -> Callable[[str], int]:
+def whole_from(low: int, high: int) -> Callable[[str], float]:
     """Return a type for argparse: whole numbers from the one to the other."""
-    return partial(whole_number, low=low, high=high, accepted=f"a whole number from {low} to {high}")
+    return number(f"a whole number from {low} to {high}", lambda value: low <= value <= high, int)
 
 
 _PORT = whole_from(0, 65535)
 BAUD = whole_from(1200, 1_000_000)
 SEED = whole_from(0, 2**31 - 1)
-"""Of an emulated rig."""
+"""Type for argparse: the seed of an emulated rig."""
 
 
 def place(text: str) -> Path:
-    """Return what is to be written, as a type for argparse: refused before any work is done for it.
+    """Return the path of a file to be written, as a type for argparse: refused at once if it cannot be written.
 
     Raises:
         ConfigError: where the folder that it is to stand in is missing.
@@ -135,13 +143,13 @@ def place(text: str) -> Path:
 
 
 def new_file(text: str) -> Path:
-    """Return the file that is to be made, as a type for argparse; refused where something is there, or as `place`."""
+    """Return the path of a file to be made, as a type for argparse: as `place`, and refused if it exists."""
     _check_new(text)
     return place(text)
 
 
 def new_folder(text: str) -> Path:
-    """Return the folder that is to be made, as a type for argparse; folders above it are made, too.
+    """Return the path of a folder to be made, with the folders above it, as a type for argparse.
 
     Raises:
         ConfigError: where something is there.
@@ -166,7 +174,7 @@ def is_given(options: argparse.Namespace, name: str) -> bool:
 
 
 def check_needs(options: argparse.Namespace, names: Sequence[str], others: Sequence[str]) -> None:
-    """Refuse options, by their attributes, that count only together with one of some others, where none is given.
+    """Refuse options that have an effect only beside another one, where none of these others is given.
 
     Raises:
         ConfigError: naming the first such option.
@@ -179,7 +187,7 @@ def check_needs(options: argparse.Namespace, names: Sequence[str], others: Seque
 
 
 def check_apart(options: argparse.Namespace, names: Sequence[str], other: str, accepted: str) -> None:
-    """Refuse options, by their attributes, that do not count with another one, where both are given.
+    """Refuse options that have no effect beside another one, where both are given.
 
     Raises:
         ConfigError: naming the first such option, and what is accepted.
@@ -202,7 +210,7 @@ def check_picture(path: Path) -> None:
 
 
 def _spelt(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
+    return "a bag" if name == "bags" else f"--{name.replace('_', '-')}"
 
 
 def stay_on_this_machine() -> None:
@@ -213,7 +221,7 @@ def stay_on_this_machine() -> None:
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that is called with how much is done and how much there is; after a second it shows a bar."""
+    """Yield a callback for progress, called with what is done and the total; after a second it shows a bar."""
     from tqdm import tqdm
 
     with tqdm(desc=what, bar_format=_BAR, delay=1.0, disable=None, file=sys.stderr) as bar:
@@ -238,7 +246,8 @@ def add_rig_arguments(parser: argparse.ArgumentParser, rig: str, output: str) ->
 
 
 Verb = tuple[Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int | None], str]
-"""Of a command: what adds its arguments; what runs it, named as the verb, with its description; its line in --help."""
+"""A verb of a command: the function that adds its arguments; the function that runs it, whose name is the verb and
+whose docstring is the description; its line in --help."""
 
 
 def add_verbs(parser: argparse.ArgumentParser, verbs: Sequence[Verb], required: bool = True) -> None:
@@ -278,24 +287,24 @@ def add_page_arguments(group: argparse._ActionsContainer, port: int) -> None:
 
 
 def page_arguments(options: argparse.Namespace) -> list[str]:
-    """Return the words that say of a page what was given, for another command."""
+    """Return the options of a page that were given, as words of a command line."""
     words = [(f"--{name}", str(value)) for name in ("host", "port") if (value := getattr(options, name)) is not None]
     return [*itertools.chain(*words), *["--no-browser"] * options.no_browser]
 
 
 def add_node_arguments(group: argparse._ActionsContainer, timeout: float) -> None:
-    """Add the options of a command that asks the running nodes; None for what was not given."""
+    """Add the options of a command that talks to running nodes; None for what was not given."""
     group.add_argument("--node", metavar="NAME", help=f"controller node ({CONTROLLER})")
     group.add_argument("--timeout", type=POSITIVE, metavar="S", help=f"s to wait for the nodes ({timeout:g})")
 
 
 def node_of(options: argparse.Namespace) -> str:
-    """Return the name of the controller node that is asked."""
+    """Return the name of the controller node that a command talks to."""
     return CONTROLLER if options.node is None else str(options.node)
 
 
 def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options that describe the arm which bags come from: this project's robot, or any other."""
+    """Add the options that describe the arm that bags were recorded of: this project's robot, or any other."""
     add_robot_arguments(parser, "tool", "drives")
     either = parser.add_argument_group("any robot")
     either.add_argument("--fallback", metavar="FILE",

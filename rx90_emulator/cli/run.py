@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from rx90_emulator.loop.setup import Setup
     from rx90_emulator.loop.working_day import RepeatedLine
 
-_ROWS = 12  # of the tables of --hours
+_TABLE_ROWS = 12  # of the tables of --hours
 _NOT_WITH_HOURS = (
     "path", "trajectory", "from_bag", "initial_position", "start_time", "output", "arrays", "storage", "decimation",
     "slow_only", "temperature_rate", "substeps",
@@ -92,8 +92,8 @@ def main(options: argparse.Namespace) -> None:
     from rx90_emulator.loop.result import save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup
 
-    of_temperatures = Rates.temperature_hz if options.temperature_rate is None else options.temperature_rate
-    rates = Rates(options.base_rate, options.position_rate, of_temperatures)
+    temperature_hz = Rates.temperature_hz if options.temperature_rate is None else options.temperature_rate
+    rates = Rates(options.base_rate, options.position_rate, temperature_hz)
     setup = Setup.load(RobotFiles.of_options(options), rates, options.seed or 0)
     if options.no_feed_forward:
         setup = with_parameters(setup, {"controller.feed_forward.*": False})
@@ -135,15 +135,15 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
     from rx90_common.description.robot_files import RobotFiles
     from rx90_controller.lines.task import SETTLING, load_task
     from rx90_emulator.loop import closed_loop
-    from rx90_emulator.loop import recorded_run as loop
     from rx90_emulator.loop.line import LineRun, followed_accuracy, run_path
     from rx90_emulator.loop.path_file import load_path
+    from rx90_emulator.loop.recorded_run import read_run, replay
     from rx90_emulator.loop.trajectory_file import load_trajectory
 
     begin, start = options.start_time or 0.0, options.initial_position
     simulate: Callable[..., RunResult]
     if options.from_bag is not None:
-        recorded = loop.read_run(options.from_bag, setup, start)
+        recorded = read_run(options.from_bag, setup, start)
         starts = ", ".join(f"{command.start * setup.rates.position_period:.3f} s" for command in recorded.commands)
         print(f"trajectories in {one_line(options.from_bag)}: {len(recorded.commands)}, from {starts}")
         if options.seed is None:
@@ -160,7 +160,7 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
                 "file and the options of this command hold"
             )
         start = recorded.initial_position
-        simulate = partial(loop.replay, setup, recorded)
+        simulate = partial(replay, setup, recorded)
     elif options.trajectory is not None:
         points = load_trajectory(options.trajectory, setup.robot.joint_names)
         start = points.position[0] if start is None else start
@@ -197,7 +197,7 @@ def _warn(text: str) -> None:
 
 
 def _run_hours(setup: Setup, options: argparse.Namespace) -> None:
-    """Run the task there and back for hours, print how it goes, draw it where asked for."""
+    """Run the task there and back for hours; print the results, also after an interrupt, and draw them if asked to."""
     from rx90_common.description.robot_files import RobotFiles
     from rx90_controller.lines.task import load_task
     from rx90_emulator.loop.working_day import ThermalRun
@@ -208,10 +208,10 @@ def _run_hours(setup: Setup, options: argparse.Namespace) -> None:
     except ConfigError as error:
         raise ConfigError(f"--hours {options.hours:g}: {error}") from error
     try:
-        with progress_bar("cycles") as tell:
+        with progress_bar("cycles") as progress:
             while day.advance(total):
-                tell(day.done, total)
-            tell(total, total)
+                progress(day.done, total)
+            progress(total, total)
     finally:  # also for who interrupts
         if day.done:
             _show_hours(day.result(), day.done, options.plot)
@@ -225,7 +225,7 @@ def _show_hours(result: RepeatedLine, cycles: int, plot: Path | None) -> None:
 
     hours, count, friction = result.times / 3600.0, len(result.times), result.setup.friction
     print(f"{cycles} times there and back in {cycles * result.cycle / 3600.0:.3g} h, of which {count} were simulated")
-    rows = np.unique(np.linspace(0, count - 1, _ROWS).round().astype(int))
+    rows = np.unique(np.linspace(0, count - 1, _TABLE_ROWS).round().astype(int))
     head = "".join(f"{name:>11}" for name in friction.names)
     warm = [element.temperature is not None for element in friction.elements]
     print(f"\n{'':8}{'path error, mm':>18}  temperature of the joints, °C\n{'h':>8}{'worst':>9}{'RMS':>9}{head}")

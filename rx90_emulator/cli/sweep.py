@@ -17,15 +17,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_verbs(parser, _VERBS)
 
 
-def main(options: argparse.Namespace) -> None:
-    """Run the verb.
-
-    Raises:
-        Rx90Error: if it cannot be done.
-    """
-    options.run(options)
-
-
 def _add_run(run: argparse.ArgumentParser) -> None:
     run.add_argument("plan", metavar="PLAN", help="plan file of your own (docs/howto/sweep.md), or the name of a "
                      "shipped one: sweep/friction_and_feed_forward.yaml, sweep/payload_and_speed.yaml, "
@@ -43,8 +34,9 @@ def _add_run(run: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> None:
     """Run a plan of closed-loop runs."""
-    from rx90_emulator.sweep.execution import read_sweep, run_sweep
+    from rx90_emulator.sweep.execution import run_sweep
     from rx90_emulator.sweep.plan import load_sweep_plan
+    from rx90_emulator.sweep.store import read_sweep
     from rx90_emulator.sweep.sweep import DEVIATION, Sweep
 
     if options.robot is not None:

@@ -23,6 +23,8 @@ from rx90_emulator.cli.options import (
     add_page_arguments,
     add_record_arguments,
     add_robot_arguments,
+    check_apart,
+    check_needs,
     node_of,
     stay_on_this_machine,
     whole_number,
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     from rx90_controller.lines.task import TipTask
 
 _PORT, _NICENESS, _MOST_BAGS = 8080, 10, 2
-_PATIENCE = 1.5, 20.0  # s, from Ctrl-C to the end: of a start, of a page that is shown
+_END_WITHIN = 1.5, 20.0  # s, from Ctrl-C to the end: of a start, of a page that is shown
 _OF_BAGS = ("topic", "names", "gear", "coupling", "torque_constant", "zero", "record_time", "signals")
 
 
@@ -73,7 +75,7 @@ def main(options: argparse.Namespace) -> None:
         KeyboardInterrupt: before the page shows what it was started for; later Ctrl-C is how it ends.
     """
     _check(options)
-    with ends_within(*_PATIENCE, _give_up, _say_where) as start:
+    with ends_within(*_END_WITHIN, _give_up, _say_where) as start:
         import viser  # noqa: F401 - before kernels are compiled for a page that cannot be made
 
         from rx90_emulator.view.page import output_folder
@@ -93,18 +95,8 @@ def _check(options: argparse.Namespace) -> None:
         raise BagError(f"{count} bags; accepted: one, or two to be compared")
     if options.align is not None and count < _MOST_BAGS:
         raise BagError(f"--align {plain(options.align)} with {count} bags; accepted: two bags")
-    given = [name for name in _OF_BAGS if getattr(options, name)]
-    if given and not count:
-        raise BagError(f"--{given[0].replace('_', '-')} without a bag; accepted: with one, to be played")
-    given_of_nodes = {
-        "demo": options.demo,
-        "task": options.task is not None,
-        "node": options.node is not None,
-        "nice": options.nice is not None,
-    }
-    of_nodes = [name for name, is_given in given_of_nodes.items() if is_given]
-    if count and of_nodes:
-        raise BagError(f"--{of_nodes[0]} with the bag {plain(options.bags[0])}; accepted: one of them")
+    check_needs(options, _OF_BAGS, ("bags",))
+    check_apart(options, ("demo", "task", "node", "nice"), "bags", "one of them")
 
 
 def _give_up() -> None:
@@ -115,7 +107,7 @@ def _give_up() -> None:
 def _say_where() -> None:
     kill_all()
     lines = "; ".join(where_threads_are())
-    print(f"rx90_view: did not end within {_PATIENCE[1]:g} s, and was cut off. {lines}", file=sys.stderr, flush=True)
+    print(f"rx90_view: did not end within {_END_WITHIN[1]:g} s, and was cut off. {lines}", file=sys.stderr, flush=True)
 
 
 def _play(options: argparse.Namespace, started: Callable[[], None]) -> None:
@@ -145,12 +137,10 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
     if options.demo:  # a motion that nobody else asked for stays among its own nodes
         stay_on_this_machine()
     prepare()
-    from rx90_common.description.drives import load_drives
-    from rx90_common.description.robot import load_robot
     from rx90_common.exchange.client_node import client_node
-    from rx90_controller.law.parameters import load_controller
-    from rx90_controller.lines.plan import plan_line
+    from rx90_emulator.loop.line import plan_path
     from rx90_emulator.loop.path_file import load_motion
+    from rx90_emulator.loop.setup import Setup
     from rx90_emulator.view.live import LiveView
     from rx90_emulator.view.page import Page
     from rx90_emulator.view.panel import DoPanel
@@ -159,13 +149,12 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
 
     files = RobotFiles.of_options(options)
     controller = node_of(options)
-    robot = load_robot(files.urdf, files.tool)
-    elements = load_drives(files.drives).turning.element_names(robot.joint_names)
-    line: TipTask | None = None if files.task is None else load_motion(files.task)
-    if line is not None and line.what == "path":  # as slowly as the joints ask for
-        line = plan_line(robot, line, acceleration=load_controller(files.controller).limits(robot).acceleration).task
-    shipped = DEFAULT_ROBOT if options.robot is None else options.robot
-    tour = Tour(shipped, files, controller) if options.demo else None
+    setup = Setup.load(files)
+    motion = load_motion(files.required("task")) if options.demo or files.task is not None else None
+    plan = None if motion is None else plan_path(setup, motion)
+    # A path is as slow as the joints ask for.
+    line: TipTask | None = motion if plan is None or motion is None or motion.what == "line" else plan.task
+    tour = Tour(options.robot or DEFAULT_ROBOT, setup, plan, controller) if options.demo and plan is not None else None
     page = Page("rx90_view", options.host, options.port, options.output)
     with ExitStack() as ends:
         if tour is not None:
@@ -175,8 +164,8 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
             tour.start()
         be_nice(max(os.getpriority(os.PRIO_PROCESS, 0), _NICENESS) if options.nice is None else options.nice)
         with client_node("rx90_view", 1.0, print, options.ros_args) as client:
-            view = LiveView(page, client, robot, elements, controller, line)
-            ends.callback(DoPanel(page, client, files, view.newest, controller, view.lay_line).close)
+            view = LiveView(page, client, setup.robot, setup.friction.names, controller, line)
+            ends.callback(DoPanel(page, client, setup, line, view.newest, controller, view.lay_line).close)
             with page.tab("Files"):  # once all plots are there
                 with page.gui.add_folder("Record a bag"):
                     ends.callback(RecordButton(page, view.watch.namespace, options.ros_args).close)

@@ -23,12 +23,12 @@ from rx90_emulator.configuration.origins import ASSUMED, OF_CODE, OTHERS, ShownV
 SETS = ("friction", "friction/library")
 """The folders below config/ with friction of other machines: published, and identified from open recordings."""
 
-_SPEEDS = (0.01, 0.1, 1.0)
+_SPEED_SHARES = (0.01, 0.1, 1.0)
 """Shares of the highest speed at which the table has the torque."""
 _DASHES: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dashdot")
-_DECADES = 3  # of speed that are drawn on either side
+_SPEED_DECADES = 3  # of speed that are drawn on either side
 _POINTS = 400  # on either side
-_COLUMNS = 2
+_PLOT_COLUMNS = 2
 _LEGEND = (
     "* assumed; a/b: for positive/negative velocity; +- standard deviation; at v rad/s: torque at constant velocity, "
     "without load, at the reference temperature"
@@ -106,7 +106,7 @@ def _path_of(name: str) -> Path | None:
 
 
 def replace_elements(base: FrictionChoice, rules: Iterable[str]) -> FrictionFile:
-    """Return a file in which elements of others stand in place of its own, with their provenance and source.
+    """Return a file with some elements replaced by those of other files, with their provenance and source.
 
     Args:
         base: the file.
@@ -157,7 +157,7 @@ def comparison_table(choices: Sequence[FrictionChoice], speed: float) -> str:
         choices: the elements.
         speed: the highest at which the table has the torque, rad/s.
     """
-    speeds = [share * speed for share in _SPEEDS]
+    speeds = [share * speed for share in _SPEED_SHARES]
     rows = [("element", *(one.name for one in FRICTION_PARAMETERS), *(f"at {v:.3g}" for v in speeds), "parts")]
     rows.append(("", *(one.unit for one in FRICTION_PARAMETERS), *("Nm" for _ in speeds), ""))
     for choice in choices:
@@ -229,7 +229,7 @@ def comparison_json(choices: Sequence[FrictionChoice], speed: float) -> str:
                 known = spreads.get(path.replace(".", "_"), spreads.get(f"{path}_{SIGNS[0]}"))
                 stated |= {} if known is None else {"deviation": known}
                 parameters[path] = {"value": value, **stated, "assumed": one.provenance == ASSUMED}
-            speeds = [share * speed for share in _SPEEDS]
+            speeds = [share * speed for share in _SPEED_SHARES]
             torques = [_torques(choice.file.elements[name], v) for v in speeds]
             content.append({
                 "element": f"{choice.name}:{name}",
@@ -249,7 +249,7 @@ def comparison_plot(choices: Sequence[FrictionChoice], speed: float) -> Plot:
     A panel for each name of an element, a colour for each file; one panel for single elements, and for those of one
     file.
     """
-    smallest = 2.0 * 10.0 ** (np.floor(np.log10(speed)) - _DECADES)  # away from a decade, whose number needs room
+    smallest = 2.0 * 10.0 ** (np.floor(np.log10(speed)) - _SPEED_DECADES)  # away from a decade, whose number needs room
     up = np.geomspace(smallest, speed, _POINTS)
     velocity = np.concatenate([-up[::-1], [np.nan], up])
     shown: dict[str, list[Curve]] = {}
@@ -264,4 +264,4 @@ def comparison_plot(choices: Sequence[FrictionChoice], speed: float) -> Plot:
         Panel(one, "", "velocity, rad/s", f"{element}torque, Nm", x_scale="symlog", smallest=smallest)
         for element, one in shown.items()
     ]
-    return Plot(panels, columns=min(_COLUMNS, len(panels)), height=4.0 if len(panels) == 1 else 2.4)
+    return Plot(panels, columns=min(_PLOT_COLUMNS, len(panels)), height=4.0 if len(panels) == 1 else 2.4)

@@ -44,14 +44,14 @@ ARM_NODES = ("rx90_sim", "rx90_controller")
 RIG_NODE = "friction_bench"
 _PARAMETERS = "ros__parameters"
 _LARGEST_INTEGER = 2**63 - 1
-_OF_ROBOT = ("robot", "urdf", "drives", "controller", "rig")
-"""What decides which parameters there are."""
+_DECIDING = ("robot", "urdf", "drives", "controller", "rig")
+"""Parameters that decide which other parameters a node has."""
 _CONSTRAINTS = "constraints"
-"""Below it stand names of joints, which are the robot's."""
+"""Group of parameters named by the robot's joints."""
 _EVERY_NODE = "**"
 _SHARED = ("robot", "base_rate", "position_rate", "urdf", "drives")
 _SECTION: JsonSchema = {"anyOf": [{"required": [_PARAMETERS]}, {"additionalProperties": {"type": "object"}}]}
-"""What is no section of a node is a namespace, and holds such sections."""
+"""A mapping is a node's section, or a namespace that holds sections."""
 
 
 class DeclaredParameters:
@@ -149,7 +149,7 @@ _declared_by_default = cache(declared)
 
 
 def _flat(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Return parameters by their whole names: mappings in mappings stand for names with dots; an empty one stays."""
+    """Return parameters by their full names, a dot for each nested mapping; an empty mapping is kept as a value."""
     found: dict[str, Any] = {}
     for key, value in content.items():
         found |= _flat(value, f"{before}{key}.") if isinstance(value, dict) and value else {f"{before}{key}": value}
@@ -193,7 +193,7 @@ def _check_section(node: str, section: Section) -> None:
     """Check the parameters of a node one by one and, if there is nothing wrong with them, together."""
     entries = dict(_declared_by_default(node).entries)
     given = {name: value for name, value in _flat(section.content).items() if value != {} or name in entries}
-    chosen = {name: given[name] for name in _OF_ROBOT if name in given and name in entries}
+    chosen = {name: given[name] for name in _DECIDING if name in given and name in entries}
     if chosen:
         section.attempt(lambda: entries.update(declared(node, chosen).entries))
     faults: list[ConfigError] = []

@@ -1,4 +1,4 @@
-"""The arm along its line as an animated drawing: what it shows at each of many instants, seen along parallel rays.
+"""The arm on its line as an animated drawing, in parallel projection.
 
 The drawing is in points of a picture whose y axis points down. `templates/animation.js` moves it.
 """
@@ -31,9 +31,9 @@ _MARGIN = 16.0
 _MOST_FRAMES = 400
 _FRAME_RATE = 50.0  # Hz
 _ELEVATION = math.radians(20.0)  # of the eye
-_ASKEW = math.radians(-50.0)  # from the normal of the line
-_ENLARGED_TO = 0.12  # share of the picture's height that the largest deviation is drawn as, at most
-_CORNERS = 20  # of what stands for a circle
+_AZIMUTH = math.radians(-50.0)  # from the normal of the line
+_MAX_DEVIATION_SHARE = 0.12  # share of the picture's height that the largest deviation is drawn as, at most
+_CIRCLE_CORNERS = 20  # of what stands for a circle
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,7 @@ def animate(joints: JointSeries, path: PathAccuracy, robot: RobotModel, task: Li
     views = scale * np.einsum("ij,nkjl->nkil", eye, poses)
     views[..., 3] += shift
     # The largest of 1, 2, 5, 10, 20, ... with which the largest deviation has its share of the picture at most.
-    most = max(_ENLARGED_TO * HEIGHT / scale / max(float(path.worst), 1e-9), 1.0)
+    most = max(_MAX_DEVIATION_SHARE * HEIGHT / scale / max(float(path.worst), 1e-9), 1.0)
     decade = 10.0 ** math.floor(math.log10(most))
     factor = max(decade * step for step in (1.0, 2.0, 5.0) if decade * step <= most)
     line, trail = (
@@ -150,12 +150,12 @@ def _poses(robot: RobotModel, position: Array) -> Array:
 
 
 def _eye(ends: Array) -> Array:
-    """Return the directions right, up and towards the eye as rows: it stands askew of the line, before the arm."""
+    """Return the directions right, up and towards the eye as rows; the eye looks at the line from the front, aslant."""
     along, middle = ends[1] - ends[0], ends.mean(axis=0)
     turn = math.atan2(along[1], along[0]) + 0.5 * math.pi if np.hypot(*along[:2]) > 1e-6 else 0.0
     if middle[0] * math.cos(turn) + middle[1] * math.sin(turn) < 0.0:
         turn += math.pi
-    beside = np.array([math.cos(turn + _ASKEW), math.sin(turn + _ASKEW), 0.0])
+    beside = np.array([math.cos(turn + _AZIMUTH), math.sin(turn + _AZIMUTH), 0.0])
     toward = math.cos(_ELEVATION) * beside + np.array([0.0, 0.0, math.sin(_ELEVATION)])
     right = np.array([-beside[1], beside[0], 0.0])
     return np.array([right, np.cross(toward, right), toward])
@@ -163,7 +163,7 @@ def _eye(ends: Array) -> Array:
 
 def _corners(shape: VisualShape) -> Array:
     """Return points whose hull is the shape, in the frame that it moves with, m, shape (k, 3)."""
-    turns = np.linspace(0.0, 2.0 * math.pi, _CORNERS, endpoint=False)
+    turns = np.linspace(0.0, 2.0 * math.pi, _CIRCLE_CORNERS, endpoint=False)
     heights = np.linspace(-1.0, 1.0, 9 if shape.kind == "Sphere" else 2)
     if shape.kind == "Box":
         unit = np.array(list(product(heights, repeat=3)))

@@ -13,8 +13,8 @@ from rx90_emulator.loop.setup import Setup
 
 BANDWIDTH: Final = 40.0
 """Of the error's critically damped decay, rad/s."""
-_TABLE = 5000  # rows for each sign of the velocity
-_SLOW = 0.002  # rad/s of the set-point at which the friction is compensated in full
+_TABLE_ROWS = 5000  # rows for each sign of the velocity
+_FULL_COMPENSATION_SPEED = 0.002  # rad/s of the set-point at which the friction is compensated in full
 
 
 class ComputedTorque:
@@ -40,7 +40,7 @@ class ComputedTorque:
         self._half, self._speed = 0.5 * amplitude, 2.0 * math.pi / period
         # Tabulated, because the curves of seven elements take longer than everything else in a call.
         self._fastest = self._half * self._speed
-        speeds = np.linspace(-self._fastest, self._fastest, 2 * _TABLE + 1)
+        speeds = np.linspace(-self._fastest, self._fastest, 2 * _TABLE_ROWS + 1)
         self._friction = friction * _compensation(setup, speeds)
         self._begin: tuple[float, Array] | None = None
         self.errors: list[Array] = []
@@ -58,7 +58,7 @@ class ComputedTorque:
         self.errors.append(error)
         acceleration = self._half * self._speed**2 * math.cos(angle) + 2.0 * w * (speed - velocity) + w * w * error
         effort: Array = self._arm.torque(position[None], velocity[None], acceleration[None])[0]
-        row: Array = self._friction[_TABLE + round(_TABLE * speed / self._fastest)]
+        row: Array = self._friction[_TABLE_ROWS + round(_TABLE_ROWS * speed / self._fastest)]
         return effort + row
 
 
@@ -68,5 +68,5 @@ def _compensation(setup: Setup, speeds: Array) -> Array:
     inputs = speeds[:, None] * matrix.sum(axis=1)
     columns = [one.steady_torque(v) for one, v in zip(setup.friction.elements, inputs.T, strict=True)]
     # Not at once at a reversal, where the bristles have yet to bend.
-    full: Array = np.minimum(1.0, np.abs(speeds) / _SLOW)
+    full: Array = np.minimum(1.0, np.abs(speeds) / _FULL_COMPENSATION_SPEED)
     return full[:, None] * (np.stack(columns, axis=1) @ matrix)

@@ -33,14 +33,14 @@ _DXF_UNITS = {1: "in", 4: "mm", 5: "cm", 6: "m"}
 _CSV, _GCODE, _DXF = (".csv",), (".nc", ".ngc", ".gcode", ".tap"), (".dxf",)
 _MOST_BYTES = 16 << 20
 _MOST_POINTS = 50_000  # what a spline through them needs is some 200 MB
-_JOINED = 1e-4  # of the drawing's unit: ends closer than this are one
-_ARC_ENDS = 0.02  # mm: how unequally far from the centre an arc's ends may be, as programs round them
-_ON_SPLINE = 12  # points on each span of a drawing's spline
+_JOIN_TOLERANCE = 1e-4  # of the drawing's unit: ends closer than this are one
+_ARC_RADIUS_TOLERANCE = 0.02  # mm: how unequally far from the centre an arc's ends may be, as programs round them
+_POINTS_PER_SPAN = 12  # points on each span of a drawing's spline
 _WORD = re.compile(r"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*")
 _COMMENT = re.compile(r"\([^)]*\)|;.*$")
 _HEAD = re.compile(r"\s*(\w+)\s*(?:\[\s*(\w+)\s*\])?\s*")
-_WITHOUT_MOTION = {17.0, 40.0, 49.0, 54.0, 61.0, 64.0, 69.0, 80.0, 94.0}
-_PASSED_OVER = frozenset("MSTENO")
+_IGNORED_G_CODES = {17.0, 40.0, 49.0, 54.0, 61.0, 64.0, 69.0, 80.0, 94.0}
+_IGNORED_WORDS = frozenset("MSTENO")
 
 
 def _lines_of(file: Path) -> list[str]:
@@ -231,7 +231,7 @@ class Drawing:
         if kind == "SPLINE":
             curve = entity.construction_tool()
             spans = max(1, len(set(curve.knots())) - 1)
-            points = [tuple(point) for point in curve.approximate(spans * _ON_SPLINE)]
+            points = [tuple(point) for point in curve.approximate(spans * _POINTS_PER_SPAN)]
             return [(points[0], Segment(tuple(points[1:]), "spline"))]
         if kind not in ("TEXT", "MTEXT", "DIMENSION", "POINT", "HATCH"):  # which draw no path
             self._refuse(
@@ -244,7 +244,7 @@ class Drawing:
         from scipy.spatial import cKDTree
 
         ends = np.array([end for start, one in drawn for end in (start, one.points[-1])], dtype=np.float64)
-        touching: list[list[int]] = list(cKDTree(ends).query_ball_point(ends, _JOINED))  # type: ignore[arg-type]
+        touching: list[list[int]] = list(cKDTree(ends).query_ball_point(ends, _JOIN_TOLERANCE))  # type: ignore[arg-type]
         crowded = max(touching, key=len)
         if len(crowded) > 2:
             place = ends[crowded[0]].tolist()
@@ -278,7 +278,7 @@ class Drawing:
                     self._refuse(f"line {number}: {quoted(left[at : at + 20])}; accepted: words such as G1 or X12.5")
                 words.append((word[1].upper(), float(word[2])))
                 at = word.end()
-            program.take(number, words)
+            program.execute(number, words)
             if any(word in (("M", 2.0), ("M", 30.0)) for word in words):
                 break
         return "mm", program.start.tolist(), program.segments
@@ -309,8 +309,8 @@ class _Program:
     def _refuse(self, text: str) -> NoReturn:
         raise ConfigError(f"{plain(self._file)}: line {self._number}: {text}")
 
-    def take(self, line: int, words: list[tuple[str, float]]) -> None:
-        """Take the words of a line."""
+    def execute(self, line: int, words: list[tuple[str, float]]) -> None:
+        """Execute the words of a line."""
         self._number, numbers, motion = line, dict[str, float](), False
         for letter, value in words:
             if letter == "G":
@@ -319,7 +319,7 @@ class _Program:
                 if letter in numbers:
                     self._refuse(f"{letter} stands twice; accepted: once")
                 numbers[letter] = value
-            elif letter not in _PASSED_OVER and not (letter in "PQ" and ("G", 64.0) in words):
+            elif letter not in _IGNORED_WORDS and not (letter in "PQ" and ("G", 64.0) in words):
                 self._refuse(f"{letter}{value:g}; accepted: X, Y, Z, I, J, R, F, and words that do not move")
         if "F" in numbers:
             if not numbers["F"] > 0.0:
@@ -329,7 +329,7 @@ class _Program:
             self._move(numbers)
 
     def _code(self, code: float, words: list[tuple[str, float]]) -> bool:
-        """Take a G word; return whether it is a motion."""
+        """Execute a G word; return whether it is a motion."""
         if code in (0.0, 1.0, 2.0, 3.0):
             self._mode = code
             return True
@@ -341,7 +341,7 @@ class _Program:
             self._relative_center = code == 91.1
         elif code == 92.0 and {letter for letter, _ in words} <= {"G", "E", "N"}:
             pass  # of a printer's extruder
-        elif code not in _WITHOUT_MOTION:
+        elif code not in _IGNORED_G_CODES:
             self._refuse(f"G{code:g}; accepted: G0 to G3, G17, G20, G21, G90, G91, G90.1, G91.1")
         return False
 
@@ -364,7 +364,7 @@ class _Program:
                 self._refuse("an arc that leaves the plane G17; accepted: X, Y, I and J")
             center, normal = self._center(before, end, numbers), (0.0, 0.0, 1.0 if self._mode == 3.0 else -1.0)
             near, far = np.linalg.norm(before - center), np.linalg.norm(end - center)
-            if near == 0.0 or abs(near - far) > _ARC_ENDS:
+            if near == 0.0 or abs(near - far) > _ARC_RADIUS_TOLERANCE:
                 self._refuse(f"the arc's ends are {near:.6g} and {far:.6g} mm from its centre; accepted: as far")
             self.segments.append(Segment(place, "arc", tuple(center.tolist()), normal, speed=speed))
         elif np.any(end != before):

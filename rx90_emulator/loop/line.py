@@ -23,7 +23,7 @@ from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 
 _AT_REST = 1e-4  # m/s: slower set-points have no direction of their own but for rounding
-_REST = 0.1  # s: in shorter stops the tip is at a corner of one path, and may cut it
+_SHORTEST_REST = 0.1  # s: in shorter stops the tip is at a corner of one path, and may cut it
 _ROUNDING = 1e-9  # s, of stamps
 
 
@@ -222,7 +222,7 @@ def followed_accuracy(
     """
     tips = tip_position(robot.chain, setpoints)
     steps = np.flatnonzero(length(np.diff(tips, axis=0)) > _AT_REST * np.diff(setpoint_times))
-    rests = np.flatnonzero(setpoint_times[steps[1:]] - setpoint_times[steps[:-1] + 1] > _REST) + 1
+    rests = np.flatnonzero(setpoint_times[steps[1:]] - setpoint_times[steps[:-1] + 1] > _SHORTEST_REST) + 1
     found = [np.empty((5, 0))]
     for moves in np.split(steps, rests) if len(steps) else []:
         places = np.append(moves[0], moves + 1)

@@ -19,6 +19,7 @@ from rx90_common.base.errors import ConfigError, FailureError, check_type
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.topics import JOINT_COMMANDS, MEASURED_JOINT_STATES
 from rx90_common.kernels.compiled import kernel
+from rx90_emulator.loop.result import series_of
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.joint_interface import JointInterface
 from rx90_sim.plant_step import friction_states, plant_step
@@ -105,19 +106,13 @@ class ControllerRun:
         """Return the series by topic, as a bag of the node holds them, for `write_joint_states` and comparisons."""
         joints, rates = self.setup.robot.joint_names, self.setup.rates
         slow, commands = rates.period_ns * rates.ratio, NANOSECONDS // self.command_rate
-        rows: tuple[tuple[str, tuple[str, ...], Array, int], ...] = (
-            ("joint_states", joints, self.joint_states, slow),
-            ("friction_states", self.setup.friction.names, self.friction_states, slow),
-            (MEASURED_JOINT_STATES, joints, self.measured, commands),
+        series = (
+            series_of("joint_states", joints, self.joint_states, slow),
+            series_of("friction_states", self.setup.friction.names, self.friction_states, slow),
+            series_of(MEASURED_JOINT_STATES, joints, self.measured, commands),
+            series_of(JOINT_COMMANDS, joints, self.efforts, commands).take(self.powered),
         )
-        series = {
-            topic: JointSeries(f"/{topic}", names, np.arange(len(values)) * period, *np.moveaxis(values, 1, 0))
-            for topic, names, values, period in rows
-        }
-        stamps = np.flatnonzero(self.powered) * commands
-        efforts = self.efforts[self.powered]
-        series[JOINT_COMMANDS] = JointSeries(f"/{JOINT_COMMANDS}", joints, stamps, effort=efforts)
-        return series
+        return {one.topic.removeprefix("/"): one for one in series}
 
 
 def run_controller(

@@ -29,7 +29,7 @@ OF_LAW = ("servo.", "feed_forward.", "supervision.")
 _ATTRIBUTES = {"coulomb_torque": "coulomb", "viscous_friction": "viscous"}
 """Keys of the controller file whose attributes have other names."""
 _AT_REST = 0.01  # rad/s
-_LATEST = 100.0  # s of simulated time before the bag begins; the loop runs through it
+_LATEST_BEGIN = 100.0  # s of simulated time before the bag begins; the loop runs through it
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +41,8 @@ class RecordedRun:
         initial_position: where the arm rested, rad, shape (6,).
         duration: simulated time at the end of the bag, s.
         changed: names of the law's parameters that were changed meanwhile; `replay` has those of the setup throughout.
-        given: names of those that had other values than the setup's from the beginning, as the bag tells them, and of
-            what else was accepted of trajectories, which `replay` does not know.
+        given: names of those that had other values than the setup's from the beginning, by the bag, and of options of
+            the controller by which it accepted more trajectories than `replay` does.
         seed: of all that was random in the arm, None if the bag tells none: then `replay` has that of the setup.
         temperature_rate: of the temperatures, Hz; the same.
     """
@@ -75,10 +75,10 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
     check_robot(bag, setup.robot.model.name)
     states = read_joint_states(bag, "joint_states", setup.robot.joint_names)
     first, last = (int(stamp) for stamp in (states.stamp_ns.min(), states.stamp_ns.max()))
-    if first > _LATEST * NANOSECONDS:
+    if first > _LATEST_BEGIN * NANOSECONDS:
         raise BagError(
-            f"{plain(bag)}: begins at {first / NANOSECONDS:.3f} s; accepted: a bag that begins within {_LATEST:g} s of "
-            "simulated time"
+            f"{plain(bag)}: begins at {first / NANOSECONDS:.3f} s; accepted: a bag that begins within "
+            f"{_LATEST_BEGIN:g} s of simulated time"
         )
     if initial_position is None:
         initial_position = setup.plant().position_of(_position_at_rest(bag, states, setup.robot.joint_names))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, FailureError, check_type, write_error
+from rx90_common.base.errors import ConfigError, FailureError, check_type
+from rx90_common.base.quoting import plain
 from rx90_common.description.coupling import ArmSize
 from rx90_common.exchange.topics import (
     CORRECTION,
@@ -27,6 +29,7 @@ from rx90_common.exchange.topics import (
     TRAJECTORY_ACCEPTED,
     motor_names,
 )
+from rx90_common.process.files import atomic_files
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.points import message_content
 from rx90_emulator.loop.setup import Setup
@@ -125,10 +128,10 @@ class RunResult:
         motors = motor_names(len(joints))
         slow, period = self.slow, rates.period_ns * rates.ratio
         series = [
-            _series("joint_states", joints, slow.joint_states, period),
-            _series("friction_states", friction.names, slow.friction_states, period),
-            _series("rx90_controller/reference", joints, slow.reference, period),
-            _series("rx90_controller/tracking_error", joints, slow.tracking_error, period),
+            series_of("joint_states", joints, slow.joint_states, period),
+            series_of("friction_states", friction.names, slow.friction_states, period),
+            series_of("rx90_controller/reference", joints, slow.reference, period),
+            series_of("rx90_controller/tracking_error", joints, slow.tracking_error, period),
         ]
         rows = np.flatnonzero(slow.correction.any(axis=1))
         if len(rows):
@@ -136,10 +139,10 @@ class RunResult:
             series.append(JointSeries(topic, joints, rows.astype(np.int64) * period, slow.correction[rows]))
         for k, (name, names) in enumerate(zip(DETAILS, (joints, motors, motors), strict=True)):
             values = np.ascontiguousarray(slow.details[::DETAIL_DECIMATION, k])
-            series.append(_series(f"rx90_controller/{name}", names, values, period * DETAIL_DECIMATION))
+            series.append(series_of(f"rx90_controller/{name}", names, values, period * DETAIL_DECIMATION))
         if self.fast is not None:
-            series.append(_series(MOTOR_STATES, motors, self.fast.motor_states, rates.period_ns))
-            series.append(_series(MOTOR_COMMANDS, motors, self.fast.motor_commands, rates.period_ns))
+            series.append(series_of(MOTOR_STATES, motors, self.fast.motor_states, rates.period_ns))
+            series.append(series_of(MOTOR_COMMANDS, motors, self.fast.motor_commands, rates.period_ns))
         if len(slow.temperatures):  # of the elements and windings that get warm, as the nodes publish them
             warm = [i for i, element in enumerate(friction.elements) if element.temperature is not None]
             windings = len(joints) * self.setup.drives.winding.used
@@ -150,7 +153,7 @@ class RunResult:
         return {one.topic.removeprefix("/"): one for one in series}
 
 
-def _series(topic: str, names: tuple[str, ...], rows: Array, period_ns: int) -> JointSeries:
+def series_of(topic: str, names: tuple[str, ...], rows: Array, period_ns: int) -> JointSeries:
     """Return a series of rows of position, velocity, effort, shape (n, 3, m), or of efforts alone, shape (n, m)."""
     values = (None, None, rows) if rows.ndim == 2 else np.moveaxis(rows, 1, 0)
     return JointSeries(f"/{topic}", names, _stamps(rows, period_ns), *values)
@@ -224,15 +227,7 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
         for field, values in series.fields.items():
             arrays[f"{topic.rpartition('/')[2]} {series.quantities[field]}"] = values
     path = Path(file)
-    try:
-        stream = path.open("xb")
-    except OSError as error:
-        raise write_error(file, error, "a new file") from error
-    try:
-        with stream:
-            np.savez_compressed(stream, **arrays)
-    except BaseException as error:
-        path.unlink(missing_ok=True)  # half a file is of no use
-        if isinstance(error, OSError):
-            raise write_error(file, error) from error
-        raise
+    if os.path.lexists(path):
+        raise ConfigError(f"{plain(path)} exists; accepted: a new file")
+    with atomic_files(path) as (place,), place.open("wb") as stream:
+        np.savez_compressed(stream, **arrays)

@@ -37,12 +37,12 @@ CHANGE = 0.5
 """K by which no temperature changes between two simulated cycles, unless the caller says otherwise."""
 LONGEST = 1000.0 * 3600.0
 """Time that may be simulated, s."""
-_FEWEST = 12  # cycles that are simulated, if there are so many: a curve needs points
+_MIN_CYCLES = 12  # cycles that are simulated, if there are so many: a curve needs points
 _WINDING_CHANGE = 10.0  # of the windings, in parts of that of the joints: 10 K change their resistance by 4 %
-_LEAST_CHANGE = 0.2  # in parts of the bound, from which on a change of heat is more than its noise
-_MOST_FEEDBACK = 0.5  # of slope times resistance: beyond, heat would feed itself
+_MIN_CHANGE = 0.2  # in parts of the bound, from which on a change of heat is more than its noise
+_MAX_FEEDBACK = 0.5  # of slope times resistance: beyond, heat would feed itself
 
-_VALUES = ("heat", "friction", "worst", "rms")  # of a cycle, of which a repeated line has a row each
+_CYCLE_FIELDS = ("heat", "friction", "worst", "rms")  # of a cycle, of which a repeated line has a row each
 
 ProgressCallback = Callable[[int, int], None]
 
@@ -191,7 +191,7 @@ class ThermalRun:
         far, seconds = (way > self._bound) & (rate > 0.0), math.inf  # until a temperature reaches the bound
         if far.any():
             seconds = float(np.min(-np.log1p(-self._bound[far] / way[far]) / rate[far]))
-        count = max(1, min(left, int(min(seconds / duration, LONGEST)), total // _FEWEST))
+        count = max(1, min(left, int(min(seconds / duration, LONGEST)), total // _MIN_CYCLES))
         if count == 1:
             self._now = np.concatenate([cycle.end, cycle.windings])
         else:
@@ -205,7 +205,7 @@ class ThermalRun:
         now = np.array(temperatures)
         e = len(self._setup.friction.names)
         self._setup.warn_of_heat(now[:, :e])
-        heat, *values = (np.array([getattr(one, name) for one in cycles]) for name in _VALUES)
+        heat, *values = (np.array([getattr(one, name) for one in cycles]) for name in _CYCLE_FIELDS)
         rows = (np.array(times), now[:, :e], now[:, 2 * e :], heat[:, :e], now[:, e : 2 * e], *values)
         return RepeatedLine(self._setup, self._task, self._cycles.duration, *rows)
 
@@ -213,8 +213,8 @@ class ThermalRun:
         """Take the slope of the heat over temperature from this cycle and the last one that was far enough from it."""
         known = self._known = self._known or cycle
         risen = cycle.warm - known.warm
-        far = np.abs(risen) > _LEAST_CHANGE * self._bound[: self._count]
-        slope = np.minimum((cycle.heat - known.heat) / np.where(far, risen, 1.0), _MOST_FEEDBACK * self._conductance)
+        far = np.abs(risen) > _MIN_CHANGE * self._bound[: self._count]
+        slope = np.minimum((cycle.heat - known.heat) / np.where(far, risen, 1.0), _MAX_FEEDBACK * self._conductance)
         self._slope = np.where(far, slope, self._slope)
         self._known = known._replace(
             warm=np.where(far, cycle.warm, known.warm), heat=np.where(far, cycle.heat, known.heat)

@@ -1,4 +1,4 @@
-"""Run a sweep, from start or from where it was left, on all cores of this machine or on a Dask cluster.
+"""Run a sweep, from its start or on from results that are there, on this machine's cores or on a Dask cluster.
 
 In both cases the same chunks of runs are computed.
 """
@@ -30,18 +30,19 @@ from tqdm import tqdm
 from rx90_common.base.errors import ConfigError, FailureError, SweepError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.requirements import missing_module
+from rx90_emulator.sweep.store import ResultStore
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 LARGEST_CHUNK = 8
-_BATCH = 16, 64  # runs of a chunk by the perturbation method, which has 16 side by side
+_PERTURBATION_CHUNK = 16, 64  # runs of a chunk by the perturbation method, which has 16 side by side
 MOST_WORKERS = 1024
-_CHUNKS_EACH = 32
-_QUEUED_EACH = 3
+_CHUNKS_PER_WORKER = 32
+_QUEUED_PER_WORKER = 3
 _CONNECT_TIMEOUT = 10.0
 _ADDRESS = re.compile(r"\w+://\S+")  # without a protocol, Dask looks for a file
-_CHATTY = ("distributed", "distributed.client", "tornado.application")
-_KEPT_BYTES = 1 << 30
-_KEPT = "what is done is kept, go on with resume (--resume)"
+_NOISY_LOGGERS = ("distributed", "distributed.client", "tornado.application")
+_HEAP_THRESHOLD = 1 << 30
+_RESUME_ADVICE = "what is done is kept, go on with resume (--resume)"
 
 Chunk = Sequence[int]
 Outcomes = list[RunOutcome]
@@ -94,7 +95,7 @@ def run_sweep(
     if workers is not None and not 1 <= workers <= MOST_WORKERS:
         raise ConfigError(f"workers is {workers}; accepted: an integer in [1, {MOST_WORKERS}]")
     failed = computed = 0
-    with _import("rx90_emulator.sweep.store").ResultStore(Path(output), sweep, resume=resume) as store:
+    with ResultStore(Path(output), sweep, resume=resume) as store:
         missing = np.flatnonzero(~store.done).tolist()
         if not missing:
             return SweepCounts(0, 0)
@@ -106,7 +107,7 @@ def run_sweep(
             disable=True if quiet else None,  # None: shown on a terminal only
         )  # fmt: skip
         with pool_of as pool, shown as bar:
-            sizes = _BATCH if sweep.perturbs else (1, LARGEST_CHUNK)
+            sizes = _PERTURBATION_CHUNK if sweep.perturbs else (1, LARGEST_CHUNK)
             for outcomes in run_all(pool, missing, sizes):
                 store.add(outcomes)
                 computed += len(outcomes)
@@ -114,26 +115,6 @@ def run_sweep(
                 bar.set_postfix(failed=failed, refresh=False)
                 bar.update(len(outcomes))
     return SweepCounts(computed, failed)
-
-
-def read_sweep(file: Path | str) -> Any:
-    """Return the results of a sweep, finished or not, as a pyarrow.Table sorted by the run's index.
-
-    Raises:
-        SweepError: if there are none, or they cannot be read.
-    """
-    return _import("rx90_emulator.sweep.store").read_results(Path(file))
-
-
-def _import(module: str) -> Any:
-    """Return a module that stands on pyarrow or Dask, which are optional."""
-    try:
-        return import_module(module)
-    except ImportError as error:
-        line = missing_module(error)
-        if line is None:
-            raise
-        raise FailureError(line) from error
 
 
 def run_all(pool: Pool, indices: Sequence[int], sizes: tuple[int, int] = (1, LARGEST_CHUNK)) -> Iterator[Outcomes]:
@@ -144,9 +125,9 @@ def run_all(pool: Pool, indices: Sequence[int], sizes: tuple[int, int] = (1, LAR
         indices: of the runs.
         sizes: least and most runs in a chunk.
     """
-    size = min(sizes[1], max(sizes[0], len(indices) // (_CHUNKS_EACH * pool.workers)))
+    size = min(sizes[1], max(sizes[0], len(indices) // (_CHUNKS_PER_WORKER * pool.workers)))
     chunks = (indices[first : first + size] for first in range(0, len(indices), size))
-    running = {pool.submit(chunk) for chunk in islice(chunks, _QUEUED_EACH * pool.workers)}
+    running = {pool.submit(chunk) for chunk in islice(chunks, _QUEUED_PER_WORKER * pool.workers)}
     while running:
         ready, running = wait(running, return_when=FIRST_COMPLETED)
         running |= {pool.submit(chunk) for chunk in islice(chunks, len(ready))}
@@ -180,14 +161,14 @@ def local_pool(sweep: Sweep, workers: int) -> Iterator[Pool]:
         submit([])  # forks before the caller starts any thread
         yield Pool(workers, submit)
     except BrokenProcessPool as error:
-        raise SweepError(f"a worker process died, killed or out of memory; {_KEPT}") from error
+        raise SweepError(f"a worker process died, killed or out of memory; {_RESUME_ADVICE}") from error
     finally:
         stop.value = 1
         processes.shutdown(wait=True, cancel_futures=True)
 
 
 _in_worker: list[Any] = []
-"""What a worker process has from its parent: the sweep, and a shared number, 1 for leave your chunk."""
+"""What a worker process gets from its parent: the sweep, and a shared number that is 1 when it is to stop."""
 
 
 def _start_worker(sweep: Sweep, stop: Any) -> None:
@@ -195,7 +176,7 @@ def _start_worker(sweep: Sweep, stop: Any) -> None:
     # Let the C library keep memory that is given back: the series of a run are fresh pages otherwise, an eighth of it.
     with suppress(OSError, AttributeError):  # other C libraries than glibc have none of it
         for parameter in (-1, -3):  # M_TRIM_THRESHOLD, M_MMAP_THRESHOLD
-            ctypes.CDLL("libc.so.6").mallopt(parameter, _KEPT_BYTES)
+            ctypes.CDLL("libc.so.6").mallopt(parameter, _HEAP_THRESHOLD)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
@@ -222,9 +203,12 @@ def dask_pool(sweep: Sweep, address: str) -> Iterator[Pool]:
     """
     if not _ADDRESS.fullmatch(address):
         raise SweepError(f"the scheduler is {quoted(address)}; accepted: an address such as tcp://host:8786")
-    distributed = _import("distributed")
+    try:
+        distributed: Any = import_module("distributed")
+    except ImportError as error:  # which most sweeps do without
+        raise FailureError(missing_module(error) or str(error)) from error
     # Dask's own tracebacks of a lost connection stay off the terminal; the sweep says it in one line.
-    levels = {logger: logger.level for logger in map(logging.getLogger, _CHATTY)}
+    levels = {logger: logger.level for logger in map(logging.getLogger, _NOISY_LOGGERS)}
     for logger in levels:
         logger.setLevel(logging.CRITICAL)
     client = None
@@ -239,7 +223,7 @@ def dask_pool(sweep: Sweep, address: str) -> Iterator[Pool]:
         executor, payload = client.get_executor(pure=False), pickle.dumps(sweep)
         yield Pool(workers, lambda chunk: executor.submit(_run_on_cluster, payload, chunk))
     except (distributed.KilledWorker, CancelledError, OSError) as error:
-        raise SweepError(f"the Dask cluster at {address} failed ({_one_line(error)}); {_KEPT}") from error
+        raise SweepError(f"the Dask cluster at {address} failed ({_one_line(error)}); {_RESUME_ADVICE}") from error
     except ImportError as error:
         raise SweepError(f"a Dask worker lacks the emulator ({error}); accepted: the same version") from error
     finally:

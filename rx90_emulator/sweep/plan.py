@@ -104,14 +104,11 @@ class Uniform:
 
 
 @dataclass(frozen=True)
-class LogUniform:
+class LogUniform(Uniform):
     """The logarithm is uniform."""
 
-    low: float
-    high: float
-
     def __post_init__(self) -> None:
-        _check(self.low, self.high, self.low, self.high)
+        super().__post_init__()
         if self.low <= 0.0:
             raise ConfigError(f"loguniform from {self.low:g}; accepted: a lower bound > 0")
 
@@ -505,7 +502,7 @@ def load_sweep_plan(name: Path | str, *, robot: Path | str | None = None) -> Swe
 
 
 def _base(section: Section, content: dict[str, Any], robot: str | None) -> SweepBase:
-    """Return what runs start from; files stand beside the plan or in the working folder, or are shipped."""
+    """Return what runs start from; its files are beside the plan, in the working folder, or shipped ones."""
     names = {}
     for role in ("robot", *_ROLES):
         if role in content:

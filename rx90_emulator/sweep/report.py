@@ -18,10 +18,10 @@ from rx90_common.base.quoting import plain
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Curve, Dots, Level, Mark, Panel, Plot
 from rx90_emulator.loop.parameters import SWITCH
-from rx90_emulator.sweep.store import about, failures, read_results
+from rx90_emulator.sweep.store import about, failures, read_sweep
 
-_OF_THE_PATH = "path_error_worst", "path_error_rms", "along_track_worst", "orientation_worst"
-_MM = 1e3
+_PATH_METRICS = "path_error_worst", "path_error_rms", "along_track_worst", "orientation_worst"
+_MILLI = 1e3
 _MOST_PANELS = 12  # parameters that are drawn
 _MOST_ROWS = 40  # parameters in the table
 _MOST_DOTS = 8000  # in all panels
@@ -127,8 +127,8 @@ class SweepFigures:
         Raises:
             SweepError: if there are none, they cannot be read, or no run of them has succeeded.
         """
-        table = read_results(file)
-        worst, rms, along, turned = (_MM * _numbers(table, name) for name in _OF_THE_PATH)
+        table = read_sweep(file)
+        worst, rms, along, turned = (_MILLI * _numbers(table, name) for name in _PATH_METRICS)
         if not np.isfinite(worst).any():
             raise SweepError(f"{plain(file)}: no run has succeeded; accepted: results with a path error")
         parameters = [field for field in table.schema if field.metadata[b"kind"] == b"parameter"]

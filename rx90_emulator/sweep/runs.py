@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from itertools import accumulate
 
 import numpy as np
 
 from rx90_common.base.errors import ConfigError, SweepError
 from rx90_emulator.loop.parameters import SWITCH, Catalogue, Leaf, Value
-from rx90_emulator.sweep.plan import Block, Distribution, SweepPlan, SweptParameter, Values
+from rx90_emulator.sweep.plan import Block, SweepPlan, SweptParameter, Values
 
 
 @dataclass(frozen=True)
@@ -33,24 +33,17 @@ class RunDescription:
 
 
 @dataclass(frozen=True)
-class Column:
+class Column(SweptParameter):
     """A parameter of a block, and what its column in tables holds.
 
     Attributes:
-        name: of the parameter.
-        paths: what it sets.
         unit: of its values; "1" for factors and SWITCH for true or false.
-        factor: whether it holds factors.
         leaves: the values that it sets.
-        space: where its values come from.
     """
 
-    name: str
-    paths: tuple[str, ...]
+    _: KW_ONLY
     unit: str
-    factor: bool
     leaves: tuple[Leaf, ...]
-    space: Values | Distribution
 
     @property
     def title(self) -> str:
@@ -161,5 +154,4 @@ def _column(parameter: SweptParameter, catalogue: Catalogue) -> Column:
     leaves = tuple(leaf for place in places for leaf in place.leaves)
     if len(set(leaves)) < len(leaves):
         raise ConfigError("its paths set a value twice; accepted: once")
-    unit = "1" if parameter.factor else units[0]
-    return Column(parameter.name, parameter.paths, unit, parameter.factor, leaves, parameter.space)
+    return Column(**vars(parameter), unit="1" if parameter.factor else units[0], leaves=leaves)

@@ -69,7 +69,8 @@ def table_of(sweep: Sweep, schema: pa.Schema, outcomes: Iterable[RunOutcome]) ->
     """Return the rows of some runs."""
     nothing = (None,) * len(sweep.metrics)
     rows = [
-        (o.run.index, o.run.block, o.run.seed, *sweep.values(o.run), *(o.metrics or nothing), o.error) for o in outcomes
+        (run.index, run.block, run.seed, *sweep.values(run), *(metrics or nothing), error)
+        for run, metrics, error in outcomes
     ]
     columns = zip(*rows, strict=True) if rows else ((),) * len(schema)
     arrays = [pa.array(column, field.type) for column, field in zip(columns, schema, strict=True)]
@@ -94,12 +95,13 @@ def parts_folder(file: Path) -> Path:
     return file.with_name(file.name + ".parts")
 
 
-def read_results(file: Path) -> pa.Table:
-    """Return the results of a sweep, finished or not, sorted by the run's index.
+def read_sweep(file: Path | str) -> pa.Table:
+    """Return the results of a sweep, finished or not, as a pyarrow.Table sorted by the run's index.
 
     Raises:
         SweepError: if there are none, or they cannot be read.
     """
+    file = Path(file)
     sources = _sources(file)
     if not sources:
         raise SweepError(f"{file} does not exist; accepted: a result of rx90_sweep run")
@@ -166,7 +168,7 @@ class ResultStore:
         self._began = self._flushed = time.monotonic()
 
     def _take_up(self) -> None:
-        table = read_results(self.file)
+        table = read_sweep(self.file)
         there, own = (about(schema, self.file) for schema in (table.schema, self._schema))
         kinds = {"identity": "plan", "sources": "version of the sources", "versions": "set of versions"}
         for key, what in kinds.items():
@@ -226,7 +228,7 @@ class ResultStore:
 
     def _gather(self) -> None:
         if any(self._parts.glob("part-*.parquet")):
-            self._write(read_results(self.file).replace_schema_metadata(self._schema.metadata), self.file)
+            self._write(read_sweep(self.file).replace_schema_metadata(self._schema.metadata), self.file)
         try:
             shutil.rmtree(self._parts)
         except OSError as error:
@@ -259,7 +261,7 @@ def describe_results(file: Path) -> list[str]:
     Raises:
         SweepError: if there are none, or they cannot be read.
     """
-    table = read_results(file)
+    table = read_sweep(file)
     found = about(table.schema, file)
     state = f"all {found['runs']} runs" + ", not yet gathered" * parts_folder(file).exists()
     if len(table) < found["runs"]:

@@ -1,4 +1,4 @@
-"""A plan made ready to run: files read, paths checked, the line planned once; and what is measured of its runs.
+"""A sweep ready to run, with its files read, its paths checked and its line planned once; and the metrics of a run.
 
 With the perturbation method runs that differ in friction and controller alone share one nominal motion and are computed
 side by side; a run whose deviation the method does not hold for ends in an error.
@@ -38,10 +38,10 @@ PLANNED_LINES = 64
 LARGEST_DEVIATION: Final = 0.04
 """Of the tip, m, by the perturbation method: there its error reaches 4 to 5 % (docs/explanation/perturbation.md)."""
 _LARGEST_ERROR = 0.05  # of the deviation, in the runs that are held against the closed loop
-_LOOKS = 10  # ticks between looks at the tool's orientation, which costs as much as all else; its peak is 0.2 % less
-_PREPARED = 4  # nominal motions that are kept
+_ORIENTATION_STRIDE = 10  # position ticks: the orientation costs as much as all else; its peak is 0.2 % less
+_KEPT_MODELS = 4  # nominal motions that are kept
 _KEPT_SETPOINTS = 4
-_OF_THE_MOTION = {("controller", "start_tolerance"), ("controller", "max_acceleration")}
+_NOMINAL_KEYS = {("controller", "start_tolerance"), ("controller", "max_acceleration")}
 RUN_COLUMNS = ("index", "block", "seed", "error")
 """Columns of the results beside parameters and metrics."""
 
@@ -140,7 +140,7 @@ def _path_errors(
 ) -> tuple[float, ...]:
     asked = task.profile().sample(times - task.rest_before).distance
     error = task.error(tip_position(robot.chain, position) if tip is None else tip, asked)
-    few = slice(None, None, _LOOKS)
+    few = slice(None, None, _ORIENTATION_STRIDE)
     there = task.poses(np.clip(error.along[few], 0.0, task.length))
     turned = turned_by(robot, forward(robot.chain, position[few]), there)
     across = error.perpendicular
@@ -230,7 +230,7 @@ class Sweep:
             plan = plan_path(self.setup, task)
             return plan.points, plan.task if isinstance(plan.task, Path) else task
 
-        @lru_cache(maxsize=_PREPARED)
+        @lru_cache(maxsize=_KEPT_MODELS)
         def model(changes: tuple[tuple[Leaf, Value], ...]) -> tuple[LineTask | Path, PerturbationModel]:
             setup, task = apply(self.setup, self.task, dict(changes))
             points, task = motion(task)
@@ -310,7 +310,7 @@ class Sweep:
         return tuple(
             (leaf, value)
             for leaf, value in changes
-            if leaf.key[0] not in ("friction", "controller") or leaf.key in _OF_THE_MOTION
+            if leaf.key[0] not in ("friction", "controller") or leaf.key in _NOMINAL_KEYS
         )
 
     def _perturbed(self, key: tuple[tuple[Leaf, Value], ...], runs: list[RunDescription]) -> list[RunOutcome]:

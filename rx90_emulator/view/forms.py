@@ -1,4 +1,4 @@
-"""What is typed and checked before it counts: a straight line, and a friction element with its curves and file."""
+"""Forms whose input is checked before it has an effect: a straight line, and a friction element with its curves."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from rx90_emulator.view.scene import PLANNED, connect
 
 SET_POINT = 1e-3
 """From one set-point of the controller to the next, s."""
-_CHECKS = 0.1  # s from one check to the next while somebody types
-_STANDS, _ELSEWHERE = 1e-4, 1e-2  # rad, from one look to the next; from where it was checked
-_DRAWN = 60  # points of the approach
+_CHECK_PERIOD = 0.1  # s from one check to the next while somebody types
+_AT_REST, _MOVED_AWAY = 1e-4, 1e-2  # rad, from one look to the next; from where it was checked
+_WAY_POINTS = 60  # points of the approach
 _LARGEST = 1e6  # of what is typed, in its unit; far beyond any arm, and far from what overflows
 FIELDS = {"start": (3, "m"), "end": (3, "m"), "speed": (1, "m/s"), "acceleration": (1, "m/s²"), "tool rpy": (3, "deg")}
 """What is typed: how many numbers, and their unit."""
@@ -61,7 +61,7 @@ class LinePreview(NamedTuple):
         return np.asarray(np.abs(self.plan.velocity).max(axis=0) / self.plan.path.robot.max_velocity)
 
     def text(self) -> str:
-        """Return what a person wants to know before sending it."""
+        """Return the line's length, duration and joint speeds in words, for a person who is about to send it."""
         task, name = self.task, self.plan.joint_names
         shares = ", ".join(f"{joint} {share:.0%}" for joint, share in zip(name, self.share, strict=True))
         said = f"{task.length:.3f} m in {task.profile().duration:.2f} s"
@@ -102,7 +102,7 @@ class LineForm:
         labels = (f"{what}, {unit}" for what, (_, unit) in FIELDS.items())
         self._fields = [page.gui.add_text(*given) for given in zip(labels, typed_line(task), strict=True)]
         self._checker: Checker[tuple[list[str], Array | None], LinePreview] = Checker(
-            page, lambda given: self.preview(*given), self._show, _CHECKS
+            page, lambda given: self.preview(*given), self._show, _CHECK_PERIOD
         )
         self.close = self._checker.close
         self._button = page.gui.add_button("Send the line", disabled=True)
@@ -119,14 +119,14 @@ class LineForm:
         self._give()
 
     def follow(self, here: Array | None, missing: str) -> None:
-        """Take where the arm is, rad, shape (n,), None for unknown, and what is missing to send a line, if anything.
+        """Take the arm's position, rad, shape (n,), None if unknown, and what is missing to send a line, if anything.
 
-        Where the arm has come to rest elsewhere, the approach is another one.
+        Where the arm has come to rest elsewhere, the approach is planned anew.
         """
-        stands = here is not None and self._here is not None and np.abs(here - self._here).max() < _STANDS
+        stands = here is not None and self._here is not None and np.abs(here - self._here).max() < _AT_REST
         self._here, self._missing = here, missing
         before = self._checked_from
-        if stands and here is not None and (before is None or np.abs(here - before).max() > _ELSEWHERE):
+        if stands and here is not None and (before is None or np.abs(here - before).max() > _MOVED_AWAY):
             self._give(wanted=self._wanted)
         self._enable()
 
@@ -157,7 +157,7 @@ class LineForm:
         if here is not None and line.approach > 0.0:
             rest = np.zeros((2, len(here)))
             motion = interpolate(np.array([0.0, line.approach]), np.stack([here, plan.start_pose]), rest, rest)
-            way = tip_position(self._robot.chain, motion.sample(np.linspace(0.0, line.approach, _DRAWN))[:, 0])
+            way = tip_position(self._robot.chain, motion.sample(np.linspace(0.0, line.approach, _WAY_POINTS))[:, 0])
         return LinePreview(task, plan, line, way)
 
     def _give(self, *, wanted: bool = False) -> None:
@@ -185,13 +185,13 @@ class LineForm:
 
 
 _NAMES = [parameter.name for parameter in FRICTION_PARAMETERS]
-_INTERVAL = 0.05  # s
-_TOP = 20.0  # Stribeck velocities, the reach of the curve
-_FACTORS = (0.2, 5.0, 0.01)  # least, largest, step of the slider
+_CURVE_PERIOD = 0.05  # s
+_STRIBECK_SPAN = 20.0  # Stribeck velocities, the reach of the curve
+_FACTOR_RANGE = (0.2, 5.0, 0.01)  # least, largest, step of the slider
 _FILE = "friction_changed.yaml"
 _MICRO = 1e6
-_CURVE = 160  # points for each sign of the velocity
-_LEG = 120  # steps from one reversal to the other
+_CURVE_POINTS = 160  # points for each sign of the velocity
+_STEPS_PER_LEG = 120  # steps from one reversal to the other
 _COLOURS = {"file": GREY, "changed": COLOURS[0]}
 _Curves = tuple[Array, list[Array]]  # abscissa and ordinates
 _PERIOD = 2.0  # s, of the motion to and fro: so slow that what is seen is the bristle, not c1 and c2
@@ -199,7 +199,7 @@ _PERIOD = 2.0  # s, of the motion to and fro: so slow that what is seen is the b
 
 def stribeck_curve(element: FrictionElement, top: float) -> tuple[Array, Array]:
     """Return velocities up to `top` of either sign, rad/s, dense where it is small, and steady torque, Nm, (n,)."""
-    speed = top * np.linspace(0.0, 1.0, _CURVE + 1)[1:] ** 3
+    speed = top * np.linspace(0.0, 1.0, _CURVE_POINTS + 1)[1:] ** 3
     velocity = np.concatenate([-speed[::-1], [0.0], speed])
     return velocity, np.asarray(element.steady_torque(velocity))
 
@@ -214,12 +214,12 @@ def presliding_loop(element: FrictionElement, amplitude: float) -> tuple[Array, 
         amplitude: half the way from one reversal to the other, rad.
     """
     legs = 41  # of which the first is half a way, and the last two have forgotten it
-    step = _PERIOD / 2.0 / _LEG
-    sign = np.repeat((-1.0) ** np.arange(legs), _LEG)[_LEG // 2 :]
-    velocity = sign * 2.0 * amplitude / (_LEG * step)
+    step = _PERIOD / 2.0 / _STEPS_PER_LEG
+    sign = np.repeat((-1.0) ** np.arange(legs), _STEPS_PER_LEG)[_STEPS_PER_LEG // 2 :]
+    velocity = sign * 2.0 * amplitude / (_STEPS_PER_LEG * step)
     torque = prescribed_torque((element,), velocity[:, None], np.full(velocity.size, step))[:, 0]
-    back, forth = torque[-2 * _LEG : -_LEG], torque[-_LEG:]
-    middle = amplitude * ((np.arange(_LEG) + 0.5) * 2.0 / _LEG - 1.0)
+    back, forth = torque[-2 * _STEPS_PER_LEG : -_STEPS_PER_LEG], torque[-_STEPS_PER_LEG:]
+    middle = amplitude * ((np.arange(_STEPS_PER_LEG) + 0.5) * 2.0 / _STEPS_PER_LEG - 1.0)
     return middle, forth, back[::-1]
 
 
@@ -283,7 +283,7 @@ class ElementForm:
         gui = page.gui
         self._element = gui.add_dropdown("element", list(file.elements))
         self._slid_one = gui.add_dropdown("slide", _NAMES)
-        self._factor = gui.add_slider("times the file's", *_FACTORS, 1.0)
+        self._factor = gui.add_slider("times the file's", *_FACTOR_RANGE, 1.0)
         self._factor_taken = 1.0  # another value is one that a user has just given, and is taken next
         self._graphs = []
         for title, x, ways in (
@@ -294,7 +294,7 @@ class ElementForm:
             curves = [replace(curves_of([label])[0], colour=colour) for label, colour in labels]
             self._graphs.append(Graph(page, title, curves, x=x))
         self._way = gui.add_slider("way / break-away", 0.1, 5.0, 0.1, 1.0)
-        self._checker = Checker(page, self._compute, self._show, _INTERVAL)
+        self._checker = Checker(page, self._compute, self._show, _CURVE_PERIOD)
         self.close = self._checker.close
         self._fields = []
         for one in FRICTION_PARAMETERS:
@@ -354,7 +354,7 @@ class ElementForm:
         name, texts, way = given
         file = changed(self._file, name, read_values(texts))
         before, after = self._file.elements[name], file.elements[name]
-        top = _TOP * before.omega_s
+        top = _STRIBECK_SPAN * before.omega_s
         amplitude = way * max(before.tau_s_positive, before.tau_s_negative) / before.c0  # of the linear bristle
         curves = [stribeck_curve(element, top) for element in (before, after)]
         loops = [presliding_loop(element, amplitude) for element in (before, after)]

@@ -1,4 +1,4 @@
-"""Who may speak with the page, and what is heard: the guard in front of viser's server.
+"""Access control in front of viser's server: who may connect, and which messages are accepted.
 
 Viser (1.1) serves whoever connects: it looks neither at the Host and Origin of a request nor at the values in a
 message, keeps clients that do not read, and has no limit to their number. Any web page that is open in the same browser
@@ -85,7 +85,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 class PageGuard:
-    """Viser's server, and what stands in front of it.
+    """Viser's server behind its access control.
 
     Args:
         title: of the page; what is refused is said on standard error after it.
@@ -182,7 +182,7 @@ class PageGuard:
         return self.open_to_others  # no name, so nobody has let it point here
 
     async def _attend(self, handler: _Handler, connection: _Connection) -> None:
-        """Have viser speak with a client, if there are not too many, until either goes or the client does not read."""
+        """Let viser serve a client, unless there are too many, until either of them ends it or it stops reading."""
         if len(self._clients) >= MOST_CLIENTS:
             self.log.say("clients", f"a client was sent away: {MOST_CLIENTS} are there; accepted: as many at most")
             await connection.close(1013, f"{MOST_CLIENTS} clients are there")
@@ -220,7 +220,7 @@ class PageGuard:
 
 
 class _Connection(ServerConnection):
-    """A client that is heard as the guard says, and not waited for without end."""
+    """A client's connection; messages that the guard refuses are left out, a client that stops reading is dropped."""
 
     def __init__(self, guard: PageGuard, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -241,7 +241,7 @@ class _Connection(ServerConnection):
             self._waiting -= 1
 
     async def drop_when_deaf(self) -> None:
-        """Cut the connection where nothing that is to be sent is taken; a ping would wait for its turn, too."""
+        """Cut the connection when the client reads nothing of what is sent; a ping would wait in the same queue."""
         sent, left = -1, math.inf
         while not self._waiting or self._sent != sent or self.transport.get_write_buffer_size() < left:
             sent, left = self._sent, self.transport.get_write_buffer_size()

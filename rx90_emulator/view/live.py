@@ -28,11 +28,11 @@ _PACE_WINDOW = 2.0  # s
 _POSE_PERIOD = 1.0 / 30.0  # s
 _PLOT_PERIOD = 0.2
 _STATUS_PERIOD = 0.25
-_PACED = 1.05  # simulated s in one of the wall clock, of a simulation that keeps to it
-_MAGNIFIED = ("1", "10", "100")  # the first is what is drawn at first
-_FIRST_SHOWN = 3  # joints; all seven at once are hard to tell apart
-_GAPS = 5  # in 10 s; more are drawn across
-_MISSING = 0.01  # s; a line across so many ticks would be none of friction
+_REAL_TIME_FACTOR = 1.05  # simulated s in one of the wall clock, of a simulation that keeps to it
+_MAGNIFICATIONS = ("1", "10", "100")  # the first is what is drawn at first
+_SHOWN_FIRST = 3  # joints; all seven at once are hard to tell apart
+_MAX_GAPS = 5  # in 10 s; more are drawn across
+_MAX_SAMPLE_STEP = 0.01  # s; a line across so many ticks would be none of friction
 _NONE = "none"
 
 
@@ -84,7 +84,7 @@ class LiveView:
             self._velocity = RollingPlot(page, "joint velocity [rad/s]", joints, (-0.01, 0.01))
             self._torque = RollingPlot(page, "drive torque [Nm]", joints, (-5.0, 5.0))
             title = "path error of the laser spot [mm]"
-            self._error = RollingPlot(page, title, ("laser spot",), (0.0, 0.01), gaps=_GAPS)
+            self._error = RollingPlot(page, title, ("laser spot",), (0.0, 0.01), gaps=_MAX_GAPS)
         self._looped.on_update(from_user(self._loop.clear, page))
         self._loop_time = -1.0
         with page.plot_tab("Path"):
@@ -95,12 +95,12 @@ class LiveView:
             if self._line is not None:
                 gui.add_html(legend_html("line and approach of the form"))
                 hint = "the trace is drawn so many times as far from the line as it was"
-                magnified = gui.add_dropdown("error drawn \u00d7", _MAGNIFIED, hint=hint)
+                magnified = gui.add_dropdown("error drawn \u00d7", _MAGNIFICATIONS, hint=hint)
                 trace = self._line
                 magnified.on_update(from_user(lambda: trace.magnify(float(magnified.value)), page))
                 gui.add_button("Clear the trace").on_click(from_user(trace.clear, page))
             with gui.add_folder("Joints in the plots", expand_by_default=False):
-                self._boxes = {name: gui.add_checkbox(name, k < _FIRST_SHOWN) for k, name in enumerate(self._names)}
+                self._boxes = {name: gui.add_checkbox(name, k < _SHOWN_FIRST) for k, name in enumerate(self._names)}
             with gui.add_folder("Diagnostics", expand_by_default=False):
                 self._diagnostics = gui.add_html("")
         for box in self._boxes.values():
@@ -142,7 +142,7 @@ class LiveView:
         return (last - first) / (ended - began)
 
     def _problem(self, now: float) -> str:
-        """Return why there is nothing to be seen, as a sentence for the user; empty if there is."""
+        """Return why there are no states to show, as a sentence for the user; empty if there are some."""
         theirs = self.watch.robot
         if self.watch.publishers and theirs not in {None, self._robot}:
             return f"The simulation's robot is {plain(theirs)}, this page shows {self._robot}: start it with --robot"
@@ -194,11 +194,11 @@ class LiveView:
         self._lengthen_loop(friction)
 
     def _lengthen_loop(self, samples: Sequence[JointSample]) -> None:
-        """Add what came of the friction elements; where ticks are missing the loop begins anew."""
+        """Add the newest samples of a friction element to its loop; after missing ticks the loop begins anew."""
         if not samples or self._looped.value == _NONE:
             return
         steps = np.diff([self._loop_time, *(sample.time for sample in samples)])
-        breaks = np.flatnonzero((steps < 0.0) | (self.watch.listens_at_ticks & (steps > _MISSING)))
+        breaks = np.flatnonzero((steps < 0.0) | (self.watch.listens_at_ticks & (steps > _MAX_SAMPLE_STEP)))
         if len(breaks):
             self._loop.clear()
             samples = samples[breaks[-1] :]
@@ -217,7 +217,7 @@ class LiveView:
         watch = self.watch
         watch.look_around()
         # Friction at every tick costs the simulation a twentieth: where somebody sees it, and time is not in a hurry.
-        fastest = MAX_DISPLAY_RTF if watch.listens_at_ticks else _PACED
+        fastest = MAX_DISPLAY_RTF if watch.listens_at_ticks else _REAL_TIME_FACTOR
         seen = self._looped.value != _NONE and bool(self._page.server.get_clients())
         watch.at_ticks(wanted=seen and self.pace(now) < fastest)
         problem = self._problem(now)

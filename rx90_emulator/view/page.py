@@ -33,7 +33,7 @@ from rx90_emulator.view.guard import PageGuard, listen
 
 
 class ExistingFileError(ConfigError):
-    """A file stands under the name; a user who confirms it may have it replaced."""
+    """A file of this name exists; it is replaced only after the user has confirmed that."""
 
 
 def output_folder(folder: Path) -> Path:
@@ -90,8 +90,8 @@ _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 _EYE = np.array([1.35, -1.15, 0.6])  # from the arm's centre, in lengths of the arm
 _CENTER = np.array([0.25, 0.0, 0.4])
 _FIELD_OF_VIEW = 0.75  # rad, upright
-_NARROW = 0.9  # width over height below which the arm is seen from farther away
-_SHARE_BELOW = 0.2  # by how much of its distance a narrow page looks below the arm
+_MIN_ASPECT = 0.9  # width over height below which the arm is seen from farther away
+_NARROW_DROP = 0.2  # by how much of its distance a narrow page looks below the arm
 _PLOT_WIDTH = 370  # pixels
 _PANEL_WIDTH = 310
 
@@ -162,9 +162,9 @@ class Page:
         camera.position, camera.look_at, camera.fov = center + _EYE * reach, center, _FIELD_OF_VIEW
 
         def step_back(client: viser.ClientHandle) -> None:
-            if client.camera.aspect < _NARROW:
-                away = _NARROW / client.camera.aspect * _EYE * reach
-                below = center - [0.0, 0.0, _SHARE_BELOW * float(np.linalg.norm(away))]
+            if client.camera.aspect < _MIN_ASPECT:
+                away = _MIN_ASPECT / client.camera.aspect * _EYE * reach
+                below = center - [0.0, 0.0, _NARROW_DROP * float(np.linalg.norm(away))]
                 with client.atomic():
                     client.camera.position, client.camera.look_at = below + away, below
 
@@ -269,7 +269,7 @@ def on_change(field: GuiInputHandle[_Value], callback: Callable[[], None], page:
 
 
 def numbers(text: str) -> list[float]:
-    """Return the numbers of a text, apart by blanks or commas; none where it is anything else."""
+    """Return the numbers in a text, separated by blanks or commas; none if it holds anything else."""
     try:
         return [float(word) for word in text.replace(",", " ").split()]
     except ValueError:
@@ -336,13 +336,13 @@ _Found = TypeVar("_Found")
 
 
 class Checker(Generic[_Given, _Found]):
-    """A line that says what comes of the newest that was given, which is checked on a thread of its own.
+    """Checks the newest input on a thread of its own, and shows the verdict as a line of text.
 
     Args:
         page: to build in, within a tab, and on whose thread `give` is called.
-        check: returns what comes of it, or raises Rx90Error; may take its time, the next one waits for it.
-        show: takes that on the page's thread, None for a refusal, and returns what is said; not called for what was
-            given before something newer.
+        check: returns the result for an input, or raises Rx90Error; may take long, the next input waits for it.
+        show: takes the result on the page's thread, None for a refusal, and returns the text to show; not called for
+            an input that a newer one has replaced.
         interval: the shortest time from one check to the next, s.
     """
 
@@ -358,7 +358,7 @@ class Checker(Generic[_Given, _Found]):
         self._thread.start()
 
     def give(self, given: _Given) -> None:
-        """Have something checked, in place of what still waits; returns at once."""
+        """Have an input checked, in place of any that still waits; returns at once."""
         self._count += 1
         self._verdict.content = sentence("checking ...")
         self._waiting.put((self._count, given))

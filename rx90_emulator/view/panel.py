@@ -14,8 +14,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
-from rx90_common.description.robot import RobotModel, load_robot
-from rx90_common.description.robot_files import RobotFiles
+from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.arm_watch import JointSample
 from rx90_common.exchange.client_node import (
     ClientNode,
@@ -28,22 +27,21 @@ from rx90_common.exchange.client_node import (
     transition_request,
 )
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_controller.law.parameters import load_controller
 from rx90_controller.lines.plan import Approach
-from rx90_controller.lines.task import TOOL_DOWN, USUAL_ACCELERATION, USUAL_SPEED, LineTask
+from rx90_controller.lines.task import TOOL_DOWN, USUAL_ACCELERATION, USUAL_SPEED, LineTask, TipTask
 from rx90_controller.node.trajectory_client import TrajectoryClient, enable_request
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
-from rx90_emulator.loop.path_file import load_motion
+from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.forms import ElementForm, LineForm, LinePreview
 from rx90_emulator.view.page import Page, block, from_user, on_change, put
 from rx90_sim.node.simulation_client import pause_request, reset_request, step_request
 
 TIMEOUT = 5.0
 """The longest wait for an answer, s."""
-_LOOKS = 0.5  # s from one look at which nodes there are to the next
-_MESSAGES = 5  # that are taken in one step at most, so that the page goes on
-_PATH = {  # transitions from each state to unconfigured
+_GRAPH_PERIOD = 0.5  # s from one look at which nodes there are to the next
+_MAX_MESSAGES = 5  # that are taken in one step at most, so that the page goes on
+_TO_UNCONFIGURED = {  # transitions from each state to unconfigured
     "active": ("deactivate", "cleanup"),
     "inactive": ("cleanup",),
     "unconfigured": (),
@@ -53,7 +51,7 @@ _Ended = Callable[[str, bool], None]
 
 
 class Operator:
-    """Hands requests to the nodes; every method returns at once, and `step` takes in what the nodes say.
+    """Sends requests to the nodes. Every method returns at once; `step` handles the answers.
 
     Args:
         client: the node that asks them.
@@ -84,12 +82,12 @@ class Operator:
         return {self.simulation: self._watches[0].state, self.controller: self._watches[1].state}
 
     def step(self, now: float) -> None:
-        """Take in messages and answers; to be called often, with the steady clock's time, s."""
-        for _ in range(_MESSAGES):
+        """Handle messages and answers; to be called often, with the steady clock's time, s."""
+        for _ in range(_MAX_MESSAGES):
             self._client.spin(0.0)
         self._calls.look()
         if now >= self._next_look:
-            self._next_look = now + _LOOKS
+            self._next_look = now + _GRAPH_PERIOD
             for watch in self._watches:
                 watch.look()
         if self._answer_by is not None and now >= self._answer_by:
@@ -98,7 +96,7 @@ class Operator:
             self._heard(self.controller, text, True)
 
     def ask(self, request: ServiceRequest) -> None:
-        """Call a service; what it says, or that it says nothing, is heard."""
+        """Call a service; its answer, or that there is none, goes to `heard`."""
 
         def only() -> _Requests:
             yield request
@@ -106,7 +104,7 @@ class Operator:
         self._ask_in_turn(request.service.rpartition("/")[0], only())
 
     def send(self, joints: tuple[str, ...], points: TrajectoryPoints | None) -> None:
-        """Have a trajectory followed that starts now, or stop the arm for None; the controller's log line is heard."""
+        """Send a trajectory that starts now, None to stop the arm; the controller's log line goes to `heard`."""
         try:
             self._trajectories.offer(joints, points)
             self._answer_by = self._answer_by or time.monotonic() + self._client.timeout
@@ -123,9 +121,9 @@ class Operator:
         def requests() -> _Requests:
             # Asked for: what was heard of its transitions may be older than the answer to the last one.
             state = yield state_request(node)
-            if state not in _PATH:
+            if state not in _TO_UNCONFIGURED:
                 raise ExchangeError(f"its state is {state}; accepted: a simulation that runs")
-            yield from (transition_request(node, label) for label in _PATH[state])
+            yield from (transition_request(node, label) for label in _TO_UNCONFIGURED[state])
             yield parameter_request(node, parameter, value)
             yield from (transition_request(node, label) for label in ("configure", "activate"))
 
@@ -135,9 +133,9 @@ class Operator:
         self._ask_in_turn(node, requests(), tell)
 
     def _ask_in_turn(self, node: str, requests: _Requests, ended: _Ended = lambda _text, _wrong: None) -> None:
-        """Call services, each after the one before it has said yes; what the last one says, or the first no, is heard.
+        """Call services one after the other while they succeed; the last answer, or the first no, goes to `heard`.
 
-        The requests get what each says.
+        `requests` is sent each answer.
         """
 
         def proceed(outcome: str | ExchangeError) -> None:
@@ -163,23 +161,23 @@ class Operator:
 
 _STEP = 0.1  # deg
 _INTERVAL = 0.2  # s from one trajectory to the next while a slider is dragged
-_ON_ITS_WAY = 2.0  # s; the longest that what the page shows takes to a browser
+_DISPLAY_LATENCY = 2.0  # s; the longest that what the page shows takes to a browser
 _SETTLED = 0.5  # s after the last change by a user, who may type on before
 ARRIVED = 2e-3
 """How near to where it was sent the arm counts as there, rad."""
-_PATIENCE = 2.0  # s without a motion until a slider shows the arm again, instead of where it was sent
+_STUCK_AFTER = 2.0  # s without a motion until a slider shows the arm again, instead of where it was sent
 _MOVED = 1e-6  # rad
 _ROUNDING = 1e-6  # steps: a limit of whole degrees is one of the ends
-_SHORTEST, _LONGER = 0.02, 1.15  # s; from one try to the next
+_MIN_DURATION, _DURATION_FACTOR = 0.02, 1.15  # s; from one try to the next
 _SAMPLES = np.linspace(0.0, 1.0, 33)[:-1]  # the last one would be the rest behind the end
-_GENTLE = Approach()
+_JOG_LIMITS = Approach()
 
 
 def jog(position: Array, velocity: Array, target: Array, limits: JointLimits) -> TrajectoryPoints:
     """Return a quintic move to rest at a target, as short as the speed and acceleration of an approach allow.
 
-    It begins with whatever set-point the controller then has, of which the arm's own state is a good guess: the room
-    up to the controller's limits is for what is left.
+    It will begin at the controller's set-point, of which the arm's own state is a good guess: the margin up to the
+    controller's limits is for the difference.
 
     Args:
         position: of the arm, rad, shape (n,).
@@ -188,17 +186,17 @@ def jog(position: Array, velocity: Array, target: Array, limits: JointLimits) ->
         limits: the controller's.
     """
     # Slower than it is, it cannot be at once.
-    top = np.maximum(_GENTLE.speed * limits.velocity, np.abs(velocity)) * (1.0 + _ROUNDING)
-    most = np.minimum(_GENTLE.acceleration, limits.acceleration)
+    top = np.maximum(_JOG_LIMITS.speed * limits.velocity, np.abs(velocity)) * (1.0 + _ROUNDING)
+    most = np.minimum(_JOG_LIMITS.acceleration, limits.acceleration)
     rest = np.zeros((1, len(target)))
     ends, speeds = np.stack([position, target]), np.vstack([velocity, rest])
-    duration = _SHORTEST
+    duration = _MIN_DURATION
     while True:
         motion = interpolate(np.array([0.0, duration]), ends, speeds, np.zeros_like(ends))
         sampled = np.abs(motion.sample(_SAMPLES * duration))
         if (sampled[:, 1] <= top).all() and (sampled[:, 2] <= most).all():
             return TrajectoryPoints(np.array([round(duration, 3)]), target[None], rest, rest)
-        duration *= _LONGER
+        duration *= _DURATION_FACTOR
 
 
 class JogSliders:
@@ -257,7 +255,7 @@ class JogSliders:
             self._arm_was, self._moved_at = arm.copy(), max(now, self._moved_at)
         if self._target is not None and np.abs(arm - self._target).max() < ARRIVED:
             self._arrived = True
-        elif self._arrived or now - self._moved_at > _PATIENCE:
+        elif self._arrived or now - self._moved_at > _STUCK_AFTER:
             self._target = None  # something else has moved it, or it is stuck
         return arm if self._target is None or self._arrived else self._target
 
@@ -278,7 +276,7 @@ class JogSliders:
     def _dragged(self, joint: int) -> None:
         self._seen[joint] = self._sliders[joint].value
         now = self._given_at = time.monotonic()
-        if now < self._put_at[joint] + _ON_ITS_WAY:
+        if now < self._put_at[joint] + _DISPLAY_LATENCY:
             self._unsure.add(joint)
         if self._arm is not None:
             # The others go on to where they were sent. One that rests there stays sent there: friction holds it a
@@ -301,7 +299,8 @@ class DoPanel:
     Args:
         page: to build in.
         client: the node that asks the others.
-        files: of the robot that the nodes have.
+        setup: of the robot that the nodes have, read from files.
+        task: its reference line or another path, if there is one.
         arm: returns the newest state of the arm; None before the first one, or when it comes no more.
         controller: name of the controller node, relative or absolute; the simulation is in its namespace.
         on_line: takes a line that was sent.
@@ -311,23 +310,23 @@ class DoPanel:
         self,
         page: Page,
         client: ClientNode,
-        files: RobotFiles,
+        setup: Setup,
+        task: TipTask | None,
         arm: Callable[[], JointSample | None],
         controller: str,
         on_line: Callable[[LineTask], None],
     ) -> None:
         self._page, self._arm, self._on_line = page, arm, on_line
-        robot = load_robot(files.urdf, files.tool)
-        limits = load_controller(files.controller).limits(robot)
-        motion = None if files.task is None else load_motion(files.task)
-        task = motion if isinstance(motion, LineTask) else _usual_line(robot)
+        assert setup.files is not None
+        robot, limits = setup.robot, setup.controller.limits(setup.robot)
+        line = task if isinstance(task, LineTask) else _usual_line(robot)
         self._operator = Operator(client, controller, self._hear)
         self._joints = limits.names
         self._lines: deque[str] = deque(maxlen=_LINES)  # the newest of what the nodes say and of what was refused here
         gui = page.gui
         with page.tab("Move"):
             with gui.add_folder("Straight line"):
-                self._line = LineForm(page, robot, limits, task, self._send_line)
+                self._line = LineForm(page, robot, limits, line, self._send_line)
             with gui.add_folder("Joints"):
                 self._sliders = JogSliders(page, limits, partial(self._operator.send, self._joints))
             self._stop = gui.add_button("Stop the arm", color="red")
@@ -337,7 +336,7 @@ class DoPanel:
             with gui.add_folder("Nodes"):
                 self._add_buttons()
         with page.tab("Element"):
-            self._form = ElementForm(page, FrictionFile.read(files.friction), self._start_with)
+            self._form = ElementForm(page, FrictionFile.read(setup.files.friction), self._start_with)
         page.every(_PERIOD, self._follow)
 
     def close(self) -> None:

@@ -38,18 +38,18 @@ from rx90_emulator.view.recording import (
 from rx90_emulator.view.scene import ArmScene, legend_html, line_colors
 
 _POSE_PERIOD = 1.0 / 30.0  # s
-_AROUND_PERIOD = 0.15
+_WINDOW_PERIOD = 0.15
 _WHOLE_PERIOD = 0.4
-_GHOST = (0, 114, 178)
-_PIECES = 3000  # of the tip's way
+_GHOST_COLOR = (0, 114, 178)
+_PATH_SEGMENTS = 3000  # of the tip's way
 _SPEEDS = ("0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1", "2", "5", "10")
 _STEP, _DIGITS = 1e-3, 3  # s, of the slider
-_HOLDS_STILL = 0.4  # s after the slider was moved by hand, in which it is not moved by the page
+_SLIDER_GRACE = 0.4  # s after the slider was moved by hand, in which it is not moved by the page
 _MOST_MARKS = 12
 _MOST_CHANGES = 30
 _MOST_GAPS = 5
 _ALL = "all joints"
-_SPANS = ("0.02", "0.1", "0.5", "2", "10", "60")
+_WINDOW_WIDTHS = ("0.02", "0.1", "0.5", "2", "10", "60")
 _HINT = "Each point of a plot is the least or largest value in its share of the width: no peak is left out."
 
 
@@ -105,11 +105,11 @@ def _escaped(text: str) -> str:
     return "".join(f"\\{c}" if c in r"\`*_{}[]<>()#+-!|" else c for c in plain(text))
 
 
-_NARROWEST = {"[mm]": 0.01, "[mrad]": 0.01, "[rad]": 0.01, "[rad/s]": 0.02, "[Nm]": 1.0}  # range of an ordinate
+_MIN_RANGE = {"[mm]": 0.01, "[mrad]": 0.01, "[rad]": 0.01, "[rad/s]": 0.02, "[Nm]": 1.0}  # range of an ordinate
 _BUCKETS = 300  # about one for each pixel of a plot
 _MAX_PARTS = 8  # of a curve with gaps
-_OF_THE_TIP = "#111111"
-_SHOWN = Curve(NO_POINTS, NO_POINTS, "shown", GREY)  # the vertical line
+_TIP_COLOR = "#111111"
+_TIME_LINE = Curve(NO_POINTS, NO_POINTS, "shown", GREY)  # the vertical line
 
 
 class TrackPlot(Graph):
@@ -128,22 +128,22 @@ class TrackPlot(Graph):
         self, page: Page, title: str, tracks: Sequence[Track], field: str, origin_ns: int, scale: float = 1.0
     ) -> None:
         self._tracks, self._field, self._origin, self._scale = tracks, field, origin_ns, scale
-        self._narrowest = next((width for unit, width in _NARROWEST.items() if title.endswith(unit)), 1.0)
+        self._narrowest = next((width for unit, width in _MIN_RANGE.items() if title.endswith(unit)), 1.0)
         curves = [
-            replace(curve, colour=curve.colour if len(track.names) > 1 else _OF_THE_TIP,
+            replace(curve, colour=curve.colour if len(track.names) > 1 else _TIP_COLOR,
                     dash="dashed" if number else "solid")
             for number, track in enumerate(tracks)
             for curve in curves_of(track.names)
         ]  # fmt: skip
         parts = min(_MAX_PARTS, 1 + max(len(track.gaps()) for track in tracks))
-        super().__init__(page, title, [*curves, _SHOWN], parts=parts, height=185)
+        super().__init__(page, title, [*curves, _TIME_LINE], parts=parts, height=185)
         self._drawn: tuple[int, int, int | None] = 0, 0, None  # beginning, end, and time that is shown, ns
         self._points: tuple[Array, list[Array]] = NO_POINTS, [NO_POINTS] * len(curves)
 
     def choose(self, labels: Collection[str]) -> None:
         """Show only the curves with these labels; all, where there are none of them."""
         every = {curve.label for curve in self._curves}
-        super().choose((every & set(labels) or every) | {_SHOWN.label})
+        super().choose((every & set(labels) or every) | {_TIME_LINE.label})
         self._drawn = (*self._drawn[:2], None)
 
     def draw(self, begin_ns: int, end_ns: int, shown_ns: int) -> None:
@@ -213,7 +213,7 @@ class BagPlayer:
         self._shown: tuple[float, bool] | None = None
         self.arms = [ArmScene(page, "/arm", robot)]
         if len(recordings) > 1:
-            self.arms.append(ArmScene(page, "/ghost", robot, ghost=_GHOST))
+            self.arms.append(ArmScene(page, "/ghost", robot, ghost=_GHOST_COLOR))
         page.look_at_arm(robot)
         errors = [path_errors(recording.arm, recording.reference, robot) for recording in recordings]
         self._draw_path(robot, errors[0] and errors[0].distance)
@@ -276,7 +276,7 @@ class BagPlayer:
             elif self.time >= self._end:
                 self.time, self.playing = self._end, False
         # Another value than was set is one that a user has just chosen, and is taken first.
-        if self._slider.value == self._set_to and now - self._moved_at > _HOLDS_STILL:
+        if self._slider.value == self._set_to and now - self._moved_at > _SLIDER_GRACE:
             self._set_slider()
         label = "Pause" if self.playing else "Play"
         if self._play.label != label:
@@ -298,7 +298,7 @@ class BagPlayer:
 
     def _draw_path(self, robot: RobotModel, error: Track | None) -> None:
         """Draw where the first recording's tip has been."""
-        points, error_of = tip_path(self._recordings[0].arm, error, robot.chain, _PIECES)
+        points, error_of = tip_path(self._recordings[0].arm, error, robot.chain, _PATH_SEGMENTS)
         pieces = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
         colors = line_colors(error_of)
         there = np.isfinite(pieces).all(axis=(1, 2))
@@ -335,7 +335,7 @@ class BagPlayer:
         with page.plot_tab("Around the time"):
             page.gui.add_html(legend)
             joint = page.gui.add_dropdown("joint", (_ALL, *arms[0].names), initial_value=_ALL)
-            width = page.gui.add_dropdown("width, s", _SPANS, initial_value="2")
+            width = page.gui.add_dropdown("width, s", _WINDOW_WIDTHS, initial_value="2")
             around = plots(
                 (f"effort [{' and '.join(units)}]" if units else "drive torque [Nm]", arms, "effort", 1.0),
                 ("friction torque [Nm]", frictions, "effort", 1.0),
@@ -357,7 +357,7 @@ class BagPlayer:
                 plot.draw(begin, end, self.shown_ns)
 
         joint.on_update(from_user(choose, page))
-        page.every(_AROUND_PERIOD, draw_around)
+        page.every(_WINDOW_PERIOD, draw_around)
         page.every(_WHOLE_PERIOD, draw_whole)
 
     @property

@@ -162,7 +162,7 @@ class RollingPlot(Graph):
         self._samples: deque[list[float]] = deque(maxlen=_CAPACITY)
 
     def add(self, time: float, values: ArrayLike) -> None:
-        """Add the values (n,) at a time, s; a time before the last one begins anew."""
+        """Add the values (n,) at a time, s; a time before the last one clears the plot first."""
         if self._samples and time < self._samples[-1][0]:
             self._samples.clear()
         self._samples.append([time, *np.asarray(values, dtype=np.float64).tolist()])
@@ -176,7 +176,7 @@ class RollingPlot(Graph):
 
 
 _PIXELS = 300  # of a loop's width and height: what is closer cannot be seen
-_LOOP = 2000  # samples that are kept
+_LOOP_SAMPLES = 2000  # samples that are kept
 
 
 class LoopPlot(Graph):
@@ -207,7 +207,7 @@ class LoopPlot(Graph):
                 kept.append(sample[None])
                 before = sample
         self._changed |= len(kept) > 1
-        self._samples = np.concatenate(kept)[-_LOOP:]
+        self._samples = np.concatenate(kept)[-_LOOP_SAMPLES:]
 
     def clear(self) -> None:
         """Forget all samples, and show none."""
@@ -237,7 +237,7 @@ def _as_if_sorted(x: Array, y: Array) -> tuple[Array, list[Array]]:
     return longer, [np.append(y[way], y[last])]
 
 
-_PLACES = 300  # along the line, about one for each pixel
+_BINS = 300  # along the line, about one for each pixel
 _FLAT_ERROR = 0.01  # mm
 _ALONG = "along the line [mm]"
 _WORDS = (
@@ -285,7 +285,7 @@ class RunComparison(Graph):
         self._drawn = shown
         self._hold.disabled = newest is None
         known = {name: run for name, run in self._runs.items() if run is not None}
-        way = np.linspace(0.0, max((float(run.along.max()) for run in known.values()), default=1.0) * 1e3, _PLACES)
+        way = np.linspace(0.0, max((float(run.along.max()) for run in known.values()), default=1.0) * 1e3, _BINS)
         self.show(way, [_over(way, run) for run in self._runs.values()])
         rows = [("<b>path error</b>", "<b>largest, mm</b>", "<b>at, mm</b>", "<b>RMS, mm</b>")]
         for name, run in known.items():

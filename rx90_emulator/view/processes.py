@@ -9,21 +9,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from rx90_common.base.errors import ExchangeError, Rx90Error
-from rx90_common.description.robot import load_robot
-from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
-from rx90_controller.law.parameters import load_controller
-from rx90_controller.lines.plan import Approach, plan_line
+from rx90_controller.lines.plan import Approach, LinePlan
 from rx90_controller.node.trajectory_client import Delivery, deliver
-from rx90_emulator.loop.path_file import load_motion
+from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.live import LiveView
 from rx90_emulator.view.page import Page, from_user, output_path, sentence
 
-_LOOKS = 0.25  # s
+_RECORDER_PERIOD = 0.25  # s
 _GRACE = 10.0  # s for a recorder to finish its bag when the page ends
-_SAID = 6  # lines
-_START, _END = "Record", "End the recording"
+_LAST = 6  # lines of the recorder that are shown
+_START_LABEL, _END_LABEL = "Record", "End the recording"
 
 
 class RecordButton:
@@ -43,10 +40,10 @@ class RecordButton:
         self._recorder: ChildProcess | None = None
         self._ready: float | None = None
         self._name = page.gui.add_text("bag", "bag")
-        self._button = page.gui.add_button(_START)
+        self._button = page.gui.add_button(_START_LABEL)
         self._said = page.gui.add_html(sentence(f"A new folder beneath {page.output}."))
         self._button.on_click(from_user(self._press, page))
-        page.every(_LOOKS, self._follow)
+        page.every(_RECORDER_PERIOD, self._follow)
 
     def _press(self) -> None:
         if self._recorder is not None:
@@ -60,7 +57,7 @@ class RecordButton:
             return
         command = executable("rx90_bag", "record", "--output", path, *self._ros_args)
         self._recorder, self._ready = self._group.start("recorder", command), None
-        self._button.label, self._name.disabled = _END, True
+        self._button.label, self._name.disabled = _END_LABEL, True
         self._said.content = sentence("the recorder starts ...")
 
     def _follow(self, now: float) -> None:
@@ -69,8 +66,8 @@ class RecordButton:
         code = self._recorder.returncode
         if code is not None:
             self._recorder.wait()  # for its last lines
-            self._said.content = "".join(sentence(line, wrong=code != 0) for line in self._recorder.lines[-_SAID:])
-            self._recorder, self._button.label = None, _START
+            self._said.content = "".join(sentence(line, wrong=code != 0) for line in self._recorder.lines[-_LAST:])
+            self._recorder, self._button.label = None, _START_LABEL
             self._button.disabled = self._name.disabled = False
         elif lines := self._recorder.lines:
             if self._ready is None and any(line.startswith("ready: ") for line in lines):
@@ -81,10 +78,9 @@ class RecordButton:
             self._said.content = sentence(words)
 
 
-_SET_POINT_PERIOD = 1e-3  # s
 _REST = 1.0  # s between two lines
 _TIMEOUT = 60.0  # s, for nodes that come up on a busy machine
-_LOOK = 0.2  # s
+_TOUR_PERIOD = 0.2  # s
 
 
 class Tour:
@@ -92,19 +88,15 @@ class Tour:
 
     Args:
         robot: its name or folder, for the nodes.
-        files: its files, with a task.
+        setup: of the robot.
+        plan: of its reference line or path.
         controller: name of the controller node.
-
-    Raises:
-        Rx90Error: if the robot has no reference line or cannot travel it.
     """
 
-    def __init__(self, robot: str, files: RobotFiles, controller: str) -> None:
-        model = load_robot(files.urdf, files.tool)
+    def __init__(self, robot: str, setup: Setup, plan: LinePlan, controller: str) -> None:
         self._command = executable("rx90_cell", "--ros-args", "-p", f"robot:={robot}")
-        self._plan = plan_line(model, load_motion(files.required("task")), _SET_POINT_PERIOD)
-        limits = load_controller(files.controller).limits(model)
-        self._delivery = Delivery(controller, 0.0, limits, _SET_POINT_PERIOD, Approach())
+        limits, period = setup.controller.limits(setup.robot), setup.rates.position_period
+        self._plan, self._delivery = plan, Delivery(controller, 0.0, limits, period, Approach())
         self._group = ProcessGroup()
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
@@ -124,7 +116,7 @@ class Tour:
             if view.state is not None:
                 started()
 
-        page.every(_LOOK, check)
+        page.every(_TOUR_PERIOD, check)
         self._thread = threading.Thread(target=self._send_again_and_again, args=[view], name="tour", daemon=True)
         self._thread.start()
 
@@ -150,5 +142,5 @@ class Tour:
                     said = str(error)
                     print(f"rx90_view: the line was not sent: {said}", flush=True)
             self._ending.wait(_REST)
-            while not self._ending.wait(_LOOK) and not view.rests(_REST):  # after the trajectory that was accepted last
-                pass
+            while not self._ending.wait(_TOUR_PERIOD) and not view.rests(_REST):
+                pass  # until the trajectory that was accepted last is over

@@ -58,7 +58,7 @@ class Track(JointSeries):
 
     @classmethod
     def of(cls, series: JointSeries) -> tuple[Track, int]:
-        """Return a series put in order of time, and how often its time goes back as after a reset.
+        """Return a series sorted by time, and how often its time jumped back, as after a reset of the simulation.
 
         Of messages with one stamp the first counts. Where time goes back by more than a gap, two runs would be mixed:
         what comes after the last such place is returned.
@@ -243,8 +243,8 @@ def _blocks(count: int) -> Iterator[slice]:
 
 
 _FRICTION, _REFERENCE = "friction_states", "reference"
-_SHOWN = {_FRICTION: ("effort",), _REFERENCE: ("position",)}  # beside the arm's own states
-_SLACK = 0.05  # rad beyond a joint's range: end stops give way
+_SHOWN_FIELDS = {_FRICTION: ("effort",), _REFERENCE: ("position",)}  # beside the arm's own states
+_STOP_COMPLIANCE = 0.05  # rad beyond a joint's range: end stops give way
 _STEP = 8192  # messages between two looks at the progress bar
 
 
@@ -316,8 +316,8 @@ def open_recording(path: Path, robot: RobotModel, files: RobotFiles, options: Me
     with BagReader(path, mapping) as bag:
         arm = _topic_of_arm(bag, options.topic)
         layout = arm_layout(arm.name, robot.joint_names, options, lambda: load_drives(files.drives), mapping)
-        beside = {name: topic for name in _SHOWN if (topic := _topic_beside(arm, bag.topics, name)) is not None}
-        fields = {arm: FIELDS, **{topic: _SHOWN[name] for name, topic in beside.items()}}
+        beside = {name: topic for name in _SHOWN_FIELDS if (topic := _topic_beside(arm, bag.topics, name)) is not None}
+        fields = {arm: FIELDS, **{topic: _SHOWN_FIELDS[name] for name, topic in beside.items()}}
         changes, series = _read(bag, fields, record_time=layout.record_time)
         notes, topics, kind = [*bag.notes], bag.topics, " of ".join(filter(None, (bag.storage, bag.compression)))
     states = _with_joints(series.pop(arm), layout.messages)
@@ -331,7 +331,7 @@ def open_recording(path: Path, robot: RobotModel, files: RobotFiles, options: Me
     sides: dict[str, Any] = layout.joint_side(states.fields)
     track = _track(path, replace(states, names=layout.names, effort_unit=unit, **sides), notes)
     notes += _beyond_range(track, robot)
-    friction, reference = (series[beside[name]] if name in beside else [] for name in _SHOWN)
+    friction, reference = (series[beside[name]] if name in beside else [] for name in _SHOWN_FIELDS)
     return Recording(
         path, kind, topics, track,
         _track(path, friction[0], notes) if friction else None,
@@ -415,7 +415,7 @@ def _beyond_range(track: Track, robot: RobotModel) -> list[str]:
     low, high = values.min(axis=0), values.max(axis=0)
     beyond = np.maximum(robot.lower - low, high - robot.upper)
     joint = int(np.argmax(beyond))
-    if beyond[joint] <= _SLACK:
+    if beyond[joint] <= _STOP_COMPLIANCE:
         return []
     return [
         f"{robot.joint_names[joint]} goes from {low[joint]:.4g} to {high[joint]:.4g} rad, which {robot.model.name} "

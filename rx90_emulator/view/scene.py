@@ -1,4 +1,4 @@
-"""What stands in the scene: an arm, a line or path, the laser spot, and its trace coloured by the path error."""
+"""The objects in the scene: an arm, a line or path, the laser spot, and its trace coloured by the path error."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _quaternion(rotation: Array) -> Array:
 
 FULL_SCALE = 1e-4
 """Path error of the last colour, m: what laser welding asks for."""
-_STOPS = np.array([(0, 114, 178), (0, 158, 115), (240, 228, 66), (230, 159, 0), (213, 60, 0)], dtype=np.float64)
+_ERROR_COLORS = np.array([(0, 114, 178), (0, 158, 115), (240, 228, 66), (230, 159, 0), (213, 60, 0)], dtype=np.float64)
 _OFF_LINE = np.array([150.0, 150.0, 150.0])
 PLANNED = 140, 60, 190
 """Of what is planned and not measured, a colour that no path error has."""
@@ -106,8 +106,9 @@ def line_colors(error: Array) -> Array:
 
     Grey for NaN, off the line.
     """
-    share = np.clip(np.nan_to_num(error) / FULL_SCALE, 0.0, 1.0) * (len(_STOPS) - 1)
-    colors = np.stack([np.interp(share, np.arange(len(_STOPS)), channel) for channel in _STOPS.T], axis=-1)
+    places = np.arange(len(_ERROR_COLORS))
+    share = np.clip(np.nan_to_num(error) / FULL_SCALE, 0.0, 1.0) * places[-1]
+    colors = np.stack([np.interp(share, places, channel) for channel in _ERROR_COLORS.T], axis=-1)
     return np.asarray(_LINEAR[np.where(np.isnan(error)[:, None], _OFF_LINE, colors).astype(np.uint8)])
 
 
@@ -121,7 +122,7 @@ def connect(lines: viser.LineSegmentsHandle, points: Array, colors: Array | None
 
 def legend_html(planned: str = "") -> str:
     """Return the colours with their path errors, and what it is that has the colour of the planned, as HTML."""
-    stops = ", ".join(f"rgb({red:.0f},{green:.0f},{blue:.0f})" for red, green, blue in _STOPS)
+    stops = ", ".join(f"rgb({red:.0f},{green:.0f},{blue:.0f})" for red, green, blue in _ERROR_COLORS)
     grey = ",".join(f"{part:.0f}" for part in _OFF_LINE)
     limit = FULL_SCALE * 1e3
     also = f' &ensp;<span style="color:rgb{PLANNED}">&#9632;</span> {planned}' if planned else ""
@@ -135,17 +136,17 @@ def legend_html(planned: str = "") -> str:
 
 
 _END_TOLERANCE = 1e-4  # m; a motion that begins and ends so near the line's ends, and keeps so near, is one along it
-_CHORDS = 0.05  # of its length; between the points of its trajectory it is longer than the straight way
-_LONGER = 5e-3  # s that a motion may take longer than the line's own: the same speeds
-_DRAWN = 5e-3  # m between points of a path that is drawn
-_START = 0.01  # m; in these a motion that follows another one bends the bristles back
+_CHORD_TOLERANCE = 0.05  # of its length; between the points of its trajectory it is longer than the straight way
+_DURATION_TOLERANCE = 5e-3  # s that a motion may take longer than the line's own: the same speeds
+_PATH_STEP = 5e-3  # m between points of a path that is drawn
+_START_ZONE = 0.01  # m; in these a motion that follows another one bends the bristles back
 _MAX_SAMPLES = 4000  # of a run; of a longer one the larger of each two is kept
 _KEPT_BEFORE = 100  # samples from before it is known that they are of a run
 
 
-_LENGTH = 600  # samples in the trace
-_STEP = 5e-4  # m between two of them
-_NEVER = np.inf, -np.inf  # s, when no sample counts
+_TRACE_SAMPLES = 600  # samples in the trace
+_TRACE_STEP = 5e-4  # m between two of them
+_NO_SPAN = np.inf, -np.inf  # s, when no sample counts
 
 
 class LineScene:
@@ -175,7 +176,7 @@ class LineScene:
         )
         self._factor = 1.0
         # Of the trace, with their path errors and their places on the line.
-        self._points: deque[tuple[Array, float, float]] = deque(maxlen=_LENGTH)
+        self._points: deque[tuple[Array, float, float]] = deque(maxlen=_TRACE_SAMPLES)
         self.held, self._held_places = np.empty((0, 3)), np.empty(0)
         self._task = task
         self.place(task)
@@ -185,14 +186,14 @@ class LineScene:
         if task != self._task:
             self.hold(wanted=False)
         self._task = task
-        connect(self._line, task.poses(task.places(_DRAWN, 1)).position)
+        connect(self._line, task.poses(task.places(_PATH_STEP, 1)).position)
         self.run: PathAccuracy | None = None
         self._now = np.nan  # path error, m
         self.begin_again()
 
     def begin_again(self) -> None:
-        """Forget trace and times that were seen: time has begun again. The newest run stays."""
-        self._span, self._asked, self._begin = _NEVER, np.zeros((2, 1)), np.nan
+        """Forget the trace and all times, because simulated time has begun again. The newest run stays."""
+        self._span, self._asked, self._begin = _NO_SPAN, np.zeros((2, 1)), np.nan
         self._rows = np.empty((0, 4))  # time, distance along the line, path error, orientation error
         self.clear()
 
@@ -206,10 +207,10 @@ class LineScene:
 
         Args:
             times: of its points, s, shape (n,); none for no trajectory.
-            tips: where it has the spot at these, m, shape (n, 3).
-            at_rest: at which of them it rests, shape (n,).
+            tips: positions of the spot at these times, m, shape (n, 3).
+            at_rest: whether the arm rests at each of them, shape (n,).
         """
-        self._span, self._rows = _NEVER, self._rows[-_KEPT_BEFORE:]
+        self._span, self._rows = _NO_SPAN, self._rows[-_KEPT_BEFORE:]
         ends, whole = self._task.poses(np.array([0.0, self._task.length])).position, self._task.length
         way = np.concatenate([np.zeros(min(1, len(tips))), np.cumsum(length(np.diff(tips, axis=0)))])
         moves = np.diff(way) > 0.0
@@ -217,7 +218,7 @@ class LineScene:
         finishes = np.flatnonzero(at_rest[1:] & moves) + 1
         for first, last in product(begins, finishes):
             travelled = way[last] - way[first]
-            if last <= first or abs(travelled - whole) > _CHORDS * whole:
+            if last <= first or abs(travelled - whole) > _CHORD_TOLERANCE * whole:
                 continue
             if length(tips[[first, last]] - ends).max() >= _END_TOLERANCE:
                 continue
@@ -228,15 +229,15 @@ class LineScene:
                 self._span = float(times[first]), float(times[last] + min(SETTLING, times[-1] - times[last]))
                 # The points at rest lie half a set-point before the motion and behind it.
                 longer = float(times[last] - times[first]) - self._task.profile().duration
-                self._begin = float(times[first]) + 0.5 * longer if 0.0 <= longer < _LONGER else np.nan
+                self._begin = float(times[first]) + 0.5 * longer if 0.0 <= longer < _DURATION_TOLERANCE else np.nan
 
     def add(self, times: Array, tips: Array, rotation: Array | None = None) -> Array:
-        """Take where the spot was; return its path errors, m, NaN where none counts.
+        """Add positions of the spot; return its path errors, m, NaN where it is on no run along the line.
 
         Args:
             times: s, shape (n,).
             tips: m, shape (n, 3).
-            rotation: of the tool, shape (n, 3, 3); None where it does not matter.
+            rotation: of the tool, shape (n, 3, 3); None counts as no orientation error.
         """
         tips = np.asarray(tips, dtype=np.float64)
         self._spot.position = tips[-1]
@@ -258,7 +259,7 @@ class LineScene:
             self._rows = self._rows[-_KEPT_BEFORE:]
         errors = np.where(counted, error.perpendicular, np.nan)
         for tip, one, along in zip(tips, errors.tolist(), error.along.tolist(), strict=True):
-            if not self._points or float(np.linalg.norm(tip - self._points[-1][0])) >= _STEP:
+            if not self._points or float(np.linalg.norm(tip - self._points[-1][0])) >= _TRACE_STEP:
                 self._points.append((tip, one, along))
                 self._changed = True
         self._now = float(errors[-1])
@@ -271,11 +272,11 @@ class LineScene:
         if self.run is None:
             return words
         error, along = self.run.perpendicular, self.run.along
-        at, beyond = float(along[np.argmax(error)]), error[along > _START]
+        at, beyond = float(along[np.argmax(error)]), error[along > _START_ZONE]
         words += f"; {'largest of this run' if known else 'last run'} {self.run.worst * 1e3:.3f} mm, "
         words += f"{at * 1e3:.0f} mm from the start"
-        if at <= _START and len(beyond):
-            words += f" (beyond {_START * 1e3:.0f} mm: {beyond.max() * 1e3:.3f} mm)"
+        if at <= _START_ZONE and len(beyond):
+            words += f" (beyond {_START_ZONE * 1e3:.0f} mm: {beyond.max() * 1e3:.3f} mm)"
         if not np.isnan(self.run.worst_along_track):
             words += f"; along it {self.run.worst_along_track * 1e3:.3f} mm"
         return f"{words}; tool {self.run.worst_orientation * 1e3:.3f} mrad"

@@ -16,7 +16,7 @@ from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort
 from friction_bench.rig.messages import CommandResult
 from friction_bench.rig.plant import RigPlant, Shaft, turn
 from friction_bench.rig.rig_file import load_rig
-from rx90_emulator.cli import friction_bench as command_line
+from rx90_emulator.cli import friction_rig as command_line
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/howto/rig_build.md").read_text(encoding="utf-8")

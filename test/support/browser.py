@@ -31,6 +31,9 @@ _FLAGS = (
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    # All but WebGL is drawn without GL: in software that takes three times the processor time.
+    "--disable-gpu-rasterization",
+    "--disable-accelerated-2d-canvas",
     "--host-resolver-rules=MAP *.example 127.0.0.1",  # names that their owners let point here
 )
 _DESKTOP = (1000, 500)  # small: what is drawn in software takes time by the pixel

@@ -89,7 +89,7 @@ def test_decoding_reads_every_layout(message, other, random, little_endian):
         assert_same(codec.decode(codec.encode(own_stamp, *arrays)), own_stamp, arrays)
 
 
-@settings(max_examples=300)
+@settings(max_examples=120)
 @given(st.integers(0, 259), st.binary(min_size=1, max_size=8), st.integers(0, 300))
 def test_damaged_bytes_never_pass_silently_or_crash(at, damage, length):
     """Damaged or cut bytes give either an ExchangeError of one line or finite arrays of the right shape."""

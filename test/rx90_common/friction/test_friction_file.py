@@ -197,7 +197,7 @@ NAMES_OF_ELEMENTS = WORDS.filter(lambda name: name not in {"source", "provenance
     st.none() | WORDS,
     st.none() | st.dictionaries(WORDS.filter(lambda name: name != "provenance"), REMARKS),
 )
-@settings(max_examples=150)
+@settings(max_examples=60)
 def test_what_is_written_is_read_back(
     content: dict[str, FrictionElement],
     provenance: str | None,

@@ -11,7 +11,7 @@ from parted_joint import Seven, along, any_element, begin
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.load import LoadPart
 
-SETS = 50
+SETS = 20
 
 
 def any_load(rng: np.random.Generator) -> LoadPart:
@@ -35,12 +35,12 @@ def expected(element: FrictionElement, load: float, velocity: float) -> tuple[fl
 
 
 def test_steady_sliding_under_constant_load() -> None:
-    """Lifting and lowering, both ways, from break-away on, the torque is that of the closed form (50 sets of values).
+    """Lifting and lowering, both ways, from break-away on, the torque is that of the closed form (20 sets of values).
 
     The load's share of the static torque fades with its own velocity, or with the element's where it has none.
     """
     rng = np.random.default_rng(5)
-    for _ in range(-(-SETS // 5)):
+    for _ in range(-(-SETS // 7)):
         own = 10.0 ** rng.uniform(-2, 0, 7) * [1, 1, 0, 1, 1, 0, 1]
         parts = [replace(any_load(rng), omega_s=float(speed)) for speed in own]
         elements = [any_element(rng, load=part) for part in parts]
@@ -77,7 +77,7 @@ def test_a_held_joint_keeps_every_bit_under_load() -> None:
 
 
 def test_the_load_follows_exactly() -> None:
-    """A held torque is followed as 1 - exp(-t / relax_time), in one step or in many (50 sets of values)."""
+    """A held torque is followed as 1 - exp(-t / relax_time), in one step or in many (20 sets of values)."""
     rng = np.random.default_rng(3)
     for _ in range(-(-SETS // 7)):
         elements = [any_element(rng, load=any_load(rng)) for _ in range(7)]

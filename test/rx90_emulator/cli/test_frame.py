@@ -10,7 +10,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -20,7 +19,7 @@ from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import FILES
 from rx90_common.process.children import executable
 from rx90_emulator.cli.frame import EXECUTABLES, run
-from rx90_emulator.cli.options import CommandParser, split_ros_args
+from rx90_emulator.cli.options import CommandParser, command_of, split_ros_args
 
 
 def actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
@@ -85,11 +84,17 @@ def test_wrong_usage_is_the_exit_code(name: str) -> None:
 def options() -> dict[str, list[argparse.Action]]:
     """Return the arguments of every executable and its verbs."""
     found = {}
-    for name, module in EXECUTABLES.items():
-        parser = CommandParser(prog=name)
-        import_module(module).add_arguments(parser)
+    for name, place in EXECUTABLES.items():
+        parser, _ = command_of(name, place)
         found[name] = list(actions(parser))
     return found
+
+
+def test_each_command_describes_itself() -> None:
+    """Commands have descriptions of their own for `--help`, also where several stand in one module."""
+    found = {place: command_of(name, place)[0].description for name, place in EXECUTABLES.items()}
+    assert all(found.values())
+    assert len(set(found.values())) == len(found)
 
 
 def test_options_say_what_they_take(options: dict[str, list[argparse.Action]]) -> None:

@@ -19,30 +19,33 @@ from rx90_emulator.cli.frame import EXECUTABLES
 
 CALLS = {
     "rx90_sim": ([], "numpy yaml numba pinocchio rclpy"),
-    "rx90_controller": ([], "numba rclpy"),
-    "rx90_cell": ([], "numba rclpy"),
-    "friction_bench": ([], "yaml numba serial rclpy"),
-    "friction_presliding": (["--output", "out"], "numpy tqdm matplotlib"),
-    "friction_ramp": (["--output", "out"], "numpy tqdm matplotlib"),
-    "friction_rig_emulator": ([], "numpy yaml numba"),
+    "rx90_controller": ([], "rclpy"),
+    "rx90_cell": ([], "rclpy"),
+    "friction_bench": ([], "serial rclpy"),
+    "friction_presliding": (["--output", "out"], "tqdm matplotlib"),
+    "friction_ramp": (["--output", "out"], "numpy"),
+    "friction_rig_emulator": ([], "numba"),
     "rx90_bag": (["record", "--output", "bag"], "yaml rosbags rclpy"),
-    "rx90_compare_measured": (["bag"], "numba scipy"),
+    "rx90_compare_measured": (["bag"], "scipy"),
     "rx90_config": (["completion", "bash"], "shtab yaml"),
-    "rx90_controller_check": (["true"], "numba scipy rclpy"),
-    "rx90_correct": (["learn", "robots/rx90b/task.yaml", "--output", "out.yaml"], "numba scipy"),
-    "rx90_demo": ([], "numba bokeh"),
-    "rx90_experiment": (["plan"], "numba rosbags"),
-    "rx90_export": (["mujoco-classic", "--output", "out"], "numba scipy mujoco"),
-    "rx90_identify": (["bag", "--output", "out.yaml"], "numba scipy"),
-    "rx90_import": (["arm.xml", "--output", "robot"], "numba mujoco"),
-    "rx90_line": (["--from-file", "robots/rx90b/task.yaml"], "yaml numba"),
-    "rx90_own_controller": (["--engine"], "yaml numba pinocchio"),
-    "rx90_path": (["paths/circle.yaml"], "yaml numba"),
-    "rx90_run": ([], "yaml numba pinocchio"),
+    "rx90_controller_check": (["true"], "scipy rclpy"),
+    "rx90_correct": (["learn", "robots/rx90b/task.yaml", "--output", "out.yaml"], "scipy"),
+    "rx90_demo": ([], "bokeh"),
+    "rx90_experiment": (["plan"], "rosbags"),
+    "rx90_export": (["mujoco-classic", "--output", "out"], "scipy"),
+    "rx90_identify": (["bag", "--output", "out.yaml"], "scipy"),
+    "rx90_import": (["arm.xml", "--output", "robot"], "mujoco"),
+    "rx90_line": (["--from-file", "robots/rx90b/task.yaml"], "yaml"),
+    "rx90_own_controller": (["--engine"], "pinocchio"),
+    "rx90_path": (["paths/circle.yaml"], "numba"),
+    "rx90_run": ([], "numba"),
     "rx90_sweep": (["info", "out.parquet"], "pyarrow"),
-    "rx90_view": (["--port", "0", "--no-browser"], "viser numba"),
+    "rx90_view": (["--port", "0", "--no-browser"], "viser"),
 }
-"""A call of each executable that begins its work, and packages without which that cannot be done."""
+"""A call of each executable that begins its work, and packages without which that cannot be done.
+
+Those that come with the first import of the arm in nearly all of them stand at some alone.
+"""
 
 CHILD = """
 import importlib, json, os, sys, tempfile
@@ -52,8 +55,9 @@ from rx90_emulator.cli import frame
 for library in ("pinocchio", "rosbags.rosbag2", "scipy.optimize", "matplotlib.figure", "ruamel.yaml"):
     importlib.import_module(library)
 own = set(sys.modules)
-importlib.import_module("rx90_common.exchange.cdr")  # numba, with all that its first function takes
+importlib.import_module("rx90_emulator.loop.setup")  # numba, with all that its first function takes
 own = {name for name in set(sys.modules) - own if name.startswith("rx90_")}
+there = {name.partition(".")[0] for name in sys.modules}
 
 class Blocked:
     def __init__(self, package, broken):
@@ -70,8 +74,9 @@ for program, words, package, broken in json.load(sys.stdin):
         if child == 0:
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             os.dup2(errors.fileno(), 2)
-            for name in [name for name in sys.modules if name.partition(".")[0] == package or name in own]:
-                del sys.modules[name]
+            if package in there:
+                for name in [name for name in sys.modules if name.partition(".")[0] == package or name in own]:
+                    del sys.modules[name]
             sys.meta_path.insert(0, Blocked(package, broken))
             try:
                 code = frame.run(program, words)

@@ -80,8 +80,15 @@ def read_until(process: subprocess.Popen[str], line: str) -> None:
 pytestmark = pytest.mark.ros
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("moment", ["importing done", "up"])
+@pytest.mark.parametrize(
+    ("moment", "number"),
+    [
+        ("importing done", signal.SIGINT),
+        ("importing done", signal.SIGTERM),
+        ("up", signal.SIGINT),
+        ("up", signal.SIGHUP),
+    ],
+)
 def test_a_signal_ends_in_order_and_silently(start, moment: str, number: signal.Signals) -> None:  # type: ignore[no-untyped-def]
     """Ctrl-C, SIGTERM and SIGHUP, also twice, while starting and while running: exit code 0, nothing on stderr."""
     process = start()
@@ -102,6 +109,7 @@ def test_a_signal_ends_in_order_and_silently(start, moment: str, number: signal.
         (("--ros-args", "-p", "value"), "ROS arguments --ros-args -p value: refused ("),
     ],
 )
+@pytest.mark.usefixtures("warm")
 def test_a_user_mistake_is_one_line(start, arguments: tuple[str, ...], complaint: str) -> None:  # type: ignore[no-untyped-def]
     """A refused value, from ROS, the constructor or the ticks, is one line on stderr and exit code 2."""
     process = start(*arguments)

@@ -310,7 +310,7 @@ def test_the_file_carries_the_kind_and_where_it_comes_from(outcome: Outcome) -> 
     assert number["bags"] == [label]
     error = number["value"] - TRUTH.break_away
     assert abs(error) < min(0.1, 4.0 * number["deviation"] + 0.02)
-    assert outcome.content["elements"]["joint_4"]["note"].startswith("bristles: elasto-plastic, told")
+    assert outcome.content["elements"]["joint_4"]["note"].startswith("bristles: elasto-plastic, better")
     assert schema_faults("friction", outcome.file) == []
 
 

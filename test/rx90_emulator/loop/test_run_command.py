@@ -13,7 +13,7 @@ import pytest
 from rx90_common.bags.reading import read_bag
 from rx90_common.bags.recorded import ParameterChange
 from rx90_common.base.config import load_yaml
-from rx90_common.base.errors import BagError, Rx90Warning
+from rx90_common.base.errors import BagError, ConfigError, Rx90Warning
 from rx90_common.base.share import config_path
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.temperature import TemperaturePart
@@ -25,7 +25,7 @@ from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.line import run_line
 from rx90_emulator.loop.parameters import with_parameters
-from rx90_emulator.loop.result import MotionCommand
+from rx90_emulator.loop.result import MotionCommand, save_arrays
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.loop.working_day import ThermalRun
 
@@ -116,6 +116,15 @@ def test_a_file_that_is_no_trajectory_is_one_line(
     assert err.startswith(f"rx90_run: {file}: ")
     assert complaint in err
     assert err.count("\n") == 1
+
+
+def test_arrays_replace_no_file(tmp_path: Path, shipped: Setup) -> None:
+    """From Python, too, a file that exists is refused and stays as it is."""
+    result, file = simulate_commands(shipped, (), np.zeros(6), 0.002, warn=False), tmp_path / "run.npz"
+    file.write_text("mine", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"run\.npz exists; accepted: a new file"):
+        save_arrays(result, file)
+    assert file.read_text(encoding="utf-8") == "mine"
 
 
 @pytest.mark.parametrize(("fault", "code"), [(OSError(errno.ENOSPC, "No space"), 3), (KeyboardInterrupt(), 130)])

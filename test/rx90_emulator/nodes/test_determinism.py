@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from full_friction import write_with_parts
 from line_run import TOPICS, run_both_ways, temperatures
 from own_model import by_model
@@ -55,7 +54,7 @@ def lossy_udp(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine_that_loses_datagrams(
     lossy_udp: Path, processes: Processes, client: Client, tx40: Setup, tmp_path: Path
 ) -> None:
-    """With both cores busy and 1 % of what both nodes send lost, every number equals the closed loop without ROS.
+    """With a core busy and 1 % of what both nodes send lost, every number equals the closed loop without ROS.
 
     The controller feeds forward by a model of its own. The robot is the one that a parameter names, and so is the
     description that the simulation publishes. The bag tells which trajectory ran and from when on, although its sender
@@ -68,7 +67,7 @@ def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine_that_loses_dat
         f"LOSSY_COUNTS={counts}",
     )
     comparison = run_both_ways(
-        processes, client, by_model(tx40), tmp_path, around=around, burners=2, switches=tuple(MODEL_PARTS)
+        processes, client, by_model(tx40), tmp_path, around=around, burners=1, switches=tuple(MODEL_PARTS)
     )
     sent, lost = struct.unpack("QQ", counts.read_bytes())
     print(f"{lost} of {sent} datagrams lost")
@@ -117,27 +116,8 @@ def test_one_process_gives_the_closed_loops_bits(
 
 
 @pytest.mark.ros
-def test_services_deaths_and_the_end_are_those_of_two_processes(processes: Processes) -> None:
-    """In a namespace, in either time: services and diagnostics of both nodes, kill -9 and a new start, Ctrl-C."""
-    paused = ("-p", "rx90_sim:paused:=true", "-p", "rx90_sim:step_ticks:=8")
-    with closing(Client("/cell_1")) as client:
-        cell = processes.start("rx90_cell", *IN_CELL_1, *paused)
-        states, commands = client.listen("motor_states"), client.listen("motor_commands")
-        diagnostics = client.listen("/diagnostics", DiagnosticArray)
-        for _ in range(2):
-            client.simulation.step()
-        client.spin_until(lambda: len(states) == len(commands) == 16, "16 ticks")
-        for heard in (states, commands):
-            assert [seconds(message) for message in heard] == pytest.approx([k * 250e-6 for k in range(16)])
-        client.spin_until(lambda: len({m.status[0].name for m in diagnostics}) == 2, "diagnostics of both nodes")
-        client.simulation.reset()
-        states.clear()
-        client.simulation.step()
-        client.spin_until(lambda: len({seconds(m) for m in states}) == 8, "8 ticks")
-        assert seconds(states[0]) == 0.0
-        cell.signal(signal.SIGKILL)
-        cell.wait()
-
+def test_services_and_the_end_in_free_running_time_are_those_of_two_processes(processes: Processes) -> None:
+    """In a namespace: a motion, no torque, time that begins anew, Ctrl-C; time under one's hand: action/."""
     with closing(Client("/cell_1")) as client:
         cell = processes.start("rx90_cell", *IN_CELL_1, "-p", "rx90_sim:time_mode:=free_running")
         joints, reference = client.listen("joint_states", depth=1), client.listen("rx90_controller/reference", depth=1)

@@ -105,12 +105,12 @@ def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, c
         publisher.publish(JointTrajectory(joint_names=["elbow"]))
     client.spin_until(lambda: controller.output.count("trajectory rejected") == 40, "40 answers")
     target = [0.1, 0.7, 0.7, 0.1, 0.6, 0.1]
-    publisher.publish(to_rest(1.0, target[::-1], JOINTS[::-1]))
+    publisher.publish(to_rest(0.5, target[::-1], JOINTS[::-1]))
     controller.wait_for("trajectory accepted")
     publisher.publish(to_rest(1.0, [0.0, 9.0, 0.0, 0.0, 0.0, 0.0]))
     assert "joint_2" in controller.wait_for(r"trajectory rejected: .*joint_2.*").group()
     begun = seconds(reference[-1])
-    client.spin_until(lambda: seconds(reference[-1]) > begun + 1.2, "the end of the motion")
+    client.spin_until(lambda: seconds(reference[-1]) > begun + 0.6, "the end of the motion")
     assert list(reference[-1].position) == pytest.approx(target, abs=1e-12)
     assert list(reference[-1].velocity) == [0.0] * 6
 
@@ -119,14 +119,15 @@ def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, c
     client.enable(False)
     client.spin_until(lambda: bool(commands) and len(commands[-1].effort) == 0, "commands without torque")
     closed, held = seconds(commands[-1]), joints[-1].position[1]
-    client.spin_until(lambda: seconds(joints[-1]) > closed + 0.5, "half a second with closed brakes")
+    client.spin_until(lambda: seconds(joints[-1]) > closed + 0.1, "a tenth of a second with closed brakes")
     assert list(joints[-1].effort) == [0.0] * 6
     # The brakes' stiffness lets the arm give by far less than a tenth of a milliradian.
     assert joints[-1].position[1] == pytest.approx(held, abs=2e-4)
     client.enable(True)
     client.spin_until(lambda: len(commands[-1].effort) == 6, "commands with torque again")
 
-    # A limit of the supervision that the next motion exceeds.
+    # A limit of the supervision that the next motion exceeds. Slowly, because diagnostics come by the wall clock.
+    assert client.set_parameters("rx90_sim", real_time_factor=0.1) == [""]
     heard = client.listen("/diagnostics", DiagnosticArray)
 
     def of_controller(since: Time) -> list[DiagnosticStatus]:
@@ -152,7 +153,6 @@ def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, c
     assert DiagnosticStatus.ERROR not in [one.level for one in of_controller(enabled)]
 
     # The controller's rate is that of the ticks it answers.
-    assert client.set_parameters("rx90_sim", real_time_factor=0.1) == [""]
 
     def rates() -> list[float]:
         return [float(pair.value) for one in of_controller(enabled) for pair in one.values if pair.key == "rate, Hz"]
@@ -189,7 +189,7 @@ def test_time_runs_by_the_clock_with_pauses_and_without_a_controller(processes: 
 
     controller.signal(signal.SIGSTOP)
     stopped = seconds(joints[-1])
-    client.spin_until(lambda: seconds(joints[-1]) > stopped + 0.5, "time to run on")
+    client.spin_until(lambda: seconds(joints[-1]) > stopped + 0.2, "time to run on")
     assert "torque off, brakes closed" in simulation.output
     closed = len(simulation.lines)
     controller.signal(signal.SIGCONT)
@@ -251,7 +251,7 @@ def test_either_node_is_killed_and_comes_back(processes: Processes, client: Clie
 
     # After SIGKILL of the simulation the controller says once that it waits, and serves the next one from tick 0.
     heard.clear()
-    client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > stopped + 0.6, "time to run far")
+    client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > stopped + 0.3, "time to run far")
     simulation.signal(signal.SIGKILL)
     second.wait_for("waiting for a simulation")
     before = second.output.count("waiting for a simulation")
@@ -260,7 +260,7 @@ def test_either_node_is_killed_and_comes_back(processes: Processes, client: Clie
     processes.start("rx90_sim", *UNPACED, "-p", "paused:=true")
     client.spin_until(lambda: seconds(heard[-1]) == 0.0, "time to begin again")
     client.simulation.pause(False)
-    client.spin_until(lambda: seconds(heard[-1]) > 0.6, "time to run again")
+    client.spin_until(lambda: seconds(heard[-1]) > 0.1, "time to run again")
     assert second.output.count("waiting for a simulation") - before <= 1
 
 

@@ -1,16 +1,13 @@
 """An arm with all that is off in the shipped ones, in running nodes: the bits of the engine, of a reset, of a bag.
 
-One start of simulation and controller serves all tests: a run, a reset, the same run, and time that goes on.
+One start of simulation and controller serves all: a run, a reset, the same run, and time that goes on.
 """
 
 from __future__ import annotations
 
 import re
 import signal
-from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -18,7 +15,7 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from full_friction import write_with_parts
 from line_run import temperatures
-from processes import Processes, own_processes
+from processes import Processes
 from ros_client import JOINTS, Client, seconds
 
 import rx90_emulator as rx
@@ -84,51 +81,35 @@ def written(folder: Path) -> Setup:
     return rx.load_setup(**files, seed=SEED, rates=rx.Rates(temperature_hz=RATE))
 
 
-class Story(NamedTuple):
-    """What happened.
+def run_nodes(processes: Processes, client: Client, setup: Setup, folder: Path) -> tuple[str, DiagnosticStatus]:
+    """Record the bags `first` and `second`, before and after a reset, and `engine` without ROS.
 
-    Attributes:
-        folder: with the bags `first` and `second`, recorded before and after the reset, and `engine`; and the files.
-        setup: of the arm.
-        output: of the simulation.
-        status: its diagnostics that warn while time runs.
+    Returns:
+        What the simulation has said, and its diagnostics that warn of a motor as time goes on.
     """
-
-    folder: Path
-    setup: Setup
-    output: str
-    status: DiagnosticStatus
-
-
-@pytest.fixture(scope="module")
-def story(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Story]:
-    """Run the nodes twice, with a reset between, and the engine once."""
-    folder = tmp_path_factory.mktemp("whole_arm")
-    setup = written(folder)
     simulated = simulate_commands(setup, [MotionCommand(150, THERE)], POSE, DURATION, record_fast=True)
     write_bag(simulated, folder / "engine")
-    with own_processes(folder) as processes, closing(Client()) as client:
-        of_simulation = ("-p", "paused:=true", "-p", "real_time_factor:=0.0", "-p", f"step_ticks:={STEP}")
-        simulation = processes.start(
-            "rx90_sim", "--ros-args", "-p", f"drives:={folder / 'drives.yaml'}", *of_simulation,
-            *("-p", f"friction:={folder / 'friction.yaml'}", "-p", f"seed:={SEED}"),
-            *("-p", f"initial_position:={POSE.tolist()}", "-p", f"temperature_rate:={RATE}"),
-        )  # fmt: skip
-        controller = processes.start("rx90_controller", "--ros-args", "-p", f"drives:={folder / 'drives.yaml'}")
-        _record(processes, client, controller, folder / "first")
-        client.simulation.reset()
-        _record(processes, client, controller, folder / "second")
-        heard = client.listen("/diagnostics", DiagnosticArray)
-        assert client.set_parameters("rx90_sim", real_time_factor=0.05) == [""]
-        client.simulation.pause(False)
+    of_simulation = ("-p", "paused:=true", "-p", "real_time_factor:=0.0", "-p", f"step_ticks:={STEP}")
+    simulation = processes.start(
+        "rx90_sim", "--ros-args", "-p", f"drives:={folder / 'drives.yaml'}", *of_simulation,
+        *("-p", f"friction:={folder / 'friction.yaml'}", "-p", f"seed:={SEED}"),
+        *("-p", f"initial_position:={POSE.tolist()}", "-p", f"temperature_rate:={RATE}"),
+    )  # fmt: skip
+    controller = processes.start("rx90_controller", "--ros-args", "-p", f"drives:={folder / 'drives.yaml'}")
+    _record(processes, client, controller, folder / "first")
+    client.simulation.reset()
+    _record(processes, client, controller, folder / "second")
+    heard = client.listen("/diagnostics", DiagnosticArray)
+    assert client.set_parameters("rx90_sim", real_time_factor=0.05) == [""]
+    client.simulation.pause(False)
 
-        def warning() -> list[DiagnosticStatus]:
-            status = [message.status[0] for message in heard]
-            return [one for one in status if one.name == "rx90_sim" and one.level == DiagnosticStatus.WARN]
+    def warning() -> list[DiagnosticStatus]:
+        status = [message.status[0] for message in heard]
+        return [one for one in status if one.name == "rx90_sim" and one.level == DiagnosticStatus.WARN]
 
-        client.spin_until(lambda: any("motor" in one.message for one in warning()), "the warning")
-        status = next(one for one in warning() if "motor" in one.message)
-        yield Story(folder, setup, simulation.output, status)
+    client.spin_until(lambda: any("motor" in one.message for one in warning()), "the warning")
+    status = next(one for one in warning() if "motor" in one.message)
+    return simulation.output, status
 
 
 def _record(processes: Processes, client: Client, controller: ChildProcess, bag: Path) -> None:
@@ -158,14 +139,30 @@ def the_same(one: Path, other: Path) -> None:
     assert temperatures(one) == temperatures(other)
 
 
-def test_the_nodes_give_the_engines_bits(story: Story) -> None:
+def test_all_parts_of_an_arm_in_nodes(
+    processes: Processes, client: Client, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """With elastic gears, play, cogging, sensors, windings and all parts of friction nodes and engine agree bit by bit.
 
-    So do the temperatures of the seven friction elements and of the six windings, which are named after them.
+    So does a run after ~/reset, which puts scatter, noise, twists and temperatures back; and `rx90_run --from-bag`,
+    which takes seed and rate of temperatures from the bag alone. Temperatures are those of the seven friction elements
+    and of the six windings, which are named after them. `motor_current` is the torque of `motor_states` over the torque
+    constant: with offset, noise and steps. Log, once, and diagnostics name the motor whose torque its winding limits,
+    how warm it is and what is left.
     """
-    the_same(story.folder / "first", story.folder / "engine")
-    warm = temperatures(story.folder / "first")
-    names = [*story.setup.friction.names, *(f"motor_{i}" for i in range(1, 7))]
+    setup = written(tmp_path)
+    output, status = run_nodes(processes, client, setup, tmp_path)
+    first, again = tmp_path / "first", tmp_path / "again"
+    the_same(first, tmp_path / "engine")
+    the_same(first, tmp_path / "second")
+    files = [word for name in ("drives", "friction") for word in (f"--{name}", str(tmp_path / f"{name}.yaml"))]
+    capsys.readouterr()
+    assert run("rx90_run", ["--from-bag", str(first), *files, "--output", str(again)]) == 0
+    assert f"seed {SEED}, as the bag tells\n" in capsys.readouterr().out
+    the_same(first, again)
+
+    warm = temperatures(first)
+    names = [*setup.friction.names, *(f"motor_{i}" for i in range(1, 7))]
     stamps = [k * NANOSECONDS // RATE for k in range(round(DURATION * RATE + 0.5))]
     assert [(stamp, name) for stamp, name, *_ in warm] == [(stamp, name) for stamp in stamps for name in names]
     assert [value for *_, value, _ in warm[:13]] == [30.0] * 7 + [100.0] * 6
@@ -174,43 +171,24 @@ def test_the_nodes_give_the_engines_bits(story: Story) -> None:
     assert later[8] > 104.0
     assert np.all(later[[7, 9, 10, 11, 12]] < later[8])
 
-
-def test_a_reset_puts_all_of_it_back(story: Story) -> None:
-    """Scatter, noise, twists, temperatures of joints and windings: a run after ~/reset has the bits of the first."""
-    the_same(story.folder / "first", story.folder / "second")
-
-
-def test_the_bag_alone_tells_the_seed(story: Story, capsys: pytest.CaptureFixture[str]) -> None:
-    """`rx90_run --from-bag` takes seed and rate of temperatures of the simulation, and has every bit of the run."""
-    files = [word for name in ("drives", "friction") for word in (f"--{name}", str(story.folder / f"{name}.yaml"))]
-    again = story.folder / "again"
-    assert run("rx90_run", ["--from-bag", str(story.folder / "first"), *files, "--output", str(again)]) == 0
-    assert f"seed {SEED}, as the bag tells\n" in capsys.readouterr().out
-    the_same(story.folder / "first", again)
-
-
-def test_the_current_is_what_the_drives_report(story: Story) -> None:
-    """`motor_current` is the torque of `motor_states` over the torque constant: with offset, noise and steps."""
-    found = read_joint_states(story.folder / "first", "rx90_controller/motor_current").effort
-    torque = read_joint_states(story.folder / "first", "motor_states").effort
+    found, commanded = (
+        read_joint_states(first, f"rx90_controller/{name}_current").effort for name in ("motor", "commanded")
+    )
+    torque = read_joint_states(first, "motor_states").effort
     assert found is not None
-    assert torque is not None
-    assert np.array_equal(found, torque[::40] / story.setup.drives.torque_constant)
-    counts = found / story.setup.drives.current_sensor.resolution
-    assert counts == pytest.approx(np.round(counts), abs=1e-9)
-    commanded = read_joint_states(story.folder / "first", "rx90_controller/commanded_current").effort
     assert commanded is not None
-    assert np.all(np.ptp(found - commanded, axis=0) > 2.0 * story.setup.drives.current_sensor.resolution)
+    assert torque is not None
+    assert np.array_equal(found, torque[::40] / setup.drives.torque_constant)
+    resolution = setup.drives.current_sensor.resolution
+    assert found / resolution == pytest.approx(np.round(found / resolution), abs=1e-9)
+    assert np.all(np.ptp(found - commanded, axis=0) > 2.0 * resolution)
 
-
-def test_a_warm_winding_is_told(story: Story) -> None:
-    """Log, once, and diagnostics name the motor whose torque its winding limits, how warm it is and what is left."""
     text = r"motor_2 at (1\d\d\.\d) °C has (\d\d) % of its peak current"
-    said = re.search(text, story.status.message)
+    said = re.search(text, status.message)
     assert said is not None
     assert float(said[2]) == pytest.approx(100.0 * (140.0 - float(said[1])) / 40.0 - 0.5, abs=0.7)  # rounded down
-    values = {pair.key: pair.value for pair in story.status.values}
+    values = {pair.key: pair.value for pair in status.values}
     assert values["windings, °C"].split()[1] == said[1]
     assert [int(count) > 0 for count in values["saturated ticks"].split()] == [False, True] + [False] * 4
     # Once as the first run makes it warm, and once as time goes on after the reset, at the most.
-    assert 1 <= len(re.findall(rf"\[WARN\].*{text}", story.output)) <= 2
+    assert 1 <= len(re.findall(rf"\[WARN\].*{text}", output)) <= 2

@@ -15,7 +15,7 @@ import pytest
 from rx90_common.process.children import TIMEOUT, executable
 from rx90_emulator.cli.frame import run
 from rx90_emulator.sweep.plan import load_sweep_plan
-from rx90_emulator.sweep.store import parts_folder, read_results
+from rx90_emulator.sweep.store import parts_folder, read_sweep
 from rx90_emulator.sweep.sweep import Sweep
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -90,7 +90,7 @@ def alive(pid: int) -> bool:
 
 def assert_true_rows(output: Path, plan_file: Path) -> int:
     """Check the first and the last kept run against a run of it alone; return how many are kept."""
-    table, sweep = read_results(output), Sweep(load_sweep_plan(plan_file))
+    table, sweep = read_sweep(output), Sweep(load_sweep_plan(plan_file))
     for row in (0, len(table) - 1):
         kept = table.slice(row, 1).to_pylist()[0]
         outcome = sweep.run(kept["index"])

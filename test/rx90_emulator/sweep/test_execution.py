@@ -29,7 +29,7 @@ from rx90_emulator.loop.setup import Setup
 from rx90_emulator.sweep import execution
 from rx90_emulator.sweep.execution import dask_pool, local_pool, run_sweep
 from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter, Values
-from rx90_emulator.sweep.store import read_results, schema_of, table_of
+from rx90_emulator.sweep.store import read_sweep, schema_of, table_of
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep, measure, metrics_of
 
 
@@ -52,7 +52,7 @@ def test_workers_change_nothing(tmp_path: Path, sweep: Sweep, expected: pa.Table
     """
     for workers in (1, 3):
         assert run_sweep(sweep, tmp_path / f"{workers}.parquet", workers=workers, quiet=True) == (len(sweep), 4)
-    assert_same(read_results(tmp_path / "1.parquet"), expected)
+    assert_same(read_sweep(tmp_path / "1.parquet"), expected)
     assert len({file.read_bytes() for file in tmp_path.iterdir()}) == 1
     assert sorted(p.name for p in tmp_path.iterdir()) == ["1.parquet", "3.parquet"]
     other, order = Sweep(sweep.plan), np.random.default_rng(0).permutation(len(sweep)).tolist()
@@ -87,7 +87,7 @@ def test_cluster_changes_nothing(
 ) -> None:
     """Two processes of a Dask cluster give the same table; one that is killed with work in hand costs no run."""
     run_sweep(sweep, tmp_path / "out.parquet", scheduler=cluster.scheduler_address, quiet=True)
-    assert_same(read_results(tmp_path / "out.parquet"), expected)
+    assert_same(read_sweep(tmp_path / "out.parquet"), expected)
     victim = next(iter(cluster.workers.values())).process.pid
     with dask_pool(sweep, cluster.scheduler_address) as pool:
         futures = [pool.submit([index]) for index in range(len(sweep))]
@@ -119,7 +119,7 @@ def test_resuming_completes(tmp_path: Path, sweep: Sweep, expected: pa.Table) ->
     pq.write_table(expected.take([0, 3, 4, 17, 39]), output)
     counts = run_sweep(sweep, output, workers=2, resume=True, quiet=True)
     assert counts.computed == len(sweep) - 5
-    assert_same(read_results(output), expected)
+    assert_same(read_sweep(output), expected)
     before = output.read_bytes()
     assert run_sweep(sweep, output, workers=2, resume=True, quiet=True).computed == 0
     assert output.read_bytes() == before
@@ -142,7 +142,7 @@ def test_a_failing_run_is_a_row(
     swept = SweptParameter("swept", paths=(path,), factor=factor, space=Values(values))
     sweep = Sweep(SweepPlan((Block("a", (swept,)),), base=SweepBase(RobotFiles(task=task_file))))
     assert run_sweep(sweep, tmp_path / "out.parquet", workers=1, quiet=True) == (2, 1)
-    good, bad = read_results(tmp_path / "out.parquet").to_pylist()
+    good, bad = read_sweep(tmp_path / "out.parquet").to_pylist()
     assert good["error"] is None
     assert 0 < good["path_error_worst"] < 1e-3
     assert bad["error"].startswith(said)
@@ -176,16 +176,11 @@ def test_a_lost_worker_is_said(sweep: Sweep) -> None:
         lose()
 
 
-@pytest.mark.parametrize(("missing", "scheduler"), [("pyarrow", None), ("distributed", "tcp://127.0.0.1:1")])
-def test_an_extra_that_is_not_installed_is_named(
-    tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch, missing: str, scheduler: str | None
-) -> None:
-    """Without pyarrow or Dask a sweep could not be carried out, exit code 3, and the error says what to install."""
-    monkeypatch.setitem(sys.modules, missing, None)
-    if missing == "pyarrow":
-        monkeypatch.delitem(sys.modules, "rx90_emulator.sweep.store")
-    with pytest.raises(FailureError, match=rf"needs {missing}, which is not installed; accepted: .* {missing}"):
-        run_sweep(sweep, tmp_path / "out.parquet", scheduler=scheduler, quiet=True)
+def test_an_extra_that_is_not_installed_is_named(tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without Dask a sweep on a cluster could not be carried out, exit code 3, and the error says what to install."""
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(FailureError, match=r"needs distributed, which is not installed; accepted: .* distributed"):
+        run_sweep(sweep, tmp_path / "out.parquet", scheduler="tcp://127.0.0.1:1", quiet=True)
     assert FailureError.exit_code == FAILED
 
 

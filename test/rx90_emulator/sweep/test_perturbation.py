@@ -12,7 +12,7 @@ from rx90_common.base.errors import REFUSED, ConfigError, FailureError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
 from rx90_emulator.sweep.plan import Block, LogUniform, SweepBase, SweepPlan, SweptParameter, Values
-from rx90_emulator.sweep.store import read_results
+from rx90_emulator.sweep.store import read_sweep
 from rx90_emulator.sweep.sweep import DEVIATION, RunOutcome, Sweep
 
 SHIFTS = {"path_error_worst": 0.01, "path_error_rms": 0.005, "tracking_error_rms_joint_3": 0.005}
@@ -103,7 +103,7 @@ def test_the_command_says_how_far_the_method_holds(
     said = capsys.readouterr().out
     assert "2 of 2 runs in " in said
     assert " um by the perturbation method, " in said
-    assert read_results(output)[DEVIATION].null_count == 0
+    assert read_sweep(output)[DEVIATION].null_count == 0
     plan.write_text(text.format(task_file, "closed_loop"), encoding="utf-8")
     assert run("rx90_sweep", [*arguments, "--resume"]) == REFUSED
     plan.write_text(text.format(task_file, "quick"), encoding="utf-8")

@@ -22,7 +22,7 @@ from rx90_common.report.plot import Curve, Panel
 from rx90_emulator.cli.frame import run
 from rx90_emulator.sweep import store
 from rx90_emulator.sweep.report import SweepFigures, distribution_plot, main_effect
-from rx90_emulator.sweep.store import KEY, ResultStore, describe_results, parts_folder, read_results
+from rx90_emulator.sweep.store import KEY, ResultStore, describe_results, parts_folder, read_sweep
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 
@@ -80,11 +80,11 @@ def test_parts_are_readable_before_the_end(
             kept.add(outcomes[first : first + 4])
         (parts_folder(file) / ".part-000009.parquet").write_bytes(b"PAR1 torn")
         assert pd.read_parquet(parts_folder(file))["index"].tolist() == list(range(12))
-        assert len(read_results(file)) == 12
+        assert len(read_sweep(file)) == 12
         assert "12 of 40 runs; go on with --resume" in describe_results(file)[0]
         with pytest.raises(SweepError, match=r"out\.parquet\.parts exists; accepted: another output"):
             ResultStore(file, sweep)
-    assert len(read_results(file)) == 12
+    assert len(read_sweep(file)) == 12
     assert not parts_folder(file).exists()
 
 
@@ -94,7 +94,7 @@ def test_runs_are_there_once(output: Path, sweep: Sweep, outcomes: list[RunOutco
     kept = ResultStore(output, sweep, resume=True)
     kept.add(outcomes[:5])
     kept.flush()
-    assert len(read_results(output)) == len(sweep)
+    assert len(read_sweep(output)) == len(sweep)
     with kept:
         pass
     assert output.read_bytes() == whole

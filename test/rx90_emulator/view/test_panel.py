@@ -26,7 +26,7 @@ from rx90_common.exchange.arm_watch import ArmWatch, JointSample
 from rx90_common.exchange.client_node import ClientNode, client_node
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.lines.plan import plan_line
-from rx90_controller.lines.task import TOOL_DOWN, LineTask
+from rx90_controller.lines.task import TOOL_DOWN, LineTask, load_task
 from rx90_controller.node.trajectory_client import enable_request
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
@@ -58,7 +58,7 @@ def panel(processes: Processes, shipped: Setup, monkeypatch: pytest.MonkeyPatch,
         states: list[JointSample] = []
         page.every(0.05, lambda _: states.extend(watch.joints()))
         newest = lambda: states[-1] if states else None  # noqa: E731
-        parts = DoPanel(page, client, shipped.files, newest, "/rx90_controller", sent.append)
+        parts = DoPanel(page, client, shipped, load_task(), newest, "/rx90_controller", sent.append)
         with served(page):
             yield page, cell, sent
         parts.close()

@@ -75,7 +75,7 @@ def test_beyond_the_steady_deflection_it_is_lugre() -> None:
     step=st.floats(1e-9, 0.1),
     break_away=st.floats(0.0, 0.9),
 )
-@settings(max_examples=300)
+@settings(max_examples=120)
 def test_every_velocity_gives_numbers_within_the_bristle_s_range(
     velocity: float, part: float, step: float, break_away: float
 ) -> None:

@@ -71,7 +71,7 @@ def test_a_slipping_block_that_moves_as_a_stuck_one_still_slips() -> None:
     step=st.floats(1e-9, 0.1),
     attraction=st.floats(1e-6, 1e12),
 )
-@settings(max_examples=200)
+@settings(max_examples=100)
 def test_every_velocity_gives_numbers_within_the_blocks_range(
     velocities: list[float], step: float, attraction: float
 ) -> None:

@@ -80,7 +80,7 @@ class Pair:
         """Bring the arm back."""
         from action_client import move
 
-        assert self.time.until(self.goals.result_of(self.goals.send(move(0.0, 0.5)))).status == SUCCEEDED
+        assert self.time.until(self.goals.result_of(self.goals.send(move(0.0, 0.4)))).status == SUCCEEDED
 
 
 @contextmanager
@@ -175,13 +175,11 @@ def test_the_pages_program_sends_a_goal_and_one_that_is_killed_leaves_it_to_the_
         pair.client.spin_until(lambda: pair.controller.output.count("goal accepted") > before, "the goal")
         return sender
 
-    pair.home()
     sender = accepted()
     while "error_code=0" not in sender.output:
         pair.time.run(STEP)
     assert sender.wait() == 0
     assert "goal reached" in sender.output
-    pair.home()
     sender = accepted()
     pair.time.run(0.3)
     sender.signal(signal.SIGKILL)
@@ -195,7 +193,6 @@ def test_who_is_killed_in_mid_goal_ends_it(pair: Pair) -> None:
     """After kill -9 of the simulation the client gets -1 and why; after that of the controller it sees it is gone."""
     from action_client import move
 
-    pair.home()
     result = pair.goals.result_of(pair.goals.send(move(0.05, 0.4)))
     pair.time.run(0.1)
     pair.simulation.signal(signal.SIGKILL)

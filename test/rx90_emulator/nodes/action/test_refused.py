@@ -92,7 +92,7 @@ def test_what_the_arm_cannot_do_is_aborted_with_the_reason(bench: Bench, make: A
 def test_brakes_end_a_goal_and_refuse_the_next(bench: Bench) -> None:
     """With the torque off the goal is aborted with INVALID_GOAL, at once; goals are rejected until it is on again.
 
-    So they are when the node is deactivated.
+    So they are when the node is deactivated. One that is sent at once when the torque is on again is followed.
     """
     from action_client import move
 
@@ -131,9 +131,8 @@ def test_brakes_end_a_goal_and_refuse_the_next(bench: Bench) -> None:
     bench.home()
     for on in (False, True):
         bench.client.enable(on)
-    assert not bench.goals.send(move(0.0)).accepted  # not before the loops hold the arm again
-    bench.time.run(STEP)
-    bench.home()
+    # It waits for the tick with which the torque comes back.
+    assert bench.time.until(bench.goals.result_of(bench.goals.send(move(0.02, 0.3)))).status == SUCCEEDED
 
 
 def test_a_fault_of_the_supervision_ends_a_goal_and_refuses_the_next(bench: Bench, shipped: Setup) -> None:
