@@ -196,7 +196,7 @@ def _draw_mark(shown: Any, panel: Panel, mark: Mark) -> list[Any]:
         _ = shown.vspan(x=[at], **look) if mark.upright else shown.hspan(y=[at], **look)
         return []
     if isinstance(mark, Band):
-        known = np.isfinite(mark.x + mark.low + mark.high)
+        known = np.isfinite(mark.x) & np.isfinite(mark.low) & np.isfinite(mark.high)
         parts = [part[known[part]] for part in np.split(np.arange(len(known)), np.flatnonzero(~known))]
         x, low, high = place(mark.x), mark.low, mark.high
         outlines = [(np.r_[x[k], x[k][::-1]], np.r_[low[k], high[k][::-1]]) for k in parts if len(k)]

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -61,6 +64,14 @@ _STYLE: Any = {
 }
 
 
+@contextmanager
+def _styled() -> Iterator[None]:
+    """Draw in the style of all plots; a letter of a name that the font does not have is drawn as a box, silently."""
+    with mpl.rc_context(_STYLE), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from")
+        yield
+
+
 def as_svg(plot: Plot, most: int = _MAX_POINTS) -> str:
     """Return the plot, up to about `most` points of a curve, as an <svg> element."""
 
@@ -70,7 +81,7 @@ def as_svg(plot: Plot, most: int = _MAX_POINTS) -> str:
         return path if re.search("[CQ]", path) else re.sub(r" *\nL ", " ", path)
 
     buffer = io.StringIO()
-    with mpl.rc_context(_STYLE):
+    with _styled():
         drawn(plot, most).savefig(buffer, format="svg", metadata={"Date": None})
     text = buffer.getvalue()
     return re.sub(r' d="[^"]*"', shorter, text[text.index("<svg") :])
@@ -86,7 +97,7 @@ def write_picture(plot: Plot, path: Path, title: str = "") -> None:
     """
     date = {".svg": "Date", ".pdf": "CreationDate"}.get(path.suffix.lower())
     buffer = io.BytesIO()  # in memory: of a full disk matplotlib makes other errors
-    with mpl.rc_context(_STYLE):
+    with _styled():
         drawn(plot, _MAX_POINTS, title).savefig(
             buffer, format=path.suffix[1:].lower(), dpi=_DPI, metadata=None if date is None else {date: None}
         )

@@ -26,7 +26,7 @@ from rx90_common.description.coupling import sum_name
 from rx90_common.description.rigid_torque import configurations, rigid_torque, rotor_and_spring_torque
 from rx90_emulator.loop.setup import Setup
 
-_MIN_MASS = 1e-12  # kg
+_MIN_MASS, _MAX_MASS = 1e-12, 1e5  # kg
 _TURNING = ("revolute", "continuous")
 _STDERR = 2
 
@@ -306,6 +306,14 @@ def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
             axis = joint.find("axis") if joint.get("type") in _TURNING else None
             if axis is not None and not any(map(float, axis.get("xyz", "1").split())):
                 raise ValueError(f"axis of joint [{joint.get('name')}] is 0 0 0")
+        for link in root.findall("link"):
+            mass = link.find("inertial/mass")
+            weight = 0.0 if mass is None else float(mass.get("value", "0"))
+            if not 0.0 <= weight <= _MAX_MASS:
+                raise IdentificationError(
+                    f"{plain(urdf)}: the mass of link {quoted(link.get('name'))} is {weight:g} kg; accepted: 0 to "
+                    f"{_MAX_MASS:g} kg"
+                )
         return model, root
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", error)

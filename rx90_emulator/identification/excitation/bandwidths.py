@@ -25,7 +25,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.excitation.checks import coulomb_viscous
+from rx90_emulator.identification.excitation.checks import ROWS_PER_PARAMETER, coulomb_viscous
 from rx90_emulator.identification.excitation.filtering import Bandwidths, least_bandwidth
 from rx90_emulator.identification.excitation.fit import solve, time_blocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
@@ -36,7 +36,6 @@ Equations = Callable[[Sequence[JointRecord], Bandwidths], ExcitationProblem]
 
 _NARROWER = 3  # largest number of bandwidths tried beside the widest
 _MIN_RATIO = 2.0  # between two of them
-_ROWS_PER_PARAMETER = 2.0  # minimum of the narrowest candidate: fewer rows predict nothing
 _ACCEPTED_RATIO, _ACCEPTED_SE = 1.1, 2.0  # over the least error; standard errors beyond it
 _SINGULAR = 1e-10  # relative: directions that the remaining rows do not determine stay 0
 
@@ -150,8 +149,7 @@ def _compared(widest: Bandwidths, records: Sequence[JointRecord], equations: Equ
             problem = equations(records, bandwidths)
         except IdentificationError:  # the runs are too short for the long filters
             return None
-        rows = _ROWS_PER_PARAMETER * (len(problem.names) + 2 * len(problem.arm.element_names))
-        return (bandwidths, problem) if len(problem) >= rows else None
+        return (bandwidths, problem) if len(problem) >= ROWS_PER_PARAMETER * problem.parameters else None
 
     first = last = (widest, equations(records, widest))
     while narrower and first is last:

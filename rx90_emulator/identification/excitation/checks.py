@@ -64,11 +64,13 @@ class WrongSign(NamedTuple):
 _SIGN_ERRORS = ((False, True), (True, True), (True, False))
 """Motion and torque: wrong sign of the torque constant, of the gear, of the position alone."""
 _MIN_SIGN_GAIN = 0.15  # share of the torque error, at least, that a right sign explains
+ROWS_PER_PARAMETER = 2.0
+"""Of the simplest model, at least: fewer predict nothing, and fit any sign."""
 _CLEAR_SE = 3.0  # standard errors by which a sign, or a zero, must explain more
 
 
 def check_signs(problem: ExcitationProblem, options: RobotOptions = _NO_OPTIONS) -> None:
-    """Refuse runs in which torques or motions of motors clearly have the wrong sign.
+    """Refuse runs in which torques or motions of motors clearly have the wrong sign; not by very short ones.
 
     Args:
         problem: equations with the signs as given.
@@ -77,8 +79,9 @@ def check_signs(problem: ExcitationProblem, options: RobotOptions = _NO_OPTIONS)
     Raises:
         IdentificationError: naming the joints, the unexplained torque with either sign, and the options to use instead.
     """
-    search = _Search(problem)
-    wrong, before, after = search.wrong_signs()
+    if len(problem) < ROWS_PER_PARAMETER * problem.parameters:
+        return
+    wrong, before, after = _Search(problem).wrong_signs()
     if not wrong:
         return
     names, descriptions, choices = problem.arm.names, [], [wrong]

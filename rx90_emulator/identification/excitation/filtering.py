@@ -300,7 +300,7 @@ def filter_record(
             f"{rate:.4g} samples per second; accepted: up to {0.45 * rate:.4g} and {0.22 * rate:.4g} Hz"
         )
     edge = math.ceil(1.5 * rate / bandwidths.position) + _SPLINE_END  # three time constants of the slowest pole
-    shortest = 2 * edge + len(low_pass_taps(rate, bandwidths.torque)) + 1
+    shortest = 2 * edge + _kaiser(rate, bandwidths.torque)[0] + 1
     bridged = bridged_gap(bandwidths)
     pieces = [slice(*piece) for piece in _pieces(record.time, bridged) if piece[1] - piece[0] >= shortest]
     if not pieces:
@@ -423,8 +423,14 @@ def low_pass_taps(rate: float, bandwidth: float) -> Array:
         rate: samples per second.
         bandwidth: Hz.
     """
+    count, beta = _kaiser(rate, bandwidth)
+    return np.asarray(firwin(count, 1.5 * bandwidth, window=("kaiser", beta), fs=rate))
+
+
+def _kaiser(rate: float, bandwidth: float) -> tuple[int, float]:
+    """Return how many taps that low-pass has, and the parameter of its window."""
     count, beta = kaiserord(_STOPBAND_DB, bandwidth / (0.5 * rate))
-    return np.asarray(firwin(count | 1, 1.5 * bandwidth, window=("kaiser", beta), fs=rate))
+    return count | 1, beta
 
 
 def low_pass(values: Array, taps: Array, down: int = 1) -> Array:

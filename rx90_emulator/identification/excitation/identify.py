@@ -23,7 +23,7 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
 from rx90_emulator.identification.excitation.bodies import make_consistent, written_arm
-from rx90_emulator.identification.excitation.checks import check_signs, check_zeros
+from rx90_emulator.identification.excitation.checks import ROWS_PER_PARAMETER, check_signs, check_zeros
 from rx90_emulator.identification.excitation.choice import stages
 from rx90_emulator.identification.excitation.filtering import Bandwidths, recording_notes, without_shocks
 from rx90_emulator.identification.excitation.friction import (
@@ -138,6 +138,7 @@ def identify_excitation(
 
     bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
     notes += [*recording_notes(records["excitation"], bandwidths), *log_warnings(problem, source.held)]
+    parts = parts if fixed or len(problem) >= ROWS_PER_PARAMETER * problem.parameters else ()  # no choice by so few
     check_signs(problem, replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source)))
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
@@ -205,9 +206,17 @@ def _without_shock_rows(records: Mapping[str, list[JointRecord]], robot: Recorde
 
 
 def log_warnings(problem: ExcitationProblem, held: Sequence[str] = ()) -> list[str]:
-    """Return warnings of fewer instants than parameters, which leave no redundancy, and of joints fixed at 0."""
-    instants, parameters = len(np.unique(problem.sample)), len(problem.names) + 2 * len(problem.arm.element_names)
-    found = []
+    """Return warnings of fewer instants than parameters, which leave no redundancy, and of joints fixed at 0.
+
+    Raises:
+        IdentificationError: for no more equations than parameters.
+    """
+    instants, parameters, found = len(np.unique(problem.sample)), problem.parameters, []
+    if len(problem) <= parameters:
+        raise IdentificationError(
+            f"{len(problem)} equations ({instants} instants below {problem.runs[0].bandwidths.torque:.3g} Hz) for "
+            f"{parameters} parameters; accepted: more than these, from longer runs or a wider --bandwidth"
+        )
     if instants < parameters:
         found.append(
             f"warning: a short log, {instants} instants for {parameters} parameters: it does not tell single bodies, "

@@ -247,6 +247,7 @@ class BaseGroups:
         return tuple(texts)
 
 
+_PRIOR_BOUNDS = (1e-6, 1e4)  # of its relative deviation: below and above, a description says all or nothing
 _UNINFORMATIVE = 1e4  # deviations of an unknown parameter, in units of the arm's largest one of its kind
 
 
@@ -271,8 +272,9 @@ def described_inertials(columns: StandardColumns, base: BaseGroups, relative: fl
     Raises:
         IdentificationError: for a deviation that is not positive, and for a description without inertials.
     """
-    if not 0.0 < relative < math.inf:
-        raise IdentificationError(f"relative deviation of the prior: {relative}; accepted: above 0")
+    low, high = _PRIOR_BOUNDS
+    if not low <= relative <= high:
+        raise IdentificationError(f"relative deviation of the prior: {relative:g}; accepted: {low:g} to {high:g}")
     value, count = columns.values(), 10 * len(columns.arm.names)
     if not value[:count].any():
         raise IdentificationError("a prior from a description without <inertial>; accepted: no --prior, or inertials")
@@ -395,6 +397,11 @@ class ExcitationProblem:
     def names(self) -> tuple[str, ...]:
         """Return the names of the columns, shape (b,)."""
         return self.base.names
+
+    @property
+    def parameters(self) -> int:
+        """Return how many the simplest model has: base parameters, Coulomb and viscous torque of each element."""
+        return len(self.names) + 2 * len(self.arm.element_names)
 
     @cached_property
     def sample(self) -> Index:

@@ -283,7 +283,7 @@ def robot_texts(
             result.elements,
             result.robot.fallback_name or ASSUMED,
             now,
-            joints=_joints(result, drives=base is not None),
+            joints=_joints(result),
             bandwidths=result.problem.runs[0].bandwidths,
             unit=result.unit,
             warnings=notes,
@@ -341,11 +341,14 @@ def _initial_contents(
     return dict(load_yaml(base.files.drives).content), controller
 
 
-def _joints(result: ExcitationIdentification, *, drives: bool) -> dict[str, dict[str, float]]:
-    """Return the identified values of each joint that no other file has; all but the offset are for the drives."""
+def _joints(result: ExcitationIdentification) -> dict[str, dict[str, float]]:
+    """Return what is identified at each joint beside links and friction; of this project's arms the offset alone.
+
+    Rotors and springs of another arm may be in a drives file, too: its URDF alone is held against bags with these.
+    """
     names, standard = result.problem.arm.names, result.problem.columns.names
     values = dict(zip(standard, result.consistency.inertias.parameters.tolist(), strict=True))
-    kinds = {"offset": "offset"} if drives else {"offset": "offset", "rotor_inertia": "Ia", "spring": "k"}
+    kinds = {"offset": "offset"} | ({} if result.robot.setup else {"rotor_inertia": "Ia", "spring": "k"})
     found = {
         name: {key: digits(values.get(f"{kind}_{joint}", 0.0)) for key, kind in kinds.items()}
         for joint, name in enumerate(names, 1)
@@ -519,8 +522,7 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
 def _torques(run: RunTorques) -> dict[str, Any]:
     columns = zip(run.rms.tolist(), run.share.tolist(), run.chi_square.tolist(), strict=True)
     figures = [_rounded(dict(zip(("rms", "relative", "chi_square"), row, strict=True))) for row in columns]
-    for row in figures:  # chi^2 has no meaning for torques that were smoothed before, which have hardly any noise
-        if row.get("chi_square", 0.0) > LARGEST:
-            del row["chi_square"]
+    # Of torques that were smoothed before, which have next to no noise, chi^2 tells nothing, nor shares of no torque.
+    figures = [{key: value for key, value in row.items() if not value > LARGEST} for row in figures]
     joints = {name: row for name, row in zip(run.names, figures, strict=True) if "rms" in row}
     return {"relative": digits(run.total_share), "joints": joints}

@@ -53,13 +53,15 @@ class TorquePrediction:
 
     @property
     def rms_share(self) -> Array:
-        """Return the RMS difference over the RMS recorded torque, shape (n,)."""
-        return np.asarray(self.rms / self._rms(self.recorded))
+        """Return the RMS difference over the RMS recorded torque, shape (n,): infinite where none was recorded."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(self.rms / self._rms(self.recorded))
 
     @property
     def worst_share(self) -> Array:
-        """Return the largest difference over the largest recorded torque, shape (n,)."""
-        return np.asarray(self.worst / np.abs(self.recorded).max(axis=0))
+        """Return the largest difference over the largest recorded torque, shape (n,): infinite where none was."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(self.worst / np.abs(self.recorded).max(axis=0))
 
     @property
     def total_share(self) -> float:

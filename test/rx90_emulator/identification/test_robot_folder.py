@@ -23,6 +23,7 @@ from benchmarks.any_arm import joint_names, write_arm
 from rx90_common.base.errors import IdentificationError, Rx90Error
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.bristles import MaxwellSlip
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
@@ -266,7 +267,7 @@ ixz="0" iyz="0"/></inertial></link><joint name="grip" type="prismatic"><parent l
 def test_folder_of_an_arm_with_a_differential_runs(tmp_path: Path, source: BagSource) -> None:
     """A gripper held in the identification becomes fixed; the folder's torque is the regressor's, and its loop follows.
 
-    The motors of joints 2 and 3 turn with both.
+    The motors of joints 2 and 3 turn with both. URDF and friction file alone, held against bags, have that torque, too.
     """
     turns = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 1.0, -1.0]])
     file = write_arm(tmp_path / "foreign", 3) / "robot.urdf"
@@ -293,6 +294,9 @@ def test_folder_of_an_arm_with_a_differential_runs(tmp_path: Path, source: BagSo
     motion = RNG.uniform(-2.0, 2.0, (3, 10, 3))
     written = RigidArm.from_setup(setup).torque(*motion)
     np.testing.assert_allclose(written, columns.torque(*motion) @ inertias.parameters, rtol=0.0, atol=1e-8)
+    alone = RigidArm.from_urdf(folder / "robot.urdf", joint_names(3), coupling=turns)
+    alone = alone.with_joints(FrictionFile.read(folder / "friction.yaml").joints)
+    np.testing.assert_allclose(alone.torque(*motion), written, rtol=0.0, atol=1e-4)
     assert setup.controller.max_acceleration == pytest.approx(np.maximum(setup.robot.max_velocity / 0.5, [0, SEEN, 0]))
     rest = np.zeros((2, 3))
     points = TrajectoryPoints(np.array([0.0, 1.0]), np.stack([rest[0], rest[0] + 0.3]), rest, rest)

@@ -18,6 +18,7 @@ from scipy.signal import lfilter
 from benchmarks.random_arms import FrictionLaw
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.estimates import PARAMETERS, ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.excitation.choice import (
     PartKey,
     Scored,
@@ -516,3 +517,17 @@ def test_named_parts_are_fitted_without_a_choice(arm: RigidArm) -> None:
     names = [part.value.lower().replace(" ", "-") for part in Part]
     assert names == list(MODEL_PARTS)
     assert [Part.named(name) for name in names] == list(Part)
+
+
+@pytest.mark.parametrize(
+    "told", [{}, {"c0": 2e5}, {"c0": 2e4, "c1": 30.0}, {"c1": 5e3}], ids=lambda told: " ".join(told) or "none"
+)
+def test_an_assumed_fading_keeps_elements_passive(told: dict[str, float]) -> None:
+    """Whether c0 and c1 are identified or assumed, omega_d, which nothing tells, leaves no speed that gives energy."""
+    reason = ParameterEstimate.unknown("not told")
+    values = {"tau_c_positive": 1.2, "tau_c_negative": 0.9, "c2": 0.1, **told}
+    known = dict.fromkeys(PARAMETERS, reason) | {name: ParameterEstimate(one, 0.0) for name, one in values.items()}
+    (one,) = simulated_elements([ElementEstimate("hinge", known, np.eye(len(known)), ())], None)
+    assert {name: getattr(one.element, name) for name in told} == told
+    assert one.element.passivity_limit(1e3) == np.inf
+    assert one.element.omega_d <= 1.0

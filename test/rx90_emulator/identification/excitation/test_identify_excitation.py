@@ -56,6 +56,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
         ("negative", -bench.torque(motion)),
         ("one", bench.torque(motion) * [1.0, -1.0]),
         ("dead", dead),
+        ("zero", dead * [1.0, 0.0]),
     ):
         bench.write(name, motion, torque)
     return bench
@@ -278,6 +279,8 @@ def test_an_interrupt_leaves_nothing(
             ["run", "--bandwidth=60"],
             "bandwidths of 60 and 20 Hz at 100 samples per second; accepted: up to 45 and 22",
         ),
+        (["run", "--bandwidth=1e-6"], r"no stretch of \S+e\+07 s without a gap, .*; accepted: longer runs"),
+        (["run", "--prior=1e300"], r"of the prior: 1e\+300; accepted: 1e-06 to 10000"),
         (["run", "--torque-delay", "0.01"], "--torque-delay 0.01 with --excitation; accepted: 0"),
         (["run", "--model=bristle-damping"], "bristle-damping without bristle; accepted: both, or neither"),
         (["run", "--bristles", "--model=bristle"], "--bristles with --model; accepted: --model with bristle"),
@@ -372,8 +375,7 @@ def test_a_joint_that_is_not_identified_follows_the_bag(tmp_path: Path) -> None:
         estimate = one.estimates["tau_c_positive"]
         assert abs(estimate.value - curve.tau_c_positive) < 4.0 * estimate.deviation
     rx.write_excitation(result, tmp_path / "identified")
-    written = replace(robot, urdf=tmp_path / "identified" / "robot.urdf",
-                      rotor_inertia=result.consistency.inertias.rotors[:2].tolist())  # fmt: skip
+    written = replace(robot, urdf=tmp_path / "identified" / "robot.urdf")
     (again,) = rx.check_friction(tmp_path / "identified" / "friction.yaml", [tmp_path / "unseen"], written)
     np.testing.assert_allclose(again.rms_share, check.files.share, atol=5e-4)
     motors = RecordedRobot.load(replace(robot, gear=[1.0, 1.0]), [tmp_path / "run"], massless=True, follow=True)
@@ -509,11 +511,12 @@ def test_a_joint_at_rest_is_assumed_and_the_others_are_written(
 
 
 @pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("bag", ["dead", "zero"])
 def test_an_effort_that_tells_nothing_carries_a_warning(
-    bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    bench: Bench, tmp_path: Path, bag: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Terminal, friction file, parameters and report say that the torque of a joint is noise; of others they do not."""
-    words = ["--excitation", bench.folder / "dead", "--output", tmp_path / "out", "--model", "coulomb-viscous"]
+    """Terminal, friction file, parameters and report say that the torque of a joint is noise, or 0; of others not."""
+    words = ["--excitation", bench.folder / bag, "--output", tmp_path / "out", "--model", "coulomb-viscous"]
     assert bench.identify(*words) == 0
     warned = r"(\d+)% of what varies in the torque of (\w+) is not explained"
     texts = {name: (tmp_path / "out" / name).read_text(encoding="utf-8") for name in ("report.html", "parameters.yaml")}
