@@ -92,8 +92,9 @@ class LogOrder:
         self._held: list[Dated] = []
         self._undated: list[Arrived] = []
         self._next_release = 0
-        # Reception and the newest log time then, ns, for the last second and once before it.
+        # Reception and the newest log time then, ns, for the last second; that of a second ago.
         self._progress: deque[tuple[int, int]] = deque()
+        self._settled = np.iinfo(np.int64).min
 
     @property
     def newest_ns(self) -> int | None:
@@ -118,20 +119,22 @@ class LogOrder:
         received = max((int(each.received_ns[-1]) for each in arrived if len(each.messages)), default=None)
         if self._newest is not None and received is not None:
             self._progress.append((received, self._newest))
-            while len(self._progress) > 1 and self._progress[1][0] <= received - _RESEND_NS:
-                self._progress.popleft()
 
-    def release(self) -> Dated | None:
-        """Return the messages that are old enough that no older ones are expected."""
+    def release(self, now_ns: int) -> Dated | None:
+        """Return the messages that are old enough that no older ones are expected.
+
+        Args:
+            now_ns: the wall clock's time, ns, by which receptions are counted.
+        """
         if self._newest is None:
             return self.release_all() if self._by_reception else None
-        if self._newest < self._next_release:
+        while self._progress and self._progress[0][0] <= now_ns - _RESEND_NS:
+            self._settled = self._progress.popleft()[1]
+        last = min(self._settled, self._newest - _HOLD_NS)
+        if last < self._next_release:
             return None
-        (before, known), (now, _) = self._progress[0], self._progress[-1]
-        if now - before < _RESEND_NS:
-            return None
-        self._next_release = self._newest + _HOLD_NS // 2
-        return self._cut(min(known, self._newest - _HOLD_NS))
+        self._next_release = last + _HOLD_NS // 2
+        return self._cut(last)
 
     def release_all(self) -> Dated | None:
         """Return all that is held, if there is any."""

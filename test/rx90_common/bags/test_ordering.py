@@ -52,7 +52,7 @@ def run(order: LogOrder, arrivals: list[tuple[int, TimeSource, bytes]], every: i
             messages = [cdr for _, _, cdr in batch]
             add(order, topic, source, messages, received_ns)
             received_ns += len(messages)
-        released += entries(order.release())
+        released += entries(order.release(received_ns))
     return released + entries(order.release_all())
 
 
@@ -71,9 +71,12 @@ def test_a_topic_that_is_sent_again_late_is_in_its_place() -> None:
     sent = [(stamp * MS, topic) for stamp in range(0, 20_000, 50) for topic in range(2)]
     order, released = LogOrder(), list[Entry]()
     for stamp, topic in sorted(sent, key=lambda each: each[0] // 10 + each[1] * 800 * MS):
-        add(order, topic, TimeSource.CLOCK, [message(stamp)], stamp // 10 + topic * 800 * MS)
-        released += entries(order.release())
-    assert 0 < len(released) < len(sent)
+        now = stamp // 10 + topic * 800 * MS
+        add(order, topic, TimeSource.CLOCK, [message(stamp)], now)
+        released += entries(order.release(now))
+    before = len(released)
+    released += entries(order.release(now + 1000 * MS))  # also where no more messages come
+    assert 0 < before < len(released) < len(sent)
     released += entries(order.release_all())
     assert [(e.log_ns, e.topic) for e in released] == sent
 
@@ -115,7 +118,7 @@ def test_time_that_is_set_back_holds_nothing_up() -> None:
     released: list[Entry] = []
     for received, stamp in enumerate(stamps):
         add(order, 0, TimeSource.CLOCK, [message(stamp * MS)], received * 10 * MS)
-        released += entries(order.release())
+        released += entries(order.release(received * 10 * MS))
         held.append(order.held_bytes)
     released += entries(order.release_all())
     assert len(released) == len(stamps)
