@@ -1,9 +1,9 @@
 """The drives in compiled code: cogging of the motors, heat of the windings, errors of current sensors, resolvers.
 
 **Cogging.** torque = sum of a_k cos(h_k angle + p_k) is the derivative of an energy. A step applies the mean torque
-over the motor's motion in it, the difference of that energy divided by the angle: each wave's torque at the middle of
-the motion times sin(h angle / 2) / (h angle / 2). So no energy is gained or lost if a step covers much of a wave, and a
-wave that passes in less than two steps is not aliased into a slow one.
+over the motor's motion in it, the difference of that energy divided by the motion: each wave's torque at the middle of
+the motion times sin(h motion / 2) / (h motion / 2). So no energy is gained or lost if a step covers much of a wave, and
+a wave that passes in less than two steps is not aliased into a slow one.
 
 **Windings.** C dT/dt = R I^2 (1 + a (T - T_r)) - (T - T_a) / R_th is linear in T if the current I is constant, as it is
 within a tick, and is advanced exactly. Above the temperature `derating` the peak current falls linearly and is 0 at

@@ -239,7 +239,7 @@ def _to_friction(shared: Array) -> Array:
 def _reduced(time: Array, columns: Array, T: float, noise: float, variance: float) -> tuple[Array, Array, float]:
     """Return the information of the rows of `_derivatives` of one ramp about the shared parameters.
 
-    That is the gram of the whitened shared rows after projection on initial angle and velocity, shape (7, 7); the
+    That is the gram of the whitened shared rows with initial angle and velocity projected out, shape (7, 7); the
     coefficients of that projection, shape (2, 7); the logarithm of the determinants of the noise and of the
     information on the start.
     """

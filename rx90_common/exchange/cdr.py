@@ -4,7 +4,7 @@ A JointState codec is made for the joint names of its topic. The bytes around th
 which compiled code reads and writes in one call. Messages of other publishers (another order of names, a frame_id, big
 endian, uninitialised padding) are read field by field.
 
-Alignment padding is written as zeros, so that equal values give equal bytes. The serialiser of rclpy leaves random
+Alignment padding is written as zeros, so that equal values give equal bytes. The serialiser of rclpy leaves what
 was in memory there and up to 15 unused bytes at the end; apart from those, both write the same.
 """
 

@@ -21,7 +21,7 @@ from rx90_common.exchange.channel import TickChannel
 _SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at
 _PATIENCE = 1.0  # s of silence before it is announced and, with a peer there, the message is sent again
 _OTHER_CLOCK_NS = 3600 * NANOSECONDS
-_MAX_FOREIGN = 3  # commands with other stamps in one wait that are no repetitions, nor from before a reset
+_FOREIGN_COUNT = 3  # commands with other stamps in one wait that are no repetitions, nor from before a reset
 _CONFLICTS = 3  # different commands for a stamp that make two controllers; a restart in mid-tick makes one at most
 
 
@@ -136,16 +136,18 @@ class LockstepSimulation:
                 current = channel.matches()
                 there = current.publishers > 0 and current.subscriptions > 0
                 # Who always answers with the stamp before is right when the states come again, once a second.
-                if foreign and max(foreign, self._foreign) >= _MAX_FOREIGN and now - began > _PATIENCE:
+                if foreign and max(foreign, self._foreign) >= _FOREIGN_COUNT and now - began > _PATIENCE:
                     if not complained:
                         complained = True
-                        if foreign >= _MAX_FOREIGN:
+                        if foreign >= _FOREIGN_COUNT:
                             self._wait.explained()
                         self._complain(
                             f"{channel.subscribe_topic}: {stamped(wrong_ns, stamp_ns)}; accepted in lock_step: that of "
                             "the states that a command answers; time stands still"
                         )
-                elif now - began > (_PATIENCE if foreign == 0 else _MAX_FOREIGN * _PATIENCE) or current.publishers == 0:
+                elif (
+                    now - began > (_PATIENCE if foreign == 0 else _FOREIGN_COUNT * _PATIENCE) or current.publishers == 0
+                ):
                     self._announce_wait(stamp_ns, current.publishers > 0)
                 if there and (current != matches or now - sent > _PATIENCE):
                     self._two_controllers = self._two_controllers and current.publishers > 1

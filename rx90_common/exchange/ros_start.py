@@ -28,10 +28,10 @@ _REASON = 400  # characters; ROS explains at length where a name is wrong
 def prepare() -> None:
     """Set the environment of Fast DDS; every process of the suite calls this before `rclpy.init`.
 
-     UDP instead of shared memory: a killed process leaves no segments behind whose remains the next start reports
+    - UDP instead of shared memory: a killed process leaves no segments behind whose remains the next start reports
       as errors. With the range LOCALHOST rmw_fastrtps adds shared memory whatever FASTDDS_BUILTIN_TRANSPORTS says;
       then a profile with UDP on 127.0.0.1 alone replaces the range, with the same reach.
-     Profiles, explained in config/dds/profiles.xml.
+    - Profiles, explained in config/dds/profiles.xml.
 
     Another middleware, profiles of the user's own, and static peers are left as they are.
 

@@ -165,7 +165,7 @@ class Stream:
         own_clock: whether it is stamped by another clock than the controller's time.
         beyond: the first violation of a limit, in words; empty for none.
         reported: the kinds of `notes` that have been reported.
-        expires: tick at which the stream ends unless there are more set-points.
+        expires: last tick of the stream, unless there are more set-points.
     """
 
     def __init__(self, interface: str, named: Mask, limits: JointLimits, period: float, timeout: float) -> None:

@@ -1,7 +1,7 @@
 """Learning from trial to trial: measurement, acceptance and end; on the engine in one call.
 
 A trial plays a correction and measures the error. It is accepted if the worst distance from the path is no larger than
-with the best correction so far, except for noise; the next correction starts from the best one. After a trial that is
+with the best correction so far plus the noise; the next correction starts from the best one. After a trial that is
 worse, half of the step from the best correction is tried, and the gain is halved. Learning has failed if trial after
 trial is worse.
 """
@@ -75,7 +75,7 @@ class TrialRecord:
     Attributes:
         worst: largest measured distance from the path, m.
         rms: root mean square distance, m.
-        kept: whether it is better than all earlier trials, except for noise.
+        kept: whether it is better than all earlier trials, or worse by no more than the noise.
         gain: share of the method's gain with which it was made.
         distance: from the path at the counted set-points, m, shape (k,).
     """

@@ -321,8 +321,8 @@ def read_records(
         currents: whether efforts in A without torque constants are taken as they are, in all bags or in none.
 
     Raises:
-        IdentificationError: for more travel than a joint's range allows, and for a validation bag with the content of a
-            bag of another use, whatever its name.
+        IdentificationError: for a travel of more than twice a joint's range, and for a validation bag with the content
+            of a bag of another use, whatever its name.
         BagError: for a bag that cannot be read.
     """
     layouts = [(use, path, robot.layout(path, fast=use != "sliding")) for use, paths in bags.items() for path in paths]

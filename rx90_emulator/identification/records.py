@@ -115,7 +115,7 @@ class JointRecord:
         missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
         no_velocity: why the velocities are differences of positions; empty where they were recorded.
-        shocks: begin and end of the times whose torque includes an impact, s.
+        shocks: begin and end of the times whose torque is not the arm's, s.
         content: for the comparison with other logs; None for a record that was not read from a file.
         unit: of the torques, as in BagSource.
     """

@@ -94,7 +94,7 @@ class ZeroCheck:
         silent = [
             name for name, identifiable in zip(self.names, self.identifiable.tolist(), strict=True) if not identifiable
         ]
-        unidentified = f"; the torques do not tell the zero of {', '.join(silent)}" if silent else ""
+        unidentified = f"; the torques do not determine the zero of {', '.join(silent)}" if silent else ""
         return (
             f"zeros: {', '.join(wrong)} {'seem' if len(wrong) > 1 else 'seems'} to be off (unexplained torque"
             f"{self.of} {self.before:.1%} -> {self.after:.1%}), or the model lacks a payload or a spring: "

@@ -244,7 +244,7 @@ def _blocks(count: int) -> Iterator[slice]:
 
 _FRICTION, _REFERENCE = "friction_states", "reference"
 _SHOWN_FIELDS = {_FRICTION: ("effort",), _REFERENCE: ("position",)}  # beside the arm's own states
-_STOP_COMPLIANCE = 0.05  # rad beyond a joint's range: end stops give way
+_STOP_DEFLECTION = 0.05  # rad beyond a joint's range: end stops give way
 _STEP = 8192  # messages between two looks at the progress bar
 
 
@@ -415,7 +415,7 @@ def _beyond_range(track: Track, robot: RobotModel) -> list[str]:
     low, high = values.min(axis=0), values.max(axis=0)
     beyond = np.maximum(robot.lower - low, high - robot.upper)
     joint = int(np.argmax(beyond))
-    if beyond[joint] <= _STOP_COMPLIANCE:
+    if beyond[joint] <= _STOP_DEFLECTION:
         return []
     return [
         f"{robot.joint_names[joint]} goes from {low[joint]:.4g} to {high[joint]:.4g} rad, which {robot.model.name} "

@@ -17,7 +17,7 @@ MAX_AGE = 3
 """Ticks from the states that a command answers to the last that it is applied in: docs/explanation/free_running.md."""
 _LINES = 4  # about the brakes in _LINES_WINDOW; more changes are counted
 _LINES_WINDOW = 10.0  # s
-_MAX_OUT_OF_ORDER = 3  # commands that are not newer than the one before, within _WINDOW, that make two controllers
+_OUT_OF_ORDER_COUNT = 3  # commands that are not newer than the one before, within _WINDOW, that make two controllers
 _WINDOW = 5.0  # s
 _ELSEWHERE = 3  # stamps in a row that make another clock; commands from before a reset are fewer
 _SLICE = 0.05  # s of a wait after which interruptions are looked at
@@ -42,7 +42,7 @@ class HeldCommand:
 
     Attributes:
         two_controllers: whether two controllers send commands.
-        missed: ticks since the first command for which no recent command had arrived.
+        missed: number of ticks, from the first command on, for which no recent command had arrived.
         waited: ticks that had to wait for one.
     """
 
@@ -61,7 +61,7 @@ class HeldCommand:
         self._announce, self._complain, self._interrupted = announce, complain, interrupted
         self.wait_for(timeout)
         self.forget()
-        self._out_of_order: deque[float] = deque(maxlen=_MAX_OUT_OF_ORDER)
+        self._out_of_order: deque[float] = deque(maxlen=_OUT_OF_ORDER_COUNT)
         self.two_controllers = False
         self.missed = self.waited = 0
         self._closed = False  # the brakes, as far as changes were noted
@@ -158,7 +158,7 @@ class HeldCommand:
         """A controller answers each tick once and in order, but for the moment in which it begins again."""
         now = time.monotonic()
         self._out_of_order.append(now)
-        often = len(self._out_of_order) == _MAX_OUT_OF_ORDER and now - self._out_of_order[0] < _WINDOW
+        often = len(self._out_of_order) == _OUT_OF_ORDER_COUNT and now - self._out_of_order[0] < _WINDOW
         if often and not self.two_controllers and self._channel.matches().publishers > 1:
             self.two_controllers = True
             self._announce(f"two controllers publish on {self._topic}: no torque until one is left")

@@ -554,7 +554,7 @@ class Consistency:
         for described, near in ((True, "the description's"), (False, "plausible ones, ellipsoids along the links")):
             joints = [name for k, name in enumerate(prior.joints) if self.inertias.open[k] and (k in real) == described]
             words += [f"what {listed(joints)} move{'s' * (len(joints) == 1)} stays near {near}"] if joints else []
-        return f"masses that the runs do not tell: {'; '.join(words)}" if words else ""
+        return f"masses that the runs do not determine: {'; '.join(words)}" if words else ""
 
     @property
     def warning(self) -> str:

@@ -6,8 +6,8 @@ torque and is never reported. A torque constant of the wrong sign reverses its m
 driven by friction. A gear of the wrong sign reverses torque and motion: power and friction are right, and the joint
 bends the other way. Both errors, and a reversed motion alone, are tried one motor after the other, with friction
 bounded to 0 or more. Some signs of gears cannot be determined: an arm whose joints all turn about vertical and parallel
-axes moves as its mirror image does. Signs are checked with runs of a single payload, or none: it counts as a part of
-the last link, so that a wrong payload is not taken for a wrong sign.
+axes moves as its mirror image does. Signs are checked with runs of a single payload, or none; the payload counts as a
+part of the last link, so that a wrong payload is not taken for a wrong sign.
 """
 
 from __future__ import annotations

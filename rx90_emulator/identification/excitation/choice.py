@@ -438,7 +438,7 @@ class Selection:
         else:
             why = (
                 f"alpha of {element}, {at}, is within {_BOUND_SE:g} deviations of the bound of its range: the runs do "
-                "not tell such a viscous torque from Coulomb torque"
+                "not distinguish such a viscous torque from Coulomb torque"
             )
         self.refused[e, dropped] = why
         return shape.without(dropped) if own or is_companion else before

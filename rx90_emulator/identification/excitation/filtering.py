@@ -160,7 +160,6 @@ def _spectrum(record: JointRecord, values: Array, degree: int, window: str) -> t
 
     Bands are at least a fifth of an octave wide: the median in a band ignores lines of ripple. All results are empty
     for a piece that is too short.
-    piece that is too short.
     """
     start, stop = max(_pieces(record.time), key=lambda piece: piece[1] - piece[0])
     if stop - start < _MIN_SPECTRUM_SAMPLES:
@@ -570,7 +569,7 @@ def recording_notes(records: Sequence[JointRecord], bandwidths: Bandwidths) -> t
         rate = (len(record.time) - 1 - len(steps)) / (record.time[-1] - record.time[0] - steps.sum())
         if rate < _LOW_RATE:
             found.append(
-                f"warning: {name}: {rate:.3g} samples per second do not tell motion above {0.3 * rate:.3g} Hz, nor "
+                f"warning: {name}: {rate:.3g} samples per second do not resolve motion above {0.3 * rate:.3g} Hz, nor "
                 f"what is over within {1e3 * 2.0 / rate:.0f} ms of a reversal, as bristles (c0, c1) and narrow "
                 f"Stribeck rises; deviations are proven from {_LOW_RATE:g} samples per second on"
             )

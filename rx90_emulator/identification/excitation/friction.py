@@ -327,7 +327,7 @@ def _torque_reasons(
         found = {
             name: f"no {words[name]} friction shows: without its bound 0 it would be {texts[name]}" for name in texts
         }
-        whole = {name: f"the motion does not tell {name} from the rigid body" for name in LINEAR[:2]}
+        whole = {name: f"the motion does not distinguish {name} from the rigid body" for name in LINEAR[:2]}
         return whole | found
     if not sizes:
         return dict.fromkeys(LINEAR[:2], "the element moves at one velocity alone")

@@ -219,8 +219,9 @@ def log_warnings(problem: ExcitationProblem, held: Sequence[str] = ()) -> list[s
         )
     if instants < parameters:
         found.append(
-            f"warning: a short log, {instants} instants for {parameters} parameters: it does not tell single bodies, "
-            "which stay near the description's, nor parts of friction beside Coulomb and viscous; deviations are rough"
+            f"warning: a short log, {instants} instants for {parameters} parameters: it does not determine single "
+            "bodies, which stay near the description's, nor parts of friction beside Coulomb and viscous; deviations "
+            "are rough"
         )
     if held:
         found.append(f"warning: held at 0, though the log has them, for their gears are not known: {', '.join(held)}")

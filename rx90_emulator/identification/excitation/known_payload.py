@@ -341,7 +341,7 @@ def identify_load_parts(
     """Identify the load parts of all elements, together with everything else.
 
     Args:
-        problem: of runs with at least two different known payloads, none included.
+        problem: of runs with at least two different known payloads; to carry none counts as one of them.
         parts: of the friction, to try in addition.
         progress: as in `select_parts`.
         fixed: as there.
@@ -442,7 +442,7 @@ def beyond_chance(elements: Sequence[int], values: Array, covariances: Array) ->
             for name, one, size in zip(DIRECTIONS, value.tolist(), deviation.tolist(), strict=True)
         )
         if not (deviation < _MAX_COEFFICIENT_SD).all():
-            reasons[e] = f"the runs do not tell it: {texts} of the load"
+            reasons[e] = f"the runs do not determine it: {texts} of the load"
         elif (value < -_NEGATIVE_SE * deviation).any() or value.max() > LARGEST_COEFFICIENT:
             reasons[e] = f"no load part has these coefficients: {texts} of the load"
         elif value @ np.linalg.solve(covariance, value) < chi2.ppf(1.0 - _LEVEL / len(elements), _WIDTH):

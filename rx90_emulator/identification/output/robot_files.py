@@ -370,7 +370,7 @@ def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[
     drives: dict[tuple[str, str], Identified] = {}
     if setup is not None:
         base: FolderBase | None = FolderBase.of(setup.files or RobotFiles())
-        urdf, note = (setup.files or RobotFiles()).urdf, "a robot folder; what the runs do not tell is as it was"
+        urdf, note = (setup.files or RobotFiles()).urdf, "a robot folder; what the runs do not determine is as it was"
     else:
         urdf = Path(str(options.urdf))
         base, note = folder_base(problem.arm, urdf)
@@ -395,7 +395,9 @@ def torque_constants(result: ExcitationIdentification) -> Identified | None:
     before = options.torque_constant if setup is None else setup.drives.torque_constant
     values = np.asarray(before, dtype=np.float64) * gains.factor
     identified = [name for name, one in zip(result.problem.arm.names, gains.deviation, strict=True) if np.isfinite(one)]
-    note = "" if len(identified) == len(values) else "; the others are as before, for the payload does not tell them"
+    note = (
+        "" if len(identified) == len(values) else "; the others are as before, for the payload does not determine them"
+    )
     odd = [result.problem.arm.names[k] for k in gains.implausible]
     note += f"; {listed(odd)} hardly to be believed: parameters.yaml says why" if odd else ""
     source = f"torques of {listed(identified)} in runs with and without a known payload{note}"
@@ -480,7 +482,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         content["drive_gains"] = {
             name: _rounded({"true_over_recorded": factor, "deviation": deviation})
             if math.isfinite(deviation)
-            else {"identifiable": False, "reason": "the payload does not tell it; 1 is taken"}
+            else {"identifiable": False, "reason": "the payload does not determine it; 1 is taken"}
             for name, (factor, deviation) in zip(result.problem.arm.names, pairs, strict=True)
         }
     variance = friction.fit.covariance.diagonal()

@@ -184,7 +184,9 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     lines.append(f"closed loop: {result.instruments.remark}")
     lines += filter(None, (result.consistency.text, result.consistency.open_text))
     if gains := gain_texts(result):
-        factors = (f"{name} {' +- '.join(text) or '1 (the payload does not tell it)'}" for name, text in gains.items())
+        factors = (
+            f"{name} {' +- '.join(text) or '1 (the payload does not determine it)'}" for name, text in gains.items()
+        )
         text = f"drive gains, true over recorded torque: {', '.join(factors)}"
         lines.append(f"{text}; all values are for torques multiplied by them")
     warnings = (*result.warnings, *gain_warnings(result), *bodies_warnings(result))

@@ -236,7 +236,7 @@ class ElementKind:
         if best.missed > _MAX_RESIDUAL_SHARE:
             return f"even the best kind, {best.family.name}, misses {100.0 * best.missed:.0f} % of the friction torque"
         if self.kind is None:
-            return f"the data do not tell {listed([trial.family.name for trial in self.possible])} apart"
+            return f"the data do not distinguish {listed([trial.family.name for trial in self.possible])}"
         if best.inertia > _MAX_INERTIA_ERROR:
             error = f"{100.0 * best.inertia:.0f} % off the description's"
             return f"the joint's inertia would be {error}: a payload or a rotor may be missing"

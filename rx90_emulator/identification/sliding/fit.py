@@ -40,7 +40,8 @@ from rx90_emulator.identification.sliding.solver import (
 from rx90_emulator.identification.zeros import ZeroCheck, check_zeros
 
 MIN_SPEEDS = 5
-"""Least number of speeds in each direction: four determine the seven parameters of an element, one more is redundant.
+"""Least number of speeds in each direction: four determine the seven parameters of an element, and one more leaves a
+degree of freedom.
 
 A viscous exponent needs one more speed.
 """

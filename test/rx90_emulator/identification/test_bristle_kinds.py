@@ -178,7 +178,7 @@ def test_where_the_data_cannot_tell_lugres_bristles_stay(single: RigidArm, monke
     assert kind.trial is None
     left = [trial.family.name for trial in kind.possible]
     assert len(left) > 1
-    assert kind.text == f"cannot tell: the data do not tell {', '.join(left)} apart"
+    assert kind.text == f"cannot tell: the data do not distinguish {', '.join(left)}"
 
 
 @pytest.mark.parametrize(("softer", "told"), [(1.0, True), (5.0, False)])

@@ -60,7 +60,7 @@ def test_a_turned_joint_is_told_with_the_zero_to_try(arm: RigidArm, error: tuple
     assert (np.abs(away) < 0.35).all(), found
     assert (found.error != 0.0).tolist() == [value != 0.0 for value in error]
     assert "try --zero 0 " in found.text
-    assert "the torques do not tell the zero of base" in found.text
+    assert "the torques do not determine the zero of base" in found.text
 
 
 def test_right_zeros_give_no_line(arm: RigidArm) -> None:
@@ -94,7 +94,7 @@ def test_a_small_error_is_told_with_its_deviation() -> None:
     told = np.array([False, True])
     check = ZeroCheck(("a", "b"), np.array([0.0, 0.5]), np.array([0.0, 0.1]), np.array([1.0, 0.01]), told, 0.2, 0.1)
     assert "b by 0.1 +- 0.01 rad" in check.text
-    assert "try --zero 0 0.6; the torques do not tell the zero of a" in check.text
+    assert "try --zero 0 0.6; the torques do not determine the zero of a" in check.text
     assert ZeroCheck(("a", "b"), none, none, none, told, 0.2, 0.2).text == ""
 
 

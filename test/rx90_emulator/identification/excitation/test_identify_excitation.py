@@ -324,7 +324,7 @@ def test_a_slow_log_of_smoothed_torques_is_identified_with_a_warning(
     folder = bench.folder / "smooth_identified"
     assert bench.identify("--excitation", bench.folder / "smooth", "--output", folder) == DONE
     said = capsys.readouterr().out
-    assert "warning: smooth: 50 samples per second do not tell motion above 15 Hz" in said
+    assert "warning: smooth: 50 samples per second do not resolve motion above 15 Hz" in said
     assert "recording: the torques were smoothed before they were recorded" in said
     friction = yaml.safe_load((folder / "parameters.yaml").read_text(encoding="utf-8"))["friction"]
     for name, curve in zip(NAMES, CURVES, strict=True):

@@ -457,7 +457,11 @@ def test_what_is_taken_off_is_uncertain_as_the_coefficients_are(problem: Excitat
     ("value", "deviation", "reason"),
     [
         ([0.05, 0.08], (0.01, 0.01), None),
-        ([0.05, 0.001], (0.01, 0.06), "the runs do not tell it: driving 5 +- 1 % and driven 0.1 +- 6 % of the load"),
+        (
+            [0.05, 0.001],
+            (0.01, 0.06),
+            "the runs do not determine it: driving 5 +- 1 % and driven 0.1 +- 6 % of the load",
+        ),
         ([0.08, -0.031], (0.01, 0.01), "no load part has these coefficients: driving 8 +- 1 % and driven -3.1 +- 1 %"),
         ([0.96, 0.08], (0.01, 0.01), "no load part has these coefficients: driving 96 +- 1 %"),
         ([0.08, -0.029], (0.01, 0.01), None),

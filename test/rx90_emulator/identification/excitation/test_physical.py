@@ -311,12 +311,12 @@ def test_open_masses_are_those_that_no_torque_depends_on(arm: Arm) -> None:
     assert inertias.pseudo[0, 3, 3] == pytest.approx(4.0, rel=0.3)
     nothing = np.zeros(3)
     said = Consistency(inertias, (0.0, 0.0), nothing, nothing, nothing).open_text
-    assert re.match(r"masses that the runs do not tell: what a.* stays near the description's$", said)
+    assert re.match(r"masses that the runs do not determine: what a.* stays near the description's$", said)
     blind = consistent_inertias(arm.estimate(arm.mapping @ arm.truth, 1e4), InertialPrior.of_urdf(BARE, JOINTS, ROTORS))
     assert blind.open.all()
     said = Consistency(blind, (0.0, 0.0), nothing, nothing, nothing).open_text
     words = "what b, c move stays near the description's; what a moves stays near plausible ones, ellipsoids"
-    assert said == f"masses that the runs do not tell: {words} along the links"
+    assert said == f"masses that the runs do not determine: {words} along the links"
 
 
 def test_a_model_without_rotors_has_none(tmp_path: Path) -> None:

@@ -210,7 +210,7 @@ def test_slow_and_short_logs_carry_a_warning(equations: Equations) -> None:
     slow = recorded(rate=40.0)
     (note,) = recording_notes([slow], Bandwidths(10.0, 3.0))
     assert note.startswith("warning: ")
-    assert "40 samples per second do not tell motion above 12 Hz" in note
+    assert "40 samples per second do not resolve motion above 12 Hz" in note
     assert log_warnings(equations([slow], Bandwidths(10.0, 3.0))) == []
     few = replace(slow, **{name: getattr(slow, name)[:280] for name in ("time", "position", "velocity", "torque")})
     (note,) = log_warnings(equations([few], Bandwidths(5.0, 1.5)))
