@@ -93,6 +93,28 @@ def test_a_trajectory_right_after_the_torque_is_on_again_waits_for_the_next_tick
     assert rig.loop.rejected == 0
 
 
+def test_a_goal_that_waits_for_the_torque_ends_with_what_takes_its_place(rig: Rig) -> None:
+    """A trajectory on the topic, or the torque off again: the goal gets its result at once, and is never followed."""
+    rig.loop.hold(rig.states(0))
+    rig.run(0, 8)
+    rig.loop.enable(False)
+    rig.loop.enable(True)
+    replaced = offer(rig, 0.1)
+    rig.loop.receive(rig.trajectory(0.2))
+    assert [(end.state, end.reason) for end in replaced.ends] == [
+        (State.ABORTED, "replaced by a trajectory on the topic")
+    ]
+    rig.loop.enable(False)
+    rig.loop.enable(True)
+    dropped = offer(rig, 0.1)
+    rig.loop.enable(False)
+    assert [(end.state, end.reason) for end in dropped.ends] == [(State.ABORTED, "the torque is off")]
+    rig.loop.enable(True)
+    rig.run(8, 16)
+    assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
+    assert [len(sender.ends) for sender in (replaced, dropped)] == [1, 1]
+
+
 def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
     """The supervision takes the torque away for good, drops the motion and says why, once; `enable` brings it back."""
     rig.loop.hold(rig.states(0))
