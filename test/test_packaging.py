@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import pytest
 from catkin_pkg.package import parse_package
 from processes import Processes, script
+from warm_start import COLD
 
 from rx90_common.base.requirements import SOURCES
 from rx90_common.process.children import TIMEOUT
@@ -141,8 +142,8 @@ def test_the_install_space_is_whole_and_needs_no_source_tree(
         assert (done.returncode, done.stderr) == (0, "")
         assert done.stdout.startswith(f"usage: {name}")
     code = "import rx90_sim, rx90_common.base.share as s; print(rx90_sim.__file__); print(s.share_directory())"
-    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=TIMEOUT)
-    found = [Path(line).resolve() for line in printed.stdout.splitlines()]
+    with COLD([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as cold:  # a warm one has imported
+        found = [Path(line).resolve() for line in cold.communicate(timeout=TIMEOUT)[0].splitlines()]
     assert len(found) == 2
     assert all(prefix in path.parents for path in found), found
 
