@@ -91,8 +91,8 @@ class LogOrder:
         self._ahead: int | None = None  # of the wall clock, where no topic gives the time
         self._held: list[Dated] = []
         self._undated: list[Arrived] = []
-        self._next_release = 0
-        # Reception and the newest log time then, ns, for the last second; that of a second ago.
+        self._next_release = self._next_cut = 0
+        # Times of `release` and the newest log time then, ns, for the last second; that of a second ago.
         self._progress: deque[tuple[int, int]] = deque()
         self._settled = np.iinfo(np.int64).min
 
@@ -116,24 +116,23 @@ class LogOrder:
         undated_bytes = sum(each.messages.total for each in self._undated)
         if self._newest is not None or self._by_reception or undated_bytes > _MAX_UNDATED_BYTES:
             self._date_others()
-        received = max((int(each.received_ns[-1]) for each in arrived if len(each.messages)), default=None)
-        if self._newest is not None and received is not None:
-            self._progress.append((received, self._newest))
 
     def release(self, now_ns: int) -> Dated | None:
         """Return the messages that are old enough that no older ones are expected.
 
         Args:
-            now_ns: the wall clock's time, ns, by which receptions are counted.
+            now_ns: time of a clock that is never set, ns.
         """
         if self._newest is None:
             return self.release_all() if self._by_reception else None
-        while self._progress and self._progress[0][0] <= now_ns - _RESEND_NS:
+        self._progress.append((now_ns, self._newest))
+        while self._progress[0][0] <= now_ns - _RESEND_NS:
             self._settled = self._progress.popleft()[1]
         last = min(self._settled, self._newest - _HOLD_NS)
-        if last < self._next_release:
+        if last < self._next_release or now_ns < self._next_cut:
             return None
-        self._next_release = last + _HOLD_NS // 2
+        # Each cut copies what stays: a run faster than real time would have it copied in each round.
+        self._next_release, self._next_cut = last + _HOLD_NS // 2, now_ns + _RESEND_NS // 2
         return self._cut(last)
 
     def release_all(self) -> Dated | None:

@@ -141,6 +141,7 @@ class ServoLoop:
             if self.running:
                 reason = f"the states go on from {states.stamp_ns / NANOSECONDS:.6g} s; holding"
                 self._note_dropped(reason)
+                self._drop_waiting(reason)
                 self._drop(reason)
             else:
                 self._note(self._outputs.ready)
@@ -228,9 +229,8 @@ class ServoLoop:
                 self.fault = None
             else:
                 self._released = True
-                if self.running and self._waiting is not None and not self._waiting.is_goal:
-                    self._waiting = None
-                    self._note(f"the trajectory that waited is dropped: {why}")
+                if self.running:
+                    self._drop_waiting(why)
                 self._drop(why)
 
     def activate(self, on: bool) -> None:
@@ -339,7 +339,8 @@ class ServoLoop:
                 joined = JoinedAhead(request, self._cs7b.trajectory, self._cs7b.position_tick, attempt)
             joined.compute()
             with self.between_ticks:
-                if joined.fits(self._cs7b.position_tick):
+                # Switched off meanwhile, and on again: the next tick releases the arm, and whatever moves it then.
+                if not self._released and joined.fits(self._cs7b.position_tick):
                     self._follow(request, joined)
                     return
         with self.between_ticks:
@@ -429,6 +430,11 @@ class ServoLoop:
             self._reports.popleft()()
 
     # Between ticks.
+
+    def _drop_waiting(self, why: str) -> None:
+        if self._waiting is not None and not self._waiting.is_goal:
+            self._waiting = None
+            self._note(f"the trajectory that waited is dropped: {why}")
 
     def _follow_waiting(self) -> None:
         waiting, self._waiting = self._waiting, None

@@ -151,7 +151,7 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
     controller = node_of(options)
     setup = Setup.load(files)
     motion = load_motion(files.required("task")) if options.demo or files.task is not None else None
-    plan = None if motion is None else plan_path(setup, motion)
+    plan = plan_path(setup, motion) if motion is not None and (options.demo or motion.what == "path") else None
     # A path is as slow as the joints ask for.
     line: TipTask | None = motion if plan is None or motion is None or motion.what == "line" else plan.task
     tour = Tour(options.robot or DEFAULT_ROBOT, setup, plan, controller) if options.demo and plan is not None else None

@@ -13,7 +13,7 @@ import pytest
 from joint_moves import trajectory
 from servo_rig import Rig
 
-from rx90_controller.trajectory.request import Feedback, GoalTolerances, State, TrajectoryRequest
+from rx90_controller.trajectory.request import Feedback, GoalTolerances, JoinedAhead, State, TrajectoryRequest
 from rx90_emulator.loop.setup import Setup
 
 RATIO = 4  # ticks for each of the position loop, which come every millisecond
@@ -91,6 +91,41 @@ def test_a_trajectory_right_after_the_torque_is_on_again_waits_for_the_next_tick
     assert rig.run(4016, 8) == [False] + [True] * 7
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
     assert rig.loop.rejected == 0
+
+
+def test_a_long_goal_that_is_joined_while_the_torque_goes_off_and_on_moves_the_arm(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The tick that follows releases the arm: the goal begins after it, and succeeds at its last point."""
+    rig.loop.hold(rig.states(0))
+    rig.run(0, 8)
+    compute = JoinedAhead.compute
+
+    def meanwhile(joined: JoinedAhead) -> None:
+        compute(joined)
+        rig.loop.enable(False)
+        rig.loop.enable(True)
+
+    monkeypatch.setattr(JoinedAhead, "compute", meanwhile)
+    sender, times = Sender(), np.arange(1, 41) * 0.025
+    points = [[0.1 * (3 * t**2 - 2 * t**3)] * 6 for t in times]
+    rig.loop.offer(rig.goal(trajectory(times, points), sender))
+    rig.run(8, 4)
+    assert rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
+    assert sender.ends == []
+
+
+def test_a_trajectory_that_waits_for_the_torque_does_not_outlast_its_run(rig: Rig) -> None:
+    """Where the states begin anew it is dropped, as one that is followed is."""
+    rig.loop.hold(rig.states(0))
+    rig.run(0, 8)
+    rig.loop.enable(False)
+    rig.loop.enable(True)
+    rig.loop.receive(rig.trajectory(0.1))
+    rig.loop.hold(rig.states(0))
+    assert rig.around.lines[-1] == "the trajectory that waited is dropped: the states go on from 0 s; holding"
+    rig.run(0, 8)
+    assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 
 
 def test_a_goal_that_waits_for_the_torque_ends_with_what_takes_its_place(rig: Rig) -> None:

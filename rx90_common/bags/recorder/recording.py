@@ -267,7 +267,7 @@ class Recorder:
                 self._status.say(f"waiting for {', '.join(streams.missing())}")
             self._order_all(reader)
             if ready or self._order.held_bytes > _MAX_HELD_BYTES:
-                self._write(streams, writer, self._order.release(time.time_ns()))
+                self._write(streams, writer, self._order.release(time.monotonic_ns()))
             self._status.show(self._received, self._order.newest_ns)
             stop.wait(_CYCLE_S)
         reader.finish()

@@ -34,6 +34,7 @@ from rx90_emulator.identification.records import JointRecord
 Equations = Callable[[Sequence[JointRecord], Bandwidths], ExcitationProblem]
 """Returns the equations of records that were filtered with these bandwidths."""
 
+_MIN_BANDWIDTH = 1e-6  # Hz
 _NARROWER = 3  # largest number of bandwidths tried beside the widest
 _MIN_RATIO = 2.0  # between two of them
 _ACCEPTED_RATIO, _ACCEPTED_SE = 1.1, 2.0  # over the least error; standard errors beyond it
@@ -79,8 +80,8 @@ def choose_bandwidths(
         IdentificationError: for a bandwidth too large for the sampling rate, and runs that determine none.
     """
     if given is not None:
-        if not 0.0 < given < math.inf:
-            raise IdentificationError(f"--bandwidth is {given:g} Hz; accepted: a positive number")
+        if not _MIN_BANDWIDTH <= given < math.inf:
+            raise IdentificationError(f"--bandwidth is {given:g} Hz; accepted: a number of at least {_MIN_BANDWIDTH:g}")
         bandwidths = Bandwidths(given, given / 3.0)
         return bandwidths, equations(records, bandwidths)
     widest, silent = Bandwidths.of(records), next(filter(None, (record.no_velocity for record in records)), "")

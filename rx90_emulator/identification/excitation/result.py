@@ -336,10 +336,12 @@ def _element(known: Mapping[str, ParameterEstimate], other: FrictionElement | No
     found = _NEUTRAL | found
     mean = 0.5 * (found["tau_c_positive"] + found["tau_c_negative"])
     found.setdefault("c0", mean / _PRESLIDING_DISTANCE if other is None else other.c0)
+    usual = _DAMPING_FADE_SPEED if other is None else other.omega_d
+    own = "c1" in found or other is None  # a fallback's own c1 fades as it does there
     found.setdefault("c1", found["c0"] * _BRISTLE_RELAXATION if other is None else other.c1)
     least = min(found["tau_c_positive"], found["tau_c_negative"])
-    fades = max(min(_DAMPING_FADE_SPEED, _PASSIVE_FADING * least / max(found["c1"], 1e-300)), MIN_SPEED)
-    found["omega_d"] = fades if other is None else other.omega_d
+    passive = max(_PASSIVE_FADING * least / max(found["c1"], 1e-300), MIN_SPEED)
+    found["omega_d"] = min(usual, passive) if own else usual
     return FrictionElement(**found)
 
 

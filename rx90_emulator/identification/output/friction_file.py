@@ -117,7 +117,7 @@ def elements_text(
     }
     check_numbers(identification, LARGEST, "identification")
     source = f"{len(labels)} bag{'s' * (len(labels) != 1)}, {date}; omega_d is not identified"
-    source += "" if fallback_name is None else f", it is that of {fallback_name}"
+    source += "" if fallback_name is None else f", it is at most that of {fallback_name}"
     about: dict[str, dict[str, Any]] = {name: {"note": text} for name, text in notes.items()}
     about[ALL_ELEMENTS] = {"provenance": {"omega_d": "assumed"}}
     file = FrictionFile(rounded, "identified", source, identification, about=about, joints=joints)

@@ -122,7 +122,7 @@ def test_time_that_is_set_back_holds_nothing_up() -> None:
         held.append(order.held_bytes)
     released += entries(order.release_all())
     assert len(released) == len(stamps)
-    assert max(held) <= 12 * 130
+    assert max(held) <= 12 * 160
     assert order.held_bytes == 0
 
 

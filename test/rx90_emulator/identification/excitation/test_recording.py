@@ -94,7 +94,7 @@ def test_a_bandwidth_without_noise_stays_and_a_given_one_is_taken(equations: Equ
     given, problem = choose_bandwidths([record], equations, 12.0)
     assert given == Bandwidths(12.0, 4.0)
     assert problem.runs[0].bandwidths == given
-    with pytest.raises(IdentificationError, match="--bandwidth is 0 Hz; accepted: a positive number"):
+    with pytest.raises(IdentificationError, match="--bandwidth is 0 Hz; accepted: a number of at least 1e-06"):
         choose_bandwidths([record], equations, 0.0)
 
 
