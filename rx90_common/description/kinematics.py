@@ -15,7 +15,8 @@ from rx90_common.base.arrays import Array, Index
 from rx90_common.description.chain import RigidChain
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import (
-    axis_rotation,
+    axis_rotation_by_component,
+    cross_matrix,
     dot,
     length,
     product,
@@ -44,11 +45,11 @@ def _poses(chain: RigidChain, q: Array) -> Iterator[Pose]:
     """Yield for each joint where it is, and the orientation of the link before it; then the tool centre point."""
     q = np.asarray(q, dtype=np.float64)
     rotation = np.broadcast_to(np.eye(3), (*q.shape[:-1], 3, 3))
-    position = np.moveaxis(np.zeros((3, *q.shape[:-1])), 0, -1)  # as `axis_rotation` has its components
+    position = np.moveaxis(np.zeros((3, *q.shape[:-1])), 0, -1)  # by component, as the rotations
     for i, (origin, axis) in enumerate(zip(chain.origin, chain.axis, strict=True)):
         position = position + rotated(rotation, origin)
         yield Pose(position, rotation)
-        rotation = product(rotation, axis_rotation(axis, q[..., i]))
+        rotation = product(rotation, axis_rotation_by_component(axis, q[..., i]))
     yield Pose(position + rotated(rotation, chain.tcp_position), product(rotation, chain.tcp_rotation))
 
 
@@ -177,8 +178,7 @@ def tip_position(chain: RigidChain, q: Array) -> Array:
     sine, cosine = sines_cosines(angles)  # compiled: a twentieth of NumPy's time
     point = np.broadcast_to(chain.tcp_position[:, None], (3, len(q)))
     for i in range(len(chain.axis) - 1, -1, -1):
-        x, y, z = chain.axis[i]
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        cross = cross_matrix(chain.axis[i])
         turned, twice = cross @ point, cross @ cross @ point
         turned *= sine[i]
         twice *= 1.0 - cosine[i]

@@ -48,14 +48,23 @@ def outer(a: Array, b: Array) -> Array:
     return np.asarray(a[..., :, None] * b[..., None, :])
 
 
-def axis_rotation(axis: Array, angle: ArrayLike) -> Array:
-    """Return the rotation (..., 3, 3) by `angle` (...) rad about the unit vector `axis` (3,) (Rodrigues).
+def cross_matrix(vector: Array) -> Array:
+    """Return the matrix (3, 3) whose product with another vector is the cross product of `vector` (3,) with it."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
-    In memory the nine components lie behind each other, as in what `product` makes of many such: NumPy's loops then run
-    over the angles, and not over three numbers at a time.
+
+def axis_rotation(axis: Array, angle: ArrayLike) -> Array:
+    """Return the rotation (..., 3, 3) by `angle` (...) rad about the unit vector `axis` (3,) (Rodrigues)."""
+    return np.ascontiguousarray(axis_rotation_by_component(axis, angle))
+
+
+def axis_rotation_by_component(axis: Array, angle: ArrayLike) -> Array:
+    """Return what `axis_rotation` does, in another order in memory: for each of the nine components all angles.
+
+    `product` and `rotated` keep that order: NumPy's loops then run over the angles, not over three numbers at a time.
     """
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    cross = cross_matrix(axis)
     sine, cosine = sines_cosines(angle)
     unit, once, twice = (each.reshape(3, 3, *(1,) * sine.ndim) for each in (np.eye(3), cross, product(cross, cross)))
     rotation: Array = unit + sine * once + (1.0 - cosine) * twice

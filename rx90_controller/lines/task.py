@@ -246,7 +246,7 @@ class LineTask:
         angle = length(turn)
         axis = turn / angle if angle > 0.0 else turn
         rotation = axis_rotation(axis, angle * (distance / self.length))
-        return Pose(position, np.ascontiguousarray(product(rotation, rpy_rotation(self.start_rpy))))
+        return Pose(position, product(rotation, rpy_rotation(self.start_rpy)))
 
     def twists(self, distance: Array) -> tuple[Array, Array]:
         """Return first and second derivative of place and orientation by the distance, (n, 6): 1, rad/m; 1/m, rad/m².

@@ -253,7 +253,7 @@ class Path:
             ways = rotated(transposed(first), self.curve.at(np.append(0.0, distance), 1))
             heading = np.arctan2(ways[:, 1], ways[:, 0])
             turn = axis_rotation(np.array([0.0, 0.0, 1.0]), heading[1:] - heading[0])
-            return Pose(position, np.ascontiguousarray(product(first, turn)))
+            return Pose(position, product(first, turn))
         rotation = np.empty((len(distance), 3, 3))
         for rows, rpy, turn, share in self._turns(distance):
             angle = float(np.linalg.norm(turn))

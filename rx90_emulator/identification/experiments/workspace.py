@@ -104,7 +104,7 @@ class Workspace:
         for joint, (origin, turn) in enumerate(zip(chain.origin, chain.axis, strict=True)):
             center = center + rotation @ origin
             axis = rotation @ turn
-            rotation = rotation @ np.ascontiguousarray(axis_rotation(turn, position[:, joint]))
+            rotation = rotation @ axis_rotation(turn, position[:, joint])
             frames.append((rotation, center, axis))
         rotations, centers, axes = (np.stack(each, axis=1) for each in zip(*frames, strict=True))
         rotated = rotations[:, self._link] @ self._axes
