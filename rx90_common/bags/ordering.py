@@ -91,10 +91,9 @@ class LogOrder:
         self._ahead: int | None = None  # of the wall clock, where no topic gives the time
         self._held: list[Dated] = []
         self._undated: list[Arrived] = []
-        self._next_release = self._next_cut = 0
-        # Times of `release` and the newest log time then, ns, for the last second; that of a second ago.
+        self._next_cut = 0  # as `now_ns` of `release`
+        # Times of `release` and the newest log time then, ns: those of the last second and the one before them.
         self._progress: deque[tuple[int, int]] = deque()
-        self._settled = np.iinfo(np.int64).min
 
     @property
     def newest_ns(self) -> int | None:
@@ -125,15 +124,15 @@ class LogOrder:
         """
         if self._newest is None:
             return self.release_all() if self._by_reception else None
-        self._progress.append((now_ns, self._newest))
-        while self._progress[0][0] <= now_ns - _RESEND_NS:
-            self._settled = self._progress.popleft()[1]
-        last = min(self._settled, self._newest - _HOLD_NS)
-        if last < self._next_release or now_ns < self._next_cut:
+        progress = self._progress
+        progress.append((now_ns, self._newest))
+        while len(progress) > 1 and progress[1][0] <= now_ns - _RESEND_NS:
+            progress.popleft()
+        before, newest_then = progress[0]
+        if before > now_ns - _RESEND_NS or now_ns < self._next_cut:
             return None
-        # Each cut copies what stays: a run faster than real time would have it copied in each round.
-        self._next_release, self._next_cut = last + _HOLD_NS // 2, now_ns + _RESEND_NS // 2
-        return self._cut(last)
+        self._next_cut = now_ns + _RESEND_NS // 2  # each cut copies what stays
+        return self._cut(min(newest_then, self._newest - _HOLD_NS))
 
     def release_all(self) -> Dated | None:
         """Return all that is held, if there is any."""
