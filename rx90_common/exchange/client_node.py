@@ -68,13 +68,13 @@ class ClientNode:
         Raises:
             ExchangeError: after the timeout.
         """
-        allowed, request = self.timeout, False
+        allowed, extended = self.timeout, False
         begin = time.monotonic()
         if not ready():
             self.say(f"waiting for {what}")
         while not ready():
-            if not request and time.monotonic() >= begin + allowed:
-                allowed, request = allowed + more(), True
+            if not extended and time.monotonic() >= begin + allowed:
+                allowed, extended = allowed + more(), True
             if time.monotonic() >= begin + allowed:
                 raise ExchangeError(f"found no {what.removeprefix('a ')} within {allowed:g} s")
             self.spin()

@@ -151,9 +151,12 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
     controller = node_of(options)
     setup = Setup.load(files)
     motion = load_motion(files.required("task")) if options.demo or files.task is not None else None
-    plan = plan_path(setup, motion) if motion is not None and (options.demo or motion.what == "path") else None
-    # A path is as slow as the joints ask for.
-    line: TipTask | None = motion if plan is None or motion is None or motion.what == "line" else plan.task
+    line: TipTask | None = motion
+    plan = None
+    if motion is not None and (options.demo or motion.what == "path"):
+        plan = plan_path(setup, motion)
+        if motion.what == "path":
+            line = plan.task  # which is as slow as the joints require
     tour = Tour(options.robot or DEFAULT_ROBOT, setup, plan, controller) if options.demo and plan is not None else None
     page = Page("rx90_view", options.host, options.port, options.output)
     with ExitStack() as ends:

@@ -70,12 +70,17 @@ def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: R
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 
 
-def test_a_trajectory_right_after_the_torque_is_on_again_waits_for_the_next_tick(rig: Rig) -> None:
-    """Who has been told that the torque is on may send at once; off again before the tick, it is dropped for good."""
+def switch_off_and_on(rig: Rig) -> None:
+    """Hold the arm for eight ticks, then take the torque and give it back before the next one."""
     rig.loop.hold(rig.states(0))
     rig.run(0, 8)
     rig.loop.enable(False)
     rig.loop.enable(True)
+
+
+def test_a_trajectory_right_after_the_torque_is_on_again_waits_for_the_next_tick(rig: Rig) -> None:
+    """Who has been told that the torque is on may send at once; off again before the tick, it is dropped for good."""
+    switch_off_and_on(rig)
     rig.loop.receive(rig.trajectory(0.1))
     assert rig.around.lines[-1] == "a trajectory waits for the next tick, with which the torque comes back"
     assert rig.run(8, 4) == [False] + [True] * 3
@@ -117,10 +122,7 @@ def test_a_long_goal_that_is_joined_while_the_torque_goes_off_and_on_moves_the_a
 
 def test_a_trajectory_that_waits_for_the_torque_does_not_outlast_its_run(rig: Rig) -> None:
     """Where the states begin anew it is dropped, as one that is followed is."""
-    rig.loop.hold(rig.states(0))
-    rig.run(0, 8)
-    rig.loop.enable(False)
-    rig.loop.enable(True)
+    switch_off_and_on(rig)
     rig.loop.receive(rig.trajectory(0.1))
     rig.loop.hold(rig.states(0))
     assert rig.around.lines[-1] == "the trajectory that waited is dropped: the states go on from 0 s; holding"
@@ -130,10 +132,7 @@ def test_a_trajectory_that_waits_for_the_torque_does_not_outlast_its_run(rig: Ri
 
 def test_a_goal_that_waits_for_the_torque_ends_with_what_takes_its_place(rig: Rig) -> None:
     """A trajectory on the topic, or the torque off again: the goal gets its result at once, and is never followed."""
-    rig.loop.hold(rig.states(0))
-    rig.run(0, 8)
-    rig.loop.enable(False)
-    rig.loop.enable(True)
+    switch_off_and_on(rig)
     replaced = offer(rig, 0.1)
     rig.loop.receive(rig.trajectory(0.2))
     assert [(end.state, end.reason) for end in replaced.ends] == [

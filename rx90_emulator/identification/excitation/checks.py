@@ -257,9 +257,9 @@ class _Search:
             best, other = min(((one, self._signed(one)) for one in tried), key=lambda pair: pair[1].deficit)
             # The joint itself must improve as well: a small gain on another, quiet joint would weigh as much.
             own = self._problem.arm.coupling[best[-1].motor, other.joint] != 0.0
-            left, less = (float(np.linalg.norm(one.residual(other.sigma)[own])) for one in (now, other))
+            error_now, error_with = (float(np.linalg.norm(one.residual(other.sigma)[own])) for one in (now, other))
             clearly = self._explains(*self._compared(now, other), _CLEAR_SE, _MIN_SIGN_GAIN)
-            if not clearly or less > (1.0 - _MIN_SIGN_GAIN) * left:
+            if not clearly or error_with > (1.0 - _MIN_SIGN_GAIN) * error_now:
                 break
             # Where the direction of the joint's motion cannot be determined, the torque is more often wrong than the
             # position.
