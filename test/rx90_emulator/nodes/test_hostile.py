@@ -182,8 +182,9 @@ GARBAGE = (
 
 def moving_through_garbage(processes: Processes, client: Client, mode: str) -> tuple[ChildProcess, ChildProcess]:
     """Start a pair and send garbage on its states during a motion; return both processes once that is at its end."""
-    simulation = processes.start("rx90_sim", "--ros-args", "-p", mode)
-    controller = processes.start("rx90_controller")
+    rates = ("-p", "base_rate:=1000", "-p", "position_rate:=1000")
+    simulation = processes.start("rx90_sim", "--ros-args", "-p", mode, *rates)
+    controller = processes.start("rx90_controller", "--ros-args", *rates)
     reference = client.listen("rx90_controller/reference", depth=1)
     client.spin_until(lambda: bool(reference), "the controller to hold")
     client.send([(0.4, [0.02] * 6)])
