@@ -83,7 +83,9 @@ class Client:
         self.node.destroy_node()
         self._context.try_shutdown()
 
-    def listen(self, topic: str, kind: type = JointState, depth: int | QoSProfile = 1000, raw: bool = False) -> list[Any]:
+    def listen(
+        self, topic: str, kind: type = JointState, depth: int | QoSProfile = 1000, raw: bool = False
+    ) -> list[Any]:
         """Return a list that grows with the messages of a topic; with a depth of 1, those there is time for."""
         heard: list[Any] = []
         subscription = self.node.create_subscription(kind, topic, heard.append, depth, raw=raw)

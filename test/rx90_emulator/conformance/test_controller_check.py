@@ -35,7 +35,7 @@ def values_of(case: dict[str, Any]) -> dict[tuple[str, str], float]:
 
 @pytest.fixture
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shorten steps before and after their motion, and sweeps by a period, and take a step for the motion in which commands are lost."""
+    """Shorten steps before and after their motion, and sweeps by a period; commands are lost in a step, not in a line."""
     for module in (battery, bench):
         monkeypatch.setattr(module, "START", 0.2)
     monkeypatch.setattr(battery, "SETTLED", 0.2)
@@ -45,7 +45,7 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("processes", "brief", "undrawn")
 def test_the_cs7b_as_a_node_has_the_numbers_of_the_closed_loop(tmp_path: Path) -> None:
-    """On a weaker arm, and with commands lost and states sent twice, each is that of the run without ROS, bit by bit."""
+    """On a weaker arm, and with commands lost and states sent twice, each is that of the run without ROS to the bit."""
     code, found = checked(tmp_path / "out", "--case", "saturation", "--case", "dropped", *CS7B)
     assert (code, found["passed"]) == (DONE, True)
     findings = [one for case in found["cases"] for one in case["findings"]]
