@@ -84,7 +84,7 @@ class Client:
         self._context.try_shutdown()
 
     def listen(
-        self, topic: str, kind: type = JointState, depth: int | QoSProfile = 1000, raw: bool = False
+        self, topic: str, kind: type = JointState, depth: int | QoSProfile = 1000, *, raw: bool = False
     ) -> list[Any]:
         """Return a list that grows with the messages of a topic; with a depth of 1, those there is time for."""
         heard: list[Any] = []

@@ -54,8 +54,14 @@ MODULES = (
     "type_description_interfaces.srv",
 )
 """What the processes of the tests import most. Not rclpy: it starts threads, and a fork would leave them behind."""
-_BUILT = ("action_msgs.srv", "control_msgs.action", "control_msgs.msg", "control_msgs.srv", "controller_manager_msgs.msg",
-          "controller_manager_msgs.srv")  # fmt: skip
+_BUILT = (
+    "action_msgs.srv",
+    "control_msgs.action",
+    "control_msgs.msg",
+    "control_msgs.srv",
+    "controller_manager_msgs.msg",
+    "controller_manager_msgs.srv",
+)
 """So are these, where they are there."""
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 _LONGEST = 1 << 20

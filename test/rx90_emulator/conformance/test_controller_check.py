@@ -35,7 +35,7 @@ def values_of(case: dict[str, Any]) -> dict[tuple[str, str], float]:
 
 @pytest.fixture
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shorten steps before and after their motion, and sweeps by a period; commands are lost in a step, not in a line."""
+    """Shorten steps before and after their motion, and sweeps by a period; lose commands in a step, not in a line."""
     for module in (battery, bench):
         monkeypatch.setattr(module, "START", 0.2)
     monkeypatch.setattr(battery, "SETTLED", 0.2)

@@ -140,9 +140,13 @@ def test_nodes_outlive_every_message_and_every_request(processes: Processes, cli
     for kind, raws in messages.items():
         for raw in raws:
             publishers[kind].publish(raw)
+    callers: dict[str, Any] = {}
     for name in NODES:
         for kind, service, request in requests(KNOWN[name]):
-            client.asking.call(kind, f"{name}/{service}", request)
+            if (service := f"{name}/{service}") not in callers:
+                callers[service] = client.node.create_client(kind, service)
+                client.spin_until(callers[service].service_is_ready, service)
+            client.spin_until(callers[service].call_async(request).done, f"an answer of {service}")
     # A clock of negative times raises in rclpy's own callback.
     simulated = Parameter(name="use_sim_time", value=ParameterValue(type=1, bool_value=True))
     client.asking.call(SetParameters, "rx90_controller/set_parameters", SetParameters.Request(parameters=[simulated]))

@@ -22,7 +22,7 @@ from rx90_emulator.loop.setup import Setup
 
 pytestmark = pytest.mark.ros
 
-SEED, GOALS = int(os.environ.get("ACTION_SEED", "20")), 60
+SEED, GOALS = int(os.environ.get("ACTION_SEED", "20")), 40
 LINE = re.compile(r"goal (rejected|succeeded|aborted|canceled): (.*)")
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from typing import Any
 
 import pytest
 from action_bench import ABORTED, STEP, SUCCEEDED, Bench
@@ -16,33 +14,12 @@ from rx90_emulator.loop.setup import Setup
 pytestmark = pytest.mark.ros
 
 
-def refusals() -> dict[str, tuple[Callable[[float], Any], str]]:
-    """Return what is rejected: a goal, made at a simulated time, and what the log says; more in test_goals.py."""
-    from action_client import goal, move, point
-    from control_msgs.msg import JointComponentTolerance, JointTolerance
-
-    def several_dof(_: float) -> Any:
-        message = move(0.0)
-        message.multi_dof_trajectory.joint_names = ["base"]
-        return message
-
-    end = point(1.0, [0.0] * 6)
-    return {
-        "wrong joints": (lambda _: goal(end, names=["a", *JOINTS[1:]]), "unknown joint 'a'"),
-        "no points": (lambda _: goal(), "no points; accepted: at least one"),
-        "the past": (lambda now: move(0.0, 0.1, start=now - 0.11), "the last point is at"),
-        "a joint of several degrees of freedom": (several_dof, "multi_dof_trajectory is given"),
-        "a tolerance of components": (
-            lambda _: move(0.0, component_path_tolerance=[JointComponentTolerance(joint_name="base")]),
-            "component_path_tolerance of 1 joints; accepted: none",
-        ),
-        "a tolerance of nothing": (lambda _: move(0.0, path_tolerance=[JointTolerance(name="elbow")]), "'elbow'"),
-    }
-
-
 def test_what_is_no_goal_is_rejected_and_logged_and_the_one_before_goes_on(bench: Bench) -> None:
-    """Each kind of bad goal is rejected, with one line that says why; the goal that is followed is not touched."""
-    from action_client import move
+    """Bad goals, of which test_goals.py has every kind, are rejected with a line each; the goal before is not touched.
+
+    One that begins where the arm is not is aborted instead: INVALID_GOAL, with the reason.
+    """
+    from action_client import goal, move, point
 
     bench.home()
     bench.time.run(0.2)
@@ -56,35 +33,24 @@ def test_what_is_no_goal_is_rejected_and_logged_and_the_one_before_goes_on(bench
         values = [value for message in diagnostics for status in message.status for value in status.values]
         return str(next((value.value for value in reversed(values) if value.key == "last rejection"), ""))
 
-    for name, (make, words) in refusals().items():
+    end = point(1.0, [0.0] * 6)
+    for message, words in (
+        (goal(end, names=["a", *JOINTS[1:]]), "unknown joint 'a'"),
+        (move(0.0, 0.1, start=bench.now - 0.11), "the last point is at"),
+    ):
         before = bench.cell.output.count("goal rejected")
-        assert not bench.others.send(make(bench.now)).accepted, name
-        bench.client.spin_until(lambda: bench.cell.output.count("goal rejected") > before, name)  # noqa: B023 - called at once
+        assert not bench.others.send(message).accepted
+        bench.client.spin_until(lambda: bench.cell.output.count("goal rejected") > before, words)  # noqa: B023 - called at once
         (line,) = [line for line in bench.cell.output.splitlines() if "goal rejected" in line][before:]
-        assert words in line, name
+        assert words in line
     at = f"goal at {bench.now:.3f} s: {line.partition('rejected: ')[2]}"
     bench.client.spin_until(lambda: last_rejection() == at, "the last of them in the diagnostics")
     assert bench.time.until(result).status == SUCCEEDED
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda goal, point: goal(point(0.0, [0.1] * 6), point(1.0, [0.1] * 6)), "joint_1 starts at 0.1 rad"),
-        (lambda goal, point: goal(point(0.25, [0.1] * 6)), "acceleration"),
-        (lambda goal, point: goal(point(100.0, [9.0] * 6)), "accepted: ["),
-        (lambda goal, point: goal(point(1.0, [0.0] * 6), start=1000.0), "start time 1000.000 s"),
-    ],
-)
-def test_what_the_arm_cannot_do_is_aborted_with_the_reason(bench: Bench, make: Any, words: str) -> None:
-    """Start and limits depend on where the arm is: the result has INVALID_GOAL and the text; nothing moves."""
-    from action_client import goal, point
-
     bench.home()
-    handle = bench.goals.send(make(goal, point))
+    handle = bench.goals.send(goal(point(0.0, [0.1] * 6), point(1.0, [0.1] * 6)))
     ended = bench.goals.wait(bench.goals.result_of(handle))
     assert (ended.status, ended.result.error_code) == (ABORTED, -1)
-    assert words in ended.result.error_string
+    assert "joint_1 starts at 0.1 rad" in ended.result.error_string
     bench.time.run(0.05)
     assert not bench.velocities().any()
 
