@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 import signal
 from itertools import count, groupby, pairwise
+from pathlib import Path
 
 import pytest
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from processes import Processes
+from processes import Processes, open_files
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.time import Time
 from ros_client import JOINTS, Client, seconds
@@ -34,7 +35,8 @@ QOS = ("reliability:=best_effort", "durability:=transient_local", "depth:=5")
 def test_a_paused_pair_is_heard_and_takes_a_trajectory(processes: Processes, client: Client) -> None:
     """Samples come again to the bit; a line is approached and begins when time runs; each node says ready once.
 
-    Diagnostics carry the namespace, and the quality of service of a topic is the one given as parameters.
+    Diagnostics carry the namespace, and the quality of service of a topic is the one given as parameters. With the
+    range LOCALHOST UDP sockets are bound to 127.0.0.1 alone, and no memory is shared.
     """
     overrides = [f"qos_overrides./cell_1/friction_states.publisher.{policy}" for policy in QOS]
     simulation = processes.start(
@@ -44,14 +46,20 @@ def test_a_paused_pair_is_heard_and_takes_a_trajectory(processes: Processes, cli
         "ready: rx90b, lock_step at 4000 Hz, real_time_factor 1, states on /cell_1/motor_states; paused"
     )
     controller = processes.start("rx90_controller", *ROS_ARGS)
-    raw: list[bytes] = []
-    sampled: list[bytes] = []
-    client.node.create_subscription(JointState, "/cell_1/joint_states", raw.append, 10, raw=True)
-    client.node.create_subscription(JointState, "/cell_1/sampled/joint_states", sampled.append, 10, raw=True)
+    raw, sampled = (client.listen(f"/cell_1/{name}joint_states", depth=10, raw=True) for name in ("", "sampled/"))
     clock = client.listen("/clock", Clock)
     diagnostics = client.listen("/diagnostics", DiagnosticArray)
     client.spin_until(lambda: min(map(len, (raw, sampled, clock))) > 3, "a heartbeat")
     assert len({*raw, *sampled}) == 1
+    inodes = {link[8:-1] for link in open_files(simulation.pid) if link.startswith("socket:[")}
+    bound = {
+        fields[1].split(":")[0]
+        for table in ("udp", "udp6")
+        for fields in map(str.split, Path(f"/proc/net/{table}").read_text(encoding="ascii").splitlines()[1:])
+        if fields[9] in inodes
+    }
+    assert bound == {"0100007F"}
+    assert not re.search(r"/dev/shm/\S*fastrtps", Path(f"/proc/{simulation.pid}/maps").read_text(encoding="utf-8"))
     assert {(message.clock.sec, message.clock.nanosec) for message in clock} == {(0, 0)}
     (offered,) = client.node.get_publishers_info_by_topic("/cell_1/friction_states")
     assert offered.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
@@ -238,13 +246,22 @@ UNPACED = ("--ros-args", "-p", "real_time_factor:=0.0")
 
 
 @pytest.mark.ros
-def test_either_node_is_killed_and_comes_back(processes: Processes, client: Client) -> None:
-    """Without its controller time stands still, announced once, until the next one; a new simulation begins anew."""
+def test_either_node_is_killed_and_comes_back(processes: Processes, client: Client, tmp_path: Path) -> None:
+    """Without its controller time stands still, announced once, until the next one; a new simulation begins anew.
+
+    A recorder that is killed holds nothing up.
+    """
+    recorder = processes.start("rx90_bag", "record", "--output", tmp_path / "bag", "motor_states", "motor_commands")
     simulation = processes.start("rx90_sim", *UNPACED)
     first = processes.start("rx90_controller")
     # As deep as the simulation can get until the signal arrives: nobody takes messages while the line is waited for.
     heard = client.listen("joint_states", depth=20_000)
+    client.spin_until(lambda: "ready: all 2 topics" in recorder.output, "the recorder")
     client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > 0.2, "time to run")
+    recorder.signal(signal.SIGKILL)
+    killed, lines = seconds(heard[-1]), len(simulation.lines)
+    client.spin_until(lambda: seconds(heard[-1]) > killed + 0.2, "time to run without the recorder")
+    assert not [line for line in simulation.lines[lines:] if "stands still" in line]
     first.signal(signal.SIGKILL)
     simulation.wait_for("time stands still")
     client.spin_until(lambda: _drained(client, heard), "the last messages")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 from collections.abc import Callable, Iterator
@@ -18,6 +19,7 @@ from std_msgs.msg import String
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
+from rx90_common.exchange.channel import lock_publisher
 from rx90_common.exchange.endpoints import LATCHED_QOS
 from rx90_common.exchange.topics import FREE_RUNNING, TimeMode
 from rx90_emulator.cli.frame import run
@@ -67,6 +69,15 @@ def test_a_bad_parameter_is_one_line(refused: Refused, name: str, argument: str,
     """The line names the program, the offending value and what is accepted; the exit code is 2."""
     line = refused(2, name, "--ros-args", "-p", argument)
     assert all(word in line for word in accepted), line
+
+
+@pytest.mark.parametrize(("name", "topic"), [("rx90_sim", "/motor_states"), ("rx90_controller", "/motor_commands")])
+def test_a_second_node_of_a_kind_is_refused(refused: Refused, ros_domain: int, name: str, topic: str) -> None:
+    """Its topic has a publisher already: exit code 3 and one line that names topic and process."""
+    with lock_publisher(ros_domain, topic):
+        line = refused(3, name)
+    held = f"{topic} in ROS_DOMAIN_ID {ros_domain} is already published by process {os.getpid()}; accepted: one"
+    assert line.startswith(f"{name}: {held}")
 
 
 def test_another_robot_or_rate_than_the_simulations_ends_a_controller(refused: Refused, client: Client) -> None:
