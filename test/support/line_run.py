@@ -38,6 +38,15 @@ TOPICS = {
     "/rx90_controller/commanded_current",
     "/rx90_controller/motor_current",
 }
+BURNER = """
+import time
+print("up")
+while True:  # half of the time, in turns that are long beside a tick
+    end = time.process_time() + 0.02
+    while time.process_time() < end:
+        pass
+    time.sleep(0.02)
+"""
 REACH = {"rx90b": 0.6, "tx40": 0.33}
 """How far in front of each robot the line is, m."""
 TASK = """
@@ -107,7 +116,7 @@ def run_both_ways(
     # Only now: whoever sent the trajectory is gone before anybody records.
     recorder = processes.start("rx90_bag", "record", "--output", folder / "recorded")
     recorder.wait_for("ready: all")
-    burning = [processes.start(sys.executable, "-c", "print('up')\nwhile True: pass") for _ in range(burners)]
+    burning = [processes.start(sys.executable, "-c", BURNER) for _ in range(burners)]
     for burner in burning:
         burner.wait_for("up")
     client.simulation.pause(False)

@@ -19,6 +19,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_client import Client
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
 from rx90_common.base.errors import ConfigError, ExchangeError
 from rx90_common.exchange.arrivals import count_arrivals
@@ -155,6 +156,14 @@ def test_a_subscriber_that_never_fits_is_not_waited_for(client: Client) -> None:
     client.spin_until(lambda: client.node.count_subscribers("fitting") == 2, "both in the graph")
     assert wait_until_matched(client.node, [publisher], 200)
     assert publisher.get_subscription_count() == 1
+
+
+def test_a_call_leaves_no_client_behind(client: Client) -> None:
+    """Each client that is left makes every later wait longer: a service is called with one that goes with the answer."""
+    client.node.create_service(Trigger, "asked", lambda _, answer: answer)
+    before = list(client.node.clients)
+    client.asking.call(Trigger, "asked", Trigger.Request())
+    assert list(client.node.clients) == before
 
 
 def test_a_robot_folder_s_missing_file_is_named_once(client: Client, tmp_path: Path) -> None:
