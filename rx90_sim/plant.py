@@ -23,7 +23,7 @@ from rx90_common.friction.parts.scatter import check_seed
 from rx90_common.friction.parts.step import parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.temperature import follow_temperatures
 from rx90_common.kernels.compiled import kernel
-from rx90_common.kernels.elementary_arrays import exponential_of
+from rx90_common.kernels.elementary import exponential_of
 from rx90_common.kernels.lanes import size
 from rx90_sim.drives import (
     cogging_dtype,

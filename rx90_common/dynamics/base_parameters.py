@@ -18,7 +18,7 @@ from rx90_common.description.chain import RigidChain
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.rotations import dot, length, outer, product, rotated, transposed
 from rx90_common.dynamics.manipulator import manipulator_dtype
-from rx90_common.kernels.elementary_arrays import angles_of, sines_cosines
+from rx90_common.kernels.elementary import angles_of, sines_cosines
 
 _SHAPES = (-1, 3), (-1, 3), (-1,), (-1, 3), (-1, 6), (3,), (3,), (3, 3)  # of a RigidChain's arrays
 

@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rx90_common.base.config import load_yaml, yaml_text
+from rx90_common.base.config import ABOUT, PROVENANCE, Section, load_yaml, yaml_text
 from rx90_common.base.entries import LEFT_OUT, Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import conjoined, quoted
-from rx90_common.base.section import ABOUT, PROVENANCE, Section
 from rx90_common.friction.element import ELEMENT, FRICTION_PARAMETERS, PARTS, SIGNS, FrictionElement, legend
 from rx90_common.friction.parts.bristles import MaxwellSlip
 

@@ -26,11 +26,11 @@ from typing import Any, Final
 import numpy as np
 
 from rx90_common.base.arrays import Array, Record
+from rx90_common.base.config import Section
 from rx90_common.base.entries import LEFT_OUT, Text
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
 from rx90_common.base.quoting import plain
-from rx90_common.base.section import Section
 from rx90_common.base.share import resolve_config
 from rx90_common.description.coupling import ArmSize, to_motor_torque
 from rx90_common.description.drives import DriveParameters, load_drives

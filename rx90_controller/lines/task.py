@@ -11,11 +11,10 @@ from typing import ClassVar, NamedTuple, Protocol
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.entries import LEFT_OUT, ListOf, Number, Numbers, Text
 from rx90_common.base.errors import LineError
 from rx90_common.base.groups import Group
-from rx90_common.base.section import Section
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_common.description.kinematics import PathError, Pose, path_error
 from rx90_common.description.robot_files import RobotFiles

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path as FilePath
 from typing import Any
 
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.entries import LEFT_OUT, ListOf, Number, Numbers, Text
 from rx90_common.base.errors import LineError
 from rx90_common.base.groups import Group
-from rx90_common.base.section import Section
 from rx90_common.base.share import resolve_config
 from rx90_common.description.branch import Branch
 from rx90_controller.lines.task import TASK, LineTask, radians, task_of

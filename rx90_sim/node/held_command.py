@@ -9,7 +9,7 @@ from collections.abc import Callable
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.base.stamps import cdr_stamp_ns
+from rx90_common.exchange.cdr import cdr_stamp_ns
 from rx90_common.exchange.channel import TickChannel
 from rx90_common.exchange.lockstep import stamped
 

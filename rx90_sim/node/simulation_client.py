@@ -8,7 +8,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.base.stamps import message_time_ns
+from rx90_common.exchange.cdr import message_time_ns
 from rx90_common.exchange.client_node import ClientNode, ServiceRequest, spoken
 
 _NAME = "rx90_sim"
