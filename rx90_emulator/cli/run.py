@@ -136,9 +136,8 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
     from rx90_controller.lines.task import SETTLING, load_task
     from rx90_emulator.loop import closed_loop
     from rx90_emulator.loop.line import LineRun, followed_accuracy, run_path
-    from rx90_emulator.loop.path_file import load_path
+    from rx90_emulator.loop.path_file import load_path, load_trajectory
     from rx90_emulator.loop.recorded_run import read_run, replay
-    from rx90_emulator.loop.trajectory_file import load_trajectory
 
     begin, start = options.start_time or 0.0, options.initial_position
     simulate: Callable[..., RunResult]
