@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, located
 from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import Rates
 from rx90_emulator.cli.options import (
@@ -202,10 +202,8 @@ def _run_hours(setup: Setup, options: argparse.Namespace) -> None:
     from rx90_emulator.loop.working_day import ThermalRun
 
     day = ThermalRun(setup, load_task(RobotFiles.of_options(options).required("task")))
-    try:
+    with located(f"--hours {options.hours:g}"):
         total = day.whole_cycles(3600.0 * options.hours)
-    except ConfigError as error:
-        raise ConfigError(f"--hours {options.hours:g}: {error}") from error
     try:
         with progress_bar("cycles") as progress:
             while day.advance(total):

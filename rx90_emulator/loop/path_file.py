@@ -13,7 +13,7 @@ from typing import Any
 
 from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.entries import LEFT_OUT, Integer, ListOf, Number, Numbers, Text, Texts
-from rx90_common.base.errors import ConfigError, LineError, TrajectoryError
+from rx90_common.base.errors import ConfigError, LineError, located
 from rx90_common.base.groups import Group
 from rx90_common.base.share import resolve_config
 from rx90_common.description.branch import Branch
@@ -135,7 +135,7 @@ def _path(file: FilePath, root: Section) -> Path:
     drawn = values.pop("file", None)
     start, segments = values.pop("start", None), values.pop("segments", ())
     values["start_rpy"] = radians(values.pop("tool_rpy_degrees"))
-    try:
+    with located(file, LineError):
         if drawn is not None:
             if start is not None:
                 raise LineError("a start beside a file, which has its own; accepted: one of them")
@@ -144,8 +144,6 @@ def _path(file: FilePath, root: Section) -> Path:
         else:
             parts = tuple(_segment(one) for one in segments)
         return Path(start, parts, **values, branch=Branch(**content.get("posture", {})))
-    except LineError as error:
-        raise LineError(f"{file}: {error}") from error
 
 
 def _segment(content: dict[str, Any]) -> Segment:
@@ -222,9 +220,7 @@ def load_trajectory(name: FilePath | str, robot_joints: Sequence[str]) -> Trajec
         )
         for point in content["points"]
     ]
-    try:
+    with located(file):
         return points_from_message(
             robot_joints, SimpleNamespace(joint_names=list(content["joint_names"]), points=points)
         )
-    except TrajectoryError as error:
-        raise TrajectoryError(f"{file}: {error}") from error
