@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rx90_common.bags.batch import MessageBatch
 from rx90_common.bags.ordering import Arrived, Dated, LogOrder, TimeSource
-from rx90_common.base.stamps import cdr_stamp_ns
+from rx90_common.exchange.cdr import cdr_stamp_ns
 
 MS = 1_000_000
 LIST_OF_ONE = b"\x00\x01\x00\x00\x01\x00\x00\x00"  # encapsulation and length
