@@ -6,7 +6,7 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rx90_common.bags.batch import MessageBatch
@@ -56,6 +56,7 @@ def run(order: LogOrder, arrivals: list[tuple[int, TimeSource, bytes]], every: i
     return released + entries(order.release_all())
 
 
+@settings(max_examples=40)
 @given(st.data())
 def test_order_does_not_depend_on_the_interleaving(data: Any) -> None:
     """However three topics arrive interleaved within 0.4 s, they are released sorted by stamp, then topic."""
