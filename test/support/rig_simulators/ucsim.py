@@ -17,7 +17,7 @@ SHIM = Path(__file__).with_name("ucsim_poll.c")
 CRYSTAL_MHZ = 11.0592
 CLOCKS_PER_INSTRUCTION = 16.0
 """Rough mean for this firmware (12 clocks a cycle); the error of one slice is made up for in the next."""
-LISTEN_SLICES = 20
+LISTEN_SLICES = 3
 """The simulator may hold a byte of its own after the line to it has run empty."""
 MARKER = "918273645"
 MARK = "expr 918273644+1"
@@ -72,6 +72,7 @@ class UcsimBoard:
         self._dac = 0
         self._port3 = 0xFF
         self._listen = 0
+        self._given: set[str] = set()
         self._console([])
 
     def _console(self, lines: list[str]) -> list[int]:
@@ -113,11 +114,13 @@ class UcsimBoard:
         steps = max(1, round((self._target - self._clock) / CLOCKS_PER_INSTRUCTION))
         # The simulator looks for input every million instructions, unless told.
         self._listen = LISTEN_SLICES if self._pending() else max(0, self._listen - 1)
-        lines = [
+        given = {
             f"expr uart0_check_often={min(self._listen, 1)}",
             f"set hw port[{self.adc_port}] {adc}",
             f"set hw port[3] {idle}",
-        ]
+        }
+        lines = sorted(given - self._given)
+        self._given = given
         for _ in range(edges):
             lines += [
                 f"step {max(1, steps // (edges + 1))}",
@@ -134,6 +137,7 @@ class UcsimBoard:
 
     def reset(self) -> None:
         """Pull the reset pin; uCsim's reset leaves the clock running."""
+        self._given = set()
         self._look(["reset"])
         self._target = float(self._clock)
 
