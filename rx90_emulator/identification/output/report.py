@@ -39,7 +39,7 @@ _DRAWN_SHARE = 20  # one of so many parts of a micro-oscillation is drawn: more 
 _ACROSS = 2  # columns of plots with a panel for each joint
 
 
-def _render(template: str, date: datetime | None, unit: str = "Nm", **values: Any) -> str:
+def _render(template: str, date: datetime | None = None, unit: str = "Nm", **values: Any) -> str:
     """Return a page on torques in a unit; templates can use the functions of `summary`, and `values`."""
     day = (date or datetime.now(timezone.utc)).strftime("%Y-%m-%d %H:%M UTC")
     return render_page(
@@ -99,24 +99,23 @@ def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, Plot]]:
     return found
 
 
-def check_page(checks: Sequence[Validation], friction_file: str, now: datetime | None = None) -> str:
+def check_page(checks: Sequence[Validation], friction_file: str) -> str:
     """Return the text of the page on the comparison of a friction file with bags.
 
     Args:
         checks: one for each bag.
         friction_file: name of the file.
-        now: date of the comparison; by default the present.
     """
-    return _render("friction_check.html.j2", now, checks[0].unit, checks=_checks(checks), friction_file=friction_file)
+    unit = checks[0].unit
+    return _render("friction_check.html.j2", unit=unit, checks=_checks(checks), friction_file=friction_file)
 
 
-def measured_page(result: MeasuredComparison, files: tuple[str, ...], date: datetime) -> str:
+def measured_page(result: MeasuredComparison, files: tuple[str, ...]) -> str:
     """Return the text of the page on a measured run.
 
     Args:
         result: of the comparison.
         files: that the robot was read from.
-        date: of the comparison.
     """
     time, torque = result.time - result.time[0], result.agreement
     shown = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
@@ -133,7 +132,6 @@ def measured_page(result: MeasuredComparison, files: tuple[str, ...], date: date
         )
     return _render(
         "measured.html.j2",
-        date,
         result=result,
         files=files,
         torques=Plot(torques, height=1.7, share_x=True),
@@ -141,13 +139,12 @@ def measured_page(result: MeasuredComparison, files: tuple[str, ...], date: date
     )
 
 
-def report_page(result: FrictionIdentification, friction_file: str, now: datetime | None = None) -> str:
+def report_page(result: FrictionIdentification, friction_file: str) -> str:
     """Return the text of the page on an identification from sweeps and micro-oscillations.
 
     Args:
         result: the identification.
         friction_file: name of the file with the values.
-        now: date of the identification; by default the present.
     """
     names, sliding, presliding = result.arm.element_names, result.sliding, result.presliding
     named = dict(zip(names, result.elements, strict=True))
@@ -157,7 +154,6 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
     loops = {joint: loop for joint, loop in presliding.loops.items() if joint not in own_bristles}
     return _render(
         "identification.html.j2",
-        now,
         result=result,
         named=named,
         identified=[(name, named[name]) for name in result.identified_elements],
