@@ -173,24 +173,12 @@ def _spectrum(record: JointRecord, values: Array, degree: int, window: str) -> t
     return frequency, power, np.flatnonzero(np.diff(band, prepend=-1))
 
 
-class TorqueStamps(NamedTuple):
-    """Motion at the instants at which the torque was recorded, if these are not a run's even times, and the resampling.
-
-    A torque step at a reversal is resampled to a value between both levels, in one sample near it. The columns of the
-    model must be resampled in the same way: from the velocity at the stamps.
-
-    Attributes:
-        velocity: of the joints at s stamps, rad/s, shape (s, n).
-        resampling: linear interpolation from the stamps to the run's samples, sparse, shape (m, s).
-    """
-
-    velocity: Array
-    resampling: csr_array
-
-
 @dataclass(frozen=True, eq=False)
 class FilteredRun:
     """One run at its full, even rate, without the ends that the filters distort.
+
+    A torque step at a reversal is resampled to a value between both levels, in one sample near it. The columns of the
+    model must be resampled in the same way: from the velocity at the s stamps of the torque.
 
     Attributes:
         source: the bag.
@@ -200,9 +188,10 @@ class FilteredRun:
         velocity: rad/s, derivative of the filtered position, shape (m, n).
         acceleration: rad/s^2, its second derivative, shape (m, n).
         torque: as recorded, at the joints, Nm, shape (m, n).
+        torque_velocity: velocity where the torque was recorded, rad/s, shape (s, n).
         reference: position set-points, rad, shape (m, n); None where none were recorded.
         bandwidths: of both filters.
-        stamps: where the torque was recorded; None if that is at `time`.
+        resampling: linear interpolation from the stamps to `time`, sparse, shape (m, s); None if they are the same.
         shocks: begin and end of the times whose torque is not used, s.
     """
 
@@ -213,9 +202,10 @@ class FilteredRun:
     velocity: Array
     acceleration: Array
     torque: Array
+    torque_velocity: Array
     reference: Array | None
     bandwidths: Bandwidths
-    stamps: TorqueStamps | None = None
+    resampling: csr_array | None = None
     shocks: tuple[tuple[float, float], ...] = ()
 
     @cached_property
@@ -247,16 +237,11 @@ class FilteredRun:
         inside = [(time > begin - margin) & (time < end + margin) for begin, end in self.shocks]
         return np.asarray(~np.any([np.zeros(len(time), dtype=np.bool_), *inside], axis=0))
 
-    @property
-    def torque_velocity(self) -> Array:
-        """Return the joints' velocities where the torque was recorded, rad/s, shape (s, n)."""
-        return self.velocity if self.stamps is None else self.stamps.velocity
-
     def evened(self, values: Array) -> Array:
         """Resample values from where the torque was recorded, (s, ...), to the run's samples, (m, ...)."""
-        if self.stamps is None:
+        if self.resampling is None:
             return values
-        even = self.stamps.resampling @ values.reshape(len(values), -1)
+        even = self.resampling @ values.reshape(len(values), -1)
         return np.asarray(even).reshape(len(even), *values.shape[1:])
 
     def parallel(self, values: Array) -> Array:
@@ -327,27 +312,29 @@ def _filtered(
 
     position, order = smoothed(record.position), int(not bandwidths.recorded_velocity)
     curve = make_interp_spline(count, position if order else smoothed(record.velocity), k=5)
-    at_torque, ours = None, np.full(len(time), fill_value=True)
+    ours = np.full(len(time), fill_value=True)
     for begin, end in record.shocks:
         ours &= (time < begin) | (time > end)
-    stamps, torque = time[ours] - torque_lead, record.torque[piece][ours]
+    stamps, torque, samples = time[ours] - torque_lead, record.torque[piece][ours], even[inner]
+    velocity, resampling = np.asarray(curve(count[inner], order)), None
+    torque_velocity = velocity
     if not _is_even(stamps, even):
-        samples = even[inner]
         first, last = np.searchsorted(stamps, samples[0], "right") - 1, np.searchsorted(stamps, samples[-1]) + 1
         around = stamps[max(int(first), 0) : last]
         resampling = BSpline.design_matrix(samples, np.pad(around, 1, "edge"), 1, extrapolate=True)
-        at_torque = TorqueStamps(np.asarray(curve(around - even[0], order)), resampling)
+        torque_velocity = np.asarray(curve(around - even[0], order))
     return FilteredRun(
         source=record.bag,
         names=record.names,
-        time=even[inner],
+        time=samples,
         position=position[inner],
-        velocity=np.asarray(curve(count[inner], order)),
+        velocity=velocity,
         acceleration=np.asarray(curve(count[inner], order + 1)),
         torque=_resampled(stamps, torque, even, 1)[inner],
+        torque_velocity=torque_velocity,
         reference=None if reference is None else _resampled(*_bridged(time, reference[piece]), even, 5)[inner],
         bandwidths=bandwidths,
-        stamps=at_torque,
+        resampling=resampling,
         shocks=record.shocks,
     )
 

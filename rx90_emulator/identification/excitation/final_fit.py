@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -277,8 +278,10 @@ def blur_shifts(weighted: WeightedProblem, fit: SeparableFit, columns: Array) ->
 
 def _smoothed(run: FilteredRun, blur: Callable[[Array, FilteredRun], Array]) -> FilteredRun:
     """Return a run with smoothed positions and velocities, and with velocities at the stamps smoothed alike."""
-    stamps = None if run.stamps is None else run.stamps._replace(velocity=blur(run.stamps.velocity, run))
-    return replace(run, position=blur(run.position, run), velocity=blur(run.velocity, run), stamps=stamps)
+    blurred: dict[str, Any] = {
+        name: blur(getattr(run, name), run) for name in ("position", "velocity", "torque_velocity")
+    }
+    return replace(run, **blurred)
 
 
 def _every_second(values: Array, _: FilteredRun) -> Array:

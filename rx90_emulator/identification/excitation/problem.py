@@ -452,8 +452,8 @@ class ExcitationProblem:
         Columns of the result (its regressor, friction along its runs) are instruments for the original.
         """
         runs = tuple(
-            replace(run, position=position, velocity=velocity, acceleration=acceleration, stamps=None)
-            for run, (position, velocity, acceleration) in zip(self.runs, motions, strict=True)
+            replace(run, position=q, velocity=v, acceleration=a, torque_velocity=v, resampling=None)
+            for run, (q, v, a) in zip(self.runs, motions, strict=True)
         )
         other = replace(self, runs=runs, payloads=(None,) * len(runs))
         return replace(other, regressor=other.through(np.eye(len(self.arm.names)))[0])
