@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from itertools import pairwise, product
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from scipy.linalg import pinvh
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.records import JointRecord, block_means
 
 _QUARTERS = (-0.5 * math.pi, 0.5 * math.pi, math.pi)  # rad, between zeros of URDF and encoder that count differently
 _MIN_GAIN = 0.02  # minimal share of a joint's unexplained torque that a changed zero must explain
@@ -252,20 +252,19 @@ class Instants:
 
 def record_instants(record: JointRecord, arm: RigidArm) -> Instants:
     """Return means over short times of a run of any motion, by the arm of the same joints."""
-    size = max(1, round(_MEAN_S / float(np.median(np.diff(record.time)))))
-    count = len(record.time) // size
-
-    def mean(values: NDArray[Any]) -> Array:
-        return np.asarray(values[: count * size].reshape(count, size, -1).mean(axis=1))
-
-    time, velocity, inputs = mean(record.time)[:, 0], mean(record.velocity), record.velocity @ arm.element_matrix.T
+    size = max(1, round(_MEAN_S / record.period))
+    time, position, velocity, torque = (
+        block_means(values, size) for values in (record.time, record.position, record.velocity, record.torque)
+    )
     # Every sample of a mean has to slide, all of them in one direction.
-    slides = (mean(1.0 * (np.abs(inputs) > _SLIDING_SPEED)) == 1.0) & (np.abs(mean(np.sign(inputs))) == 1.0)
+    inputs = record.velocity @ arm.element_matrix.T
+    fast, same_sign = block_means(np.abs(inputs) > _SLIDING_SPEED, size), block_means(np.sign(inputs), size)
+    slides = (fast == 1.0) & (np.abs(same_sign) == 1.0)
     return Instants(
-        position=mean(record.position),
+        position=position,
         velocity=velocity,
         acceleration=np.gradient(velocity, time, axis=0),
-        torque=mean(record.torque),
+        torque=torque,
         sliding=slides,
         plateau=np.floor((time - time[0]) / _CLUSTER_S).astype(np.int64),
     )

@@ -33,7 +33,7 @@ from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import fma, load, store
-from rx90_emulator.identification.records import BagSource, JointRecord
+from rx90_emulator.identification.records import BagSource, JointRecord, block_means, stretches
 
 _FILTER_ORDER = 4  # of the Butterworth filter, in each direction
 _STOPBAND_DB = 60.0  # dB, of the parallel filter beyond twice its bandwidth
@@ -486,14 +486,10 @@ def without_shocks(record: JointRecord, elements: Array) -> tuple[JointRecord, t
     """
     rate = (len(record.time) - 1) / max(float(record.time[-1] - record.time[0]), 1e-9)
     size = max(1, round(rate / _SHOCK_RATE))
-    count = len(record.time) // size
+    time, velocity, torque = (block_means(values, size) for values in (record.time, record.velocity, record.torque))
     width = round(_SHOCK_WINDOW * rate / size) // 2 * 2 + 1
-    if width < 5 or count <= width:  # a pulse would be one sample or none
+    if width < 5 or len(time) <= width:  # a pulse would be one sample or none
         return record, ()
-    time, velocity, torque = (
-        values[: count * size].reshape(count, size, -1).mean(axis=1)
-        for values in (record.time, record.velocity, record.torque)
-    )
     distance = np.abs(torque - median_filter(torque, size=(width, 1), mode="nearest"))
     reverses = _near_rest(velocity @ elements.T, width) @ (elements != 0.0)
     low, high = np.percentile(torque, (1.0, 99.0), axis=0)
@@ -508,7 +504,7 @@ def without_shocks(record: JointRecord, elements: Array) -> tuple[JointRecord, t
     texts, half = [], 0.5 * size / rate
     for start, stop in stretches(np.asarray(far.any(axis=1))):
         joint = int(np.argmax(np.where(far[start:stop], distance[start:stop], 0.0).max(axis=0)))
-        begin, end = float(time[start, 0]) - half - _SHOCK_MARGIN, float(time[stop - 1, 0]) + half + _SHOCK_MARGIN
+        begin, end = float(time[start]) - half - _SHOCK_MARGIN, float(time[stop - 1]) + half + _SHOCK_MARGIN
         if found and begin <= found[-1][1]:
             found[-1] = (found[-1][0], end)
             continue
@@ -522,12 +518,6 @@ def without_shocks(record: JointRecord, elements: Array) -> tuple[JointRecord, t
     what = f"{len(found)} shock{'s' * (len(found) > 1)}"
     text = f"{record.source.name}: {what} of the torque left out, {removed:.0f} ms with margins: {shown}"
     return replace(record, shocks=tuple(found)), (text,)
-
-
-def stretches(there: Mask) -> list[tuple[int, int]]:
-    """Return begin and end (exclusive) of each stretch of samples that meet a condition, shape (m,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]).astype(np.int8)))
-    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
 def _near_rest(velocity: Array, width: int) -> Mask:

@@ -36,7 +36,8 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import listed, quoted
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.filtering import SLOW_SHARE, SLOW_SPEED, FilteredRun, stretches
+from rx90_emulator.identification.excitation.filtering import SLOW_SHARE, SLOW_SPEED, FilteredRun
+from rx90_emulator.identification.records import stretches
 
 PAYLOADS = Entries(
     "What was fixed to the last link in each loaded run, by name or path of the bag.",
