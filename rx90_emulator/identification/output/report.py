@@ -19,8 +19,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Mark, Panel, Plot, Scale
-from rx90_emulator.identification.excitation.result import ExcitationIdentification, misfits
-from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
+from rx90_emulator.identification.excitation.result import ExcitationIdentification
+from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.output import summary
 from rx90_emulator.identification.output.robot_files import torque_constants
 from rx90_emulator.identification.presliding.bristle_motion import MAX_MOTIONS_ALONE, MAX_MOTIONS_OF_BAG
@@ -159,9 +159,7 @@ def report_page(result: FrictionIdentification, friction_file: str) -> str:
         identified=[(name, named[name]) for name in result.identified_elements],
         others=[name for name in names if name not in result.identified_elements],
         assumed=[(summary.which(lacking), reason) for reason, lacking in result.unidentifiable.items()],
-        parameters=shown_parameters(result),
         units=FRICTION_UNITS,
-        fallback=result.fallback_name,
         fading=[(name, one.element.omega_d) for name, one in named.items() if math.isfinite(one.element.omega_d)],
         shared=names[len(result.arm.names) :],
         checks=_checks(result.validations),
@@ -274,16 +272,11 @@ def excitation_page(
         versions=", ".join(f"{name} {number}" for name, number in versions.items()),
         friction=list(zip(result.problem.arm.element_names, rows, strict=True)),
         shown=list(units.items()),
-        lacking=summary.lacking(result),
         runs=[*(("fitted", run) for run in result.torques), *(("not used", run) for run in checked)],
         drawn=[(run, _run_plot(run)) for run in (checked[:2] or [longest])],
         curves=_friction_plot(result),
         spectra=_spectra_plot(checked or result.torques),
         by_speed=_speed_plot(result),
-        misfits=misfits(result.speeds),
-        closed_loop=result.instruments.remark,
-        bodies_warnings=summary.bodies_warnings(result),
-        other="least squares" if result.instruments.biased else "instruments",
         gains=list(zip(gains, gains.values(), constants or [""] * len(gains), strict=True)),
         by_time=_time_plot(result.torques, friction.blocks.length),
         correlation=Plot([Heat(names, correlation)], height=7.0),
