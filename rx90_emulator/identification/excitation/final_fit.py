@@ -230,8 +230,6 @@ def bounded_covariance(covariance: Array, sizes: Sequence[tuple[float, float]], 
     """
     count = len(covariance) - len(sizes)
     between = covariance[count:, count:]
-    if not np.isfinite(between).all():
-        return np.asarray(covariance[:count, :count])
     slope = covariance[:count, count:] @ np.linalg.pinv(between)
     factor = np.array([
         np.sqrt(truncnorm(-value / deviation, (most - value) / deviation, value, deviation).moment(2)) / deviation
