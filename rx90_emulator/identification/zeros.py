@@ -102,14 +102,6 @@ class ZeroCheck:
         )
 
 
-def encoder_error(shift: Array) -> Array:
-    """Return the errors of zeros, within half a turn, if the true angles exceed the assumed ones by `shift`, rad.
-
-    The zero is subtracted from the recorded angles, so the zero of such a joint is too large by the same angle.
-    """
-    return np.array([math.remainder(-value, 2.0 * math.pi) if value else 0.0 for value in shift.tolist()])
-
-
 ResidualPower = Mapping[str, Array]
 """Mean square of each joint's residual torque, Nm^2, shape (n,), by what the fit holds fixed, in words.
 
@@ -202,7 +194,9 @@ def check_of(
     if shift.any() and f"{both[0]:.1%}" == f"{both[1]:.1%}":  # little of the arm's torque, but not of one joint's
         joint = int(np.argmin(pair[1] / np.maximum(pair[0], 1e-300)))
         both, of = pair[:, joint] * math.sqrt(float(torque.sum() / torque[joint])), f" of {check.names[joint]}{fit}"
-    return replace(check, error=encoder_error(shift), before=float(both[0]), after=float(both[1]), of=of)
+    # Zeros are subtracted from the recorded angles: that of a joint whose angle is too small by the shift is too large.
+    error = np.array([math.remainder(-value, 2.0 * math.pi) if value else 0.0 for value in shift.tolist()])
+    return replace(check, error=error, before=float(both[0]), after=float(both[1]), of=of)
 
 
 def _gain(before: ResidualPower, after: ResidualPower) -> tuple[float, str]:

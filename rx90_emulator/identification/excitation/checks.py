@@ -156,11 +156,6 @@ class _Signed:
         """Return the standard deviation of each row, that of its joint's residuals, Nm, shape (s,)."""
         return self._by_joint(self.residual(self._by_joint(self.torque)))
 
-    @property
-    def deficit(self) -> float:
-        """Return minus the logarithm of the likelihood, but for a constant."""
-        return float(np.log(self.sigma).sum())
-
     def _by_joint(self, values: Array) -> Array:
         count = np.maximum(np.bincount(self.joint), 1)
         floor = max(1e-9 * float(np.abs(self.torque).max()), 1e-12)
@@ -252,7 +247,10 @@ class _Search:
         for _ in motors:
             there = {one.motor for one in wrong}
             tried = [(*wrong, WrongSign(k, *how)) for k in motors if k not in there for how in _SIGN_ERRORS]
-            best, other = min(((one, self._signed(one)) for one in tried), key=lambda pair: pair[1].deficit)
+            # The most likely one: minus the logarithm of the likelihood, but for a constant.
+            best, other = min(
+                ((one, self._signed(one)) for one in tried), key=lambda pair: float(np.log(pair[1].sigma).sum())
+            )
             # The joint itself must improve as well: a small gain on another, quiet joint would weigh as much.
             own = self._problem.arm.coupling[best[-1].motor, other.joint] != 0.0
             error_now, error_with = (float(np.linalg.norm(one.residual(other.sigma)[own])) for one in (now, other))
