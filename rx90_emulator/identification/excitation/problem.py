@@ -340,7 +340,6 @@ class ExcitationProblem:
         payloads: Sequence[Payload | None] | None = None,
         *,
         rotors: bool = True,
-        columns: bool = True,
     ) -> ExcitationProblem:
         """Stack the equations of runs.
 
@@ -349,17 +348,34 @@ class ExcitationProblem:
             runs: of this arm.
             payloads: of each run; by default none.
             rotors: as in `StandardColumns`.
-            columns: whether there is a regressor; without one the torque includes that of the payloads.
 
         Raises:
             IdentificationError: for runs of other joints, and if no joint moves.
+        """
+        bare = cls.without_columns(arm, runs, payloads, rotors=rotors)
+        regressor, payload = bare.through(np.eye(len(arm.names)))
+        return replace(bare, torque=bare.torque - payload, payload=payload, regressor=regressor)
+
+    @classmethod
+    def without_columns(
+        cls,
+        arm: RigidArm,
+        runs: Sequence[FilteredRun],
+        payloads: Sequence[Payload | None] | None = None,
+        *,
+        rotors: bool = True,
+    ) -> ExcitationProblem:
+        """Return the rows of runs with their torque, payloads included, and no regressor; arguments as in `of`.
+
+        Raises:
+            IdentificationError: as `of`.
         """
         for one in runs:
             if one.names != arm.names:
                 there, wanted = ", ".join(one.names), ", ".join(arm.names)
                 raise IdentificationError(f"{one.source.path}: joints {there}; accepted: {wanted}")
         carried = (None,) * len(runs) if payloads is None else tuple(payloads)
-        standard = StandardColumns(arm, rotors=rotors)
+        columns = StandardColumns(arm, rotors=rotors)
         acts = arm.element_matrix != 0.0
         found = []
         for number, one in enumerate(runs):
@@ -371,13 +387,9 @@ class ExcitationProblem:
         if not len(run):
             raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
         empty = np.empty((len(run), 0))
-        bare = cls(arm, tuple(runs), standard, BaseGroups.of(standard), run, joint, place, time, reversal,
+        bare = cls(arm, tuple(runs), columns, BaseGroups.of(columns), run, joint, place, time, reversal,
                    carried, np.zeros(len(run)), empty, empty, empty)  # fmt: skip
-        torque = bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0]
-        if not columns:
-            return replace(bare, torque=torque)
-        regressor, payload = bare.through(np.eye(len(arm.names)))
-        return replace(bare, torque=torque - payload, payload=payload, regressor=regressor)
+        return replace(bare, torque=bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0])
 
     def __len__(self) -> int:
         return len(self.run)

@@ -253,7 +253,7 @@ def validate(
     if sliding is None:
         record, notes = without_shocks(record, robot.arm.element_matrix)
     runs = filtered_runs(record, robot, validation_bandwidths(record, bandwidths))
-    problem = ExcitationProblem.of(robot.arm, runs, columns=False)
+    problem = ExcitationProblem.without_columns(robot.arm, runs)
     predicted = written_torque(problem, robot.arm, elements)
     if sliding is not None:
         predicted = predicted + _error_of_weights(robot.arm, sliding, problem)
