@@ -22,7 +22,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from rx90_common.base.rates import NANOSECONDS, Rates
-from rx90_common.base.stamps import cdr_stamp_ns
+from rx90_common.exchange.cdr import cdr_stamp_ns
 from rx90_common.exchange.endpoints import LATCHED_QOS, TICK_QOS
 from rx90_common.exchange.topics import FREE_RUNNING, TimeMode, motor_names
 

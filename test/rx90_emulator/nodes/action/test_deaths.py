@@ -18,7 +18,7 @@ from ros_client import JOINTS, Client
 from sensor_msgs.msg import JointState
 
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.base.stamps import cdr_stamp_ns, message_time_ns
+from rx90_common.exchange.cdr import cdr_stamp_ns, message_time_ns
 from rx90_common.process.children import ChildProcess
 
 pytestmark = pytest.mark.ros
