@@ -159,7 +159,7 @@ def test_a_subscriber_that_never_fits_is_not_waited_for(client: Client) -> None:
 
 
 def test_a_call_leaves_no_client_behind(client: Client) -> None:
-    """Each client that is left makes every later wait longer: a service is called with one that goes with the answer."""
+    """Each client that is left makes every later wait longer: that of a call goes with its answer."""
     client.node.create_service(Trigger, "asked", lambda _, answer: answer)
     before = list(client.node.clients)
     client.asking.call(Trigger, "asked", Trigger.Request())
