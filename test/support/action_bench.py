@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from action_msgs.msg import GoalStatus
 from numpy.typing import NDArray
+from processes import Processes
 from ros_client import Client, seconds
 
 from rx90_common.process.children import ChildProcess
@@ -22,10 +23,10 @@ UNPACED = ("-p", "rx90_sim:real_time_factor:=0.0")
 class Bench:
     """Both nodes and two clients of the action."""
 
-    def __init__(self, client: Client, cell: ChildProcess) -> None:
+    def __init__(self, client: Client, cell: ChildProcess, processes: Processes) -> None:
         from action_client import GoalClient, Stepper
 
-        self.client, self.cell = client, cell
+        self.client, self.cell, self.processes = client, cell, processes
         self.time = Stepper(client, STEP)
         self.goals, self.others = GoalClient(client), GoalClient(client)
         self.set_points = client.listen("rx90_controller/reference", depth=5000)

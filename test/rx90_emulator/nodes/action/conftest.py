@@ -39,7 +39,7 @@ def bench(needs_action: None, tmp_path_factory: pytest.TempPathFactory) -> Itera
     with own_processes(folder) as processes:
         cell = processes.start("rx90_cell", "--ros-args", *PAUSED, *UNPACED, "--params-file", file)
         with closing(Client()) as client:
-            yield Bench(client, cell)
+            yield Bench(client, cell, processes)
 
 
 @pytest.fixture

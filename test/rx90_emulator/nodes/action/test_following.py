@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import re
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +16,10 @@ from action_bench import STEP, SUCCEEDED, Bench
 from numpy.typing import NDArray
 from ros_client import JOINTS, seconds
 
+from rx90_common.process.children import ChildProcess
+
 pytestmark = pytest.mark.ros
+PAGE = Path(__file__).parents[4] / "docs/howto/action.md"
 
 
 def test_names_and_types_are_those_of_the_original(bench: Bench) -> None:
@@ -202,3 +210,78 @@ def test_controller_state_has_what_the_other_topics_have(bench: Bench) -> None:
         assert len(state.output.effort) == 6
         since = state.reference.time_from_start
         assert since.sec + since.nanosec * 1e-9 == pytest.approx(min(seconds(state) - begin, 0.4), abs=1e-9)
+
+
+@contextmanager
+def allowed(bench: Bench, option: str) -> Iterator[None]:
+    """Set an option of goals for a while."""
+    assert bench.client.set_parameters("rx90_controller", **{option: True}) == [""]
+    yield
+    assert bench.client.set_parameters("rx90_controller", **{option: False}) == [""]
+
+
+def test_a_subset_of_joints_moves_while_the_others_hold(bench: Bench) -> None:
+    """With allow_partial_joints_goal a goal names some joints, in any order; the others keep their set-point."""
+    from action_client import goal, point
+
+    bench.home()
+    with allowed(bench, "allow_partial_joints_goal"):
+        ended = bench.follow(goal(point(0.3, [0.03, -0.02]), names=["joint_4", "joint_2"]))
+    assert (ended.status, ended.result.error_code) == (SUCCEEDED, 0)
+    assert list(bench.heard()[-1].position) == pytest.approx([0.0, -0.02, 0.0, 0.03, 0.0, 0.0], abs=1e-12)
+
+
+def test_a_goal_may_end_with_a_velocity_and_begin_where_the_path_is(bench: Bench) -> None:
+    """With its option the last point may move, behind which the arm brakes; with replacement a first point in the past.
+
+    Set-points have no jump of position or velocity; who has sent the goal before gets -1.
+    """
+    from action_client import goal, point
+
+    bench.home()
+    with allowed(bench, "allow_nonzero_velocity_at_trajectory_end"), allowed(bench, "allow_trajectory_replacement"):
+        _, first = bench.begin(goal(point(0.3, [0.03] * 6, [0.1] * 6), point(0.6, [0.05] * 6)))
+        bench.time.run(0.2)
+        points = [point(0.0, [9.0] * 6), point(0.3, [0.04] * 6, [0.1] * 6)]
+        _, second = bench.begin(goal(*points, start=bench.now - 0.05))
+        assert bench.goals.wait(first).result.error_string.startswith("pre-empted")
+        bench.time.run(0.6)
+        # It passes its last point with 0.1 rad/s, while 0.01 rad/s would be rest: the goal waits for that.
+        assert bench.goals.wait(second).status == SUCCEEDED
+    velocity, position = bench.velocities(), np.array([message.position for message in bench.set_points])
+    assert np.abs(np.diff(velocity, axis=0)).max(axis=0) == pytest.approx(np.zeros(6), abs=0.0601)
+    assert np.diff(position, axis=0) == pytest.approx(0.5e-3 * (velocity[1:] + velocity[:-1]), abs=1e-5)
+    assert not velocity[-1].any()
+
+
+def test_the_pages_program_sends_a_goal_and_one_that_is_killed_leaves_it_to_the_controller(
+    bench: Bench, tmp_path: Path
+) -> None:
+    """The program on the page prints feedback and result. After kill -9 in mid-goal the goal is followed to its end."""
+    (text,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert 15 <= text.count("\n") <= 30
+    file = tmp_path / "send_goal.py"
+    file.write_text(text, encoding="utf-8")
+
+    def count(words: str) -> int:
+        return bench.cell.output.count(words)
+
+    def accepted() -> ChildProcess:
+        before = count("goal accepted")
+        sender = bench.processes.start(sys.executable, file)
+        bench.client.spin_until(lambda: count("goal accepted") > before, "the goal")
+        return sender
+
+    bench.home()
+    sender = accepted()
+    while "error_code=0" not in sender.output:
+        bench.time.run(STEP)
+    assert sender.wait() == 0
+    assert "goal reached" in sender.output
+    sender = accepted()
+    bench.time.run(0.3)
+    sender.signal(signal.SIGKILL)
+    sender.wait()
+    before = count("goal succeeded")
+    while count("goal succeeded") == before:
+        bench.time.run(STEP)
