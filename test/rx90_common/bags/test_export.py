@@ -156,33 +156,6 @@ def test_a_full_disk_leaves_nothing(bag: Path, tmp_path: Path, capsys: pytest.Ca
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["{bag}", "--output", "x.csv"], "x.csv would hold 4 topics, /friction_states, /joint_states, /rx90_con"),
-        (["{bag}", "--output", "x.npz", "--topic", "joints"], "no topic /joints; JointState topics: "),
-        (["{bag}", "--output", "there"], "there exists; accepted: a new name"),
-        (["{bag}", "--output", "x.mat"], "x.mat: the suffix says the format; accepted: .csv, .parquet, .npz, or none"),
-        (["{bag}/none", "--output", "x.csv"], "none: no such bag"),
-    ],
-)
-def test_what_cannot_be_exported_is_one_line(
-    bag: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    words: list[str],
-    text: str,
-) -> None:
-    """Too many topics for a file, unknown topics, files that exist and bags that do not: 2, and what is accepted."""
-    monkeypatch.chdir(tmp_path)
-    Path("there").mkdir()
-    assert run("rx90_bag", ["export", *(word.format(bag=bag) for word in words)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert text in line
-    assert [path.name for path in tmp_path.iterdir()] == ["there"]
-
-
 def test_a_table_needs_one_set_of_joints(tmp_path: Path) -> None:
     """A topic whose joints change their order is one table; one with other joints in other messages is refused."""
     first = joint_state(10, ["a", "b"], [1.0, 2.0])

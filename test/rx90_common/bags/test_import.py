@@ -176,43 +176,53 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
     assert stamps.tolist() == [3_047_690_000_000, 3_047_700_000_000, 3_047_720_000_000, 3_047_740_000_000]
 
 
+EXACT = "delimiter: ','\nheader: 1\nexact: true\n"
+"""What is in the mapping of an exported file, too."""
+
+
 @pytest.mark.parametrize(
     ("change", "log", "said"),
     [
-        (("[2, 3]", "[2]"), "1,2,3", "joint_states.position.columns is [2]; accepted: a list of 2, one for each name"),
-        (("[2, 3]", "[2, 4]"), "1,2,3", "log.csv: no column 4; accepted: 1 to 3"),
-        (("[2, 3]", "[2, qb]"), "t,qa,qc\n1,2,3", "log.csv: no column 'qb'; there are t, qa, qc"),
-        (("[2, 3]", "[2, qb]"), "t,qb,qb\n1,2,3", "log.csv: more than one column 'qb'; there are t, qb, qb"),
-        (("[2, 3]", "[2, 0]"), "1,2,3", "position.columns[1] is 0; accepted: the number of a column, from 1 on, or"),
-        (("topics:", "delimiter: ','\ndecimal: ','\ntopics:"), "1,2,3", "decimal is ',', and so is delimiter"),
-        (
-            ("rad", "rad, counts_per_turn: 4096"),
-            "1,2,3",
-            "position.counts_per_turn stands beside unit: rad; accepted: ",
-        ),
-        (
-            ("rad", "rad, factor: [1, 0]"),
-            "1,2,3",
-            "position.factor[1] is 0; accepted: 2 numbers, each a finite number other than 0",
-        ),
-        (("rad", "rad, file: 2"), "1,2,3", ": 1 log; accepted: 2, those that "),
-        (("[2, 3]", "[qb, 3]"), "t,qa,qb\n1,2,3", ": column 3 in joint_states.position is that of another joint"),
-        (("[2, 3]", "[2, 1]"), "1,2,3", "log.csv: column 1 in joint_states.position is that of the times; accepted"),
-        (("[a, b]", '[a, "b\\0"]'), "1,2,3", "joint_states.names is ['a', 'b\\x00']; accepted: texts without NUL"),
-        (("rad", "rad"), "t,qa,qb\n", "log.csv: holds no row of numbers"),
-        (("rad", "rad"), "x,a,3\n", "log.csv: every row is corrupt: 1 corrupt row, line 1 (line 1: col"),
+        (("[2, 3]", "[2]"), b"1,2,3", "joint_states.position.columns is [2]; accepted: a list of 2, one for each name"),
+        (("[2, 3]", "[2, 4]"), b"1,2,3", "log.csv: no column 4; accepted: 1 to 3"),
+        (("[2, 3]", "[2, qb]"), b"t,qa,qc\n1,2,3", "log.csv: no column 'qb'; there are t, qa, qc"),
+        (("[2, 3]", "[2, qb]"), b"t,qb,qb\n1,2,3", "log.csv: more than one column 'qb'; there are t, qb, qb"),
+        (("[2, 3]", "[2, 0]"), b"1,2,3", "position.columns[1] is 0; accepted: the number of a column, from 1 on, or"),
+        (("topics:", "delimiter: ','\ndecimal: ','\ntopics:"), b"1,2,3", "decimal is ',', and so is delimiter"),
+        (("rad", "rad, counts_per_turn: 4096"), b"1,2,3", "position.counts_per_turn stands beside unit: rad; accepted"),
+        (("rad", "rad, factor: [1, 0]"), b"1,2,3", "position.factor[1] is 0; accepted: 2 numbers, each a finite numbe"),
+        (("rad", "rad, file: 2"), b"1,2,3", ": 1 log; accepted: 2, those that "),
+        (("[2, 3]", "[qb, 3]"), b"t,qa,qb\n1,2,3", ": column 3 in joint_states.position is that of another joint"),
+        (("[2, 3]", "[2, 1]"), b"1,2,3", "log.csv: column 1 in joint_states.position is that of the times; accepted"),
+        (("[a, b]", '[a, "b\\0"]'), b"1,2,3", "joint_states.names is ['a', 'b\\x00']; accepted: texts without NUL"),
+        (("", ""), b"t,qa,qb\n", "log.csv: holds no row of numbers"),
+        (("", ""), b"x,a,3\n", "log.csv: every row is corrupt: 1 corrupt row, line 1 (line 1: col"),
+        (("", ""), b"1," * 600_000, "log.csv:1: more than 1048576 characters in a line; accepted: text in lines"),
+        (("", ""), b"\xff\xfe1", "log.csv: holds no row of numbers"),
+        (EXACT, b"t,a,b\n" + bytes(2_000_000), "log.csv:2: more than 1048576 characters in a line"),
+        (EXACT, b"\xff\xfe", "log.csv: holds no row of numbers"),
+        (EXACT, b"t,a,b\n0,1e999,2\n", "every row is corrupt: 1 corrupt row, line 2 (line 2: column 2 is '1e"),
+        (EXACT, b"t,a,b\n0,1,2\n1,2,3_0\n", "log.csv: 1 corrupt row, line 3 (line 3: column 3 is '3_0'"),
+        (EXACT, b"t,a,b\n1_0,1,2\n", "(line 2: time '1_0'"),
+        (EXACT, b"t,a,b\n2147483648,1,2\n", "(line 2: time '2147483648'; accepted: 0 to 2147483648 s"),
+        (EXACT, b"t,a,b\n0,1,\0\n", "(line 2: column 3 is '\\x00'"),
     ],
 )
 def test_what_does_not_fit_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], log: str, said: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str] | str, log: bytes, said: str
 ) -> None:
-    """A mapping or a log that do not fit each other is refused in one line with the value and what is accepted."""
-    path, mapping = write(tmp_path / "log.csv", log), write(tmp_path / "m.yaml", PLAIN.replace(*change))
-    assert run("rx90_bag", ["import", str(path), str(tmp_path / "bag"), "--mapping", str(mapping)]) == 2
-    text = capsys.readouterr().err
-    assert said in text
-    assert text.count("\n") == 1
-    assert not (tmp_path / "bag").exists()
+    """A mapping and a log that do not fit each other, lines without an end, torn encodings, numbers of Python alone.
+
+    Each is refused in one line with the value and what is accepted; nothing is made.
+    """
+    mapping = PLAIN + change if isinstance(change, str) else PLAIN.replace(*change)
+    (tmp_path / "log.csv").write_bytes(log)
+    write(tmp_path / "m.yaml", mapping)
+    words = ["import", str(tmp_path / "log.csv"), str(tmp_path / "bag"), "--mapping", str(tmp_path / "m.yaml")]
+    assert run("rx90_bag", words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "m.yaml"]
 
 
 @pytest.mark.parametrize("limit", [30_000, 100_000])
@@ -224,7 +234,7 @@ def test_a_full_disk_leaves_no_part_of_a_bag(
     numbers = np.random.default_rng(1).standard_normal((2000, 2))  # which no compression shortens
     lines = (f"{k / 1000},{','.join(map(repr, row))}" for k, row in enumerate(numbers.tolist()))
     log = write(tmp_path / "log.csv", "\n".join(["t,a,b", *lines]))
-    write(tmp_path / "log.yaml", PLAIN + "delimiter: ','\nheader: 1\nexact: true\n" * exact)
+    write(tmp_path / "log.yaml", PLAIN + EXACT * exact)
     with files_up_to(limit):
         assert run("rx90_bag", ["import", str(log), str(tmp_path / "new" / "bag")]) == 3
     (line,) = capsys.readouterr().err.splitlines()
@@ -252,7 +262,7 @@ def test_what_is_left_out_does_not_depend_on_blocks(tmp_path: Path, monkeypatch:
 
 def test_damaged_lines_of_an_exported_file_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """--skip-corrupt leaves out lines of an exact log that hold no time and numbers, also its first, and says which."""
-    write(tmp_path / "log.yaml", PLAIN + "delimiter: ','\nheader: 1\nexact: true\n")
+    write(tmp_path / "log.yaml", PLAIN + EXACT)
     log = write(tmp_path / "log.csv", "t,a,b\n1\n1,1,2\n2,x,2\n\n4,nan,2\n3,1,2\nlater,1,2\n")
     assert run("rx90_bag", ["import", str(log), str(tmp_path / "bag")]) == 2
     assert run("rx90_bag", ["import", "--skip-corrupt", str(log), str(tmp_path / "bag")]) == 0
@@ -264,37 +274,6 @@ def test_damaged_lines_of_an_exported_file_are_left_out(tmp_path: Path, capsys: 
     write(log, "t,a,b\nx,1,2\n")
     assert run("rx90_bag", ["import", "--skip-corrupt", str(log), str(tmp_path / "none")]) == 2
     assert "every row is corrupt: 1 corrupt row, line 2 (line 2: time 'x'" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("exact", "content", "said"),
-    [
-        (False, b"1," * 600_000, "log.csv:1: more than 1048576 characters in a line; accepted: text in lines"),
-        (True, b"t,a,b\n" + bytes(2_000_000), "log.csv:2: more than 1048576 characters in a line"),
-        (False, b"\xff\xfe1", "log.csv: holds no row of numbers"),
-        (True, b"\xff\xfe", "log.csv: holds no row of numbers"),
-        (
-            True,
-            b"t,a,b\n0,1e999,2\n",
-            "log.csv: every row is corrupt: 1 corrupt row, line 2 (line 2: column 2 is '1e",
-        ),
-        (True, b"t,a,b\n0,1,2\n1,2,3_0\n", "log.csv: 1 corrupt row, line 3 (line 3: column 3 is '3_0'"),
-        (True, b"t,a,b\n1_0,1,2\n", "(line 2: time '1_0'"),
-        (True, b"t,a,b\n2147483648,1,2\n", "(line 2: time '2147483648'; accepted: 0 to 2147483648 s"),
-        (True, b"t,a,b\n0,1,\0\n", "(line 2: column 3 is '\\x00'"),
-    ],
-)
-def test_what_is_no_log_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], exact: bool, content: bytes, said: str
-) -> None:
-    """Lines without an end, torn encodings, and numbers that Python alone would take are refused; nothing is made."""
-    write(tmp_path / "m.yaml", PLAIN + "delimiter: ','\nheader: 1\nexact: true\n" * exact)
-    (tmp_path / "log.csv").write_bytes(content)
-    words = ["import", str(tmp_path / "log.csv"), str(tmp_path / "bag"), "--mapping", str(tmp_path / "m.yaml")]
-    assert run("rx90_bag", words) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert said in line
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "m.yaml"]
 
 
 def test_a_first_row_that_is_taken_for_a_header_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -94,35 +94,6 @@ def test_two_bags_are_drawn_with_their_difference(bags: dict[str, Path]) -> None
     assert not curves(moved, 1)[1].y.any()
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["first", "--topic", "joints"], "no topic /joints; JointState topics: /extra, /friction_states, /joint_st"),
-        (["first", "--joint", "elbow"], "/joint_states: no joint 'elbow'; there are joint_1, joint_2"),
-        (["first", "--output", "a.gif"], "a.gif: the suffix says what it is; accepted: .html, .png, .svg, .pdf"),
-        (["first", "--output", "mine.html"], "mine.html exists; accepted: another name, or --force"),
-        (["first", "later"], "/joint_states: no stamp is in both bags, t = 0 to 0.399 s and 1000 to 1000.399 s; accep"),
-        (["first", "second", "--align", "x"], "--align is 'x'; accepted: start, trajectory, or a time in s"),
-    ],
-)
-def test_what_cannot_be_drawn_is_one_line(
-    bags: dict[str, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    words: list[str],
-    text: str,
-) -> None:
-    """Unknown topics and joints, other suffixes, files that exist, bags of other times: 2, and what is accepted."""
-    monkeypatch.chdir(tmp_path)
-    Path("mine.html").write_text("mine")
-    assert run("rx90_bag", ["plot", *(str(bags.get(word, word)) for word in words)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert text in line
-    assert [file.name for file in tmp_path.iterdir()] == ["mine.html"]
-    assert Path("mine.html").read_text() == "mine"
-
-
 def test_one_command_makes_a_page_or_a_picture(
     bags: dict[str, Path],
     tmp_path: Path,

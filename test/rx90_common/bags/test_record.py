@@ -325,33 +325,6 @@ def test_signal_while_starting(
         assert reader.message_count == 0
 
 
-@pytest.mark.ros
-@pytest.mark.usefixtures("ros_domain")
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (["-o", "taken"], "taken exists; accepted: a new name"),
-        (["-o", "new", "joint states"], "topic 'joint states': no name that ROS accepts"),
-        (["-o", "new", "a", "/a"], "topic /a stands twice; accepted: each topic once"),
-        (["-o", "new", "a", "--ros-args", "nonsense"], "ROS arguments --ros-args nonsense: refused"),
-        (["-o", "taken/notes.txt/bag"], "taken/notes.txt/bag: cannot be written (Not a directory)"),
-    ],
-)
-def test_mistakes_leave_nothing_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: list[str],
-    complaint: str,
-) -> None:  # fmt: skip
-    """A mistake gives exit code 2 and a line with the offending value; nothing is made or overwritten."""
-    monkeypatch.chdir(tmp_path)
-    Path("taken").mkdir()
-    Path("taken/notes.txt").write_text("mine")
-    assert run("rx90_bag", ["record", *arguments]) == 2
-    out, err = capsys.readouterr()
-    assert not out
-    assert complaint in err.splitlines()[-1]
-    assert sorted(file.name for file in tmp_path.rglob("*") if "ros_log" not in file.parts) == ["notes.txt", "taken"]
-
-
 CRAMPED = """
 import resource, sys
 from rx90_emulator.cli.frame import run

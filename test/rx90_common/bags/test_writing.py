@@ -299,25 +299,3 @@ def test_a_path_beyond_that_of_a_database_is_refused(tmp_path: Path) -> None:
         BagWriter(path, "sqlite3")
     assert not path.exists()
     write_joint_states(path, [series()])
-
-
-COMMANDS = {
-    "record": ["rx90_bag", "record", "--output", "{}"],
-    "import": ["rx90_bag", "import", "none.csv", "{}"],
-    "export": ["rx90_bag", "export", "none", "--output", "{}"],
-    "run": ["rx90_run", "--start", "0.6", "-0.2", "0.2", "--end", "0.6", "0.2", "0.2", "--output", "{}"],
-    "experiment": ["rx90_experiment", "run", "--engine", "--output", "{}"],
-}
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_commands_refuse_a_name_that_is_too_long_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Whatever makes a bag or a folder says first that a name of 250 bytes is too long, and makes nothing."""
-    monkeypatch.chdir(tmp_path)
-    name, *arguments = (word.replace("{}", "x" * 250) for word in COMMANDS[command])
-    assert run(name, arguments) == 2
-    out, err = capsys.readouterr()
-    assert "its name has 250 bytes; accepted: up to 243" in err
-    assert (out, err.count("\n"), list(tmp_path.iterdir())) == ("", 1, [])
