@@ -27,7 +27,7 @@ from rx90_common.exchange.endpoints import LATCHED_QOS, TICK_QOS
 from rx90_common.exchange.topics import FREE_RUNNING, TimeMode, motor_names
 
 ROS_ARGS = ("--ros-args", "-r", "__ns:=/cell_1")
-SLOW_RATES = ("-p", "base_rate:=1000", "-p", "position_rate:=500")  # for time by the clock: fewer ticks to compute
+SLOW_RATES = ("-p", "base_rate:=1000", "-p", "position_rate:=250")  # for time by the clock: fewer ticks to compute
 QOS = ("reliability:=best_effort", "durability:=transient_local", "depth:=5")
 
 
@@ -191,7 +191,7 @@ def test_time_runs_by_the_clock_with_pauses_and_without_a_controller(processes: 
     joints = client.listen("joint_states")
     reference = client.listen("rx90_controller/reference", depth=1)
     client.spin_until(lambda: bool(reference), "the controller to hold")
-    client.send([(4.0, [0.1] * 6)])  # long enough to be paused in time on a loaded machine
+    client.send([(3.0, [0.1] * 6)])  # long enough to be paused in time on a loaded machine
     controller.wait_for("trajectory accepted")
     client.spin_until(lambda: reference[-1].position[0] > 0.03, "the motion")
     client.simulation.pause(True)
@@ -203,7 +203,7 @@ def test_time_runs_by_the_clock_with_pauses_and_without_a_controller(processes: 
     client.spin_until(lambda: list(reference[-1].position) == end, "the end of the motion")
     # Not earlier than the cubic takes from where it was: no set-point was left out.
     done = brentq(lambda share: 0.1 * share * share * (3.0 - 2.0 * share) - reached, 0.0, 1.0)
-    assert seconds(reference[-1]) > resting + 4.0 * (1.0 - done) - 0.01
+    assert seconds(reference[-1]) > resting + 3.0 * (1.0 - done) - 0.01
 
     controller.signal(signal.SIGSTOP)
     stopped = seconds(joints[-1])
