@@ -70,11 +70,12 @@ class ReferenceRun(NamedTuple):
 
 @kernel
 def _derivative(y: Array, _: float, arm: Any, body: Any, friction: Any, drive: Array) -> Array:
-    mass, bias = np.empty((6, 6)), np.empty(6)
-    q, v, z = y[:6].copy(), y[6:12].copy(), y[12:]
+    mass, bias, torque = np.empty((6, 6)), np.empty(6), np.empty(6)
+    q, v, z = y[:6], y[6:12], y[12:]
     mass_and_bias(arm[0], body[0], q, v, mass, bias)
     derivative = np.empty(19)
-    torque = drive - bias
+    for i in range(6):
+        torque[i] = drive[i] - bias[i]
     for i in range(7):
         velocity = v[i] if i < 6 else v[4] + v[5]
         e = one_element(friction[0], i)
@@ -90,8 +91,17 @@ def _derivative(y: Array, _: float, arm: Any, body: Any, friction: Any, drive: A
         else:
             torque[4] -= tau
             torque[5] -= tau
-    derivative[:6] = v
-    derivative[6:12] = np.linalg.solve(mass, torque)
+    # By elimination, without pivots: the matrix is positive definite. NumPy's solver takes numba seconds to compile.
+    for k in range(6):
+        for i in range(k + 1, 6):
+            share = mass[i, k] / mass[k, k]
+            torque[i] -= share * torque[k]
+            for j in range(k, 6):
+                mass[i, j] -= share * mass[k, j]
+    for k in range(5, -1, -1):
+        for j in range(k + 1, 6):
+            torque[k] -= mass[k, j] * derivative[6 + j]
+        derivative[k], derivative[6 + k] = v[k], torque[k] / mass[k, k]
     return derivative
 
 

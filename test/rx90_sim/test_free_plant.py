@@ -28,7 +28,7 @@ def test_smooth_torques_held_tick_by_tick(shipped: Setup, arm_oracle: Any) -> No
     for k in range(ticks):
         swing = math.sin(2 * math.pi * k / ticks)
         motor = np.linalg.solve(to_joint, gravity + share * swing)
-        state = arm_oracle.integrate(state, motor, shipped.rates.period, 1e-8)
+        state = arm_oracle.integrate(state, motor, shipped.rates.period, 1e-8, "LSODA")
         plant.step(motor)
         worst = max(worst, np.abs(plant.joint_states()[0] - state[:6]).max())
     assert np.abs(state[6:12]).max() > 0.05
