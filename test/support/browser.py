@@ -46,15 +46,12 @@ _USUAL = (
 )
 _MATRIX = "name => window.__viserMutable?.nodeRefFromName[name]?.matrixWorld.elements"
 # A sixtieth of a second after a frame the page would draw the next one, which in software takes a processor's time.
-# Here it makes five frames a second at most.
-_PACED = """window.requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 200);
-    window.cancelAnimationFrame = clearTimeout;"""
-# The first frames are drawn, which shows errors of drawing, and then one in four seconds: where things are, and the
-# plots, do not depend on it. A test that looks at the scene's pixels asks for every picture: most screenshots would
-# show an empty scene.
+# Here it makes five frames a second at most. The first ones are drawn, which shows errors of drawing, and then one in
+# four seconds: where things are, and the plots, do not depend on it, and a test
+# that looks at the scene's pixels asks for every picture: most screenshots would show an empty scene.
 _SELDOM = """let picture = 0;
-    const paced = window.requestAnimationFrame;
-    window.requestAnimationFrame = draw => paced(now => { picture++; draw(now); });
+    window.requestAnimationFrame = draw => setTimeout(() => { picture++; draw(performance.now()); }, 200);
+    window.cancelAnimationFrame = clearTimeout;
     for (const name of ['drawElements', 'drawArrays', 'drawElementsInstanced', 'drawArraysInstanced']) {
         const draw = WebGL2RenderingContext.prototype[name];
         WebGL2RenderingContext.prototype[name] = function (...rest) {
@@ -154,7 +151,8 @@ def open_page(chromium: Any) -> Iterator[Callable[..., BrowserPage]]:
     def open_(address: str, size: tuple[int, int] = _DESKTOP, *, every_picture: bool = False) -> BrowserPage:
         page = chromium.new_context(viewport={"width": size[0], "height": size[1]}).new_page()
         opened.append(page)
-        page.add_init_script(_PACED if every_picture else _PACED + _SELDOM)
+        if not every_picture:
+            page.add_init_script(_SELDOM)
         return BrowserPage(page, address)
 
     yield open_
