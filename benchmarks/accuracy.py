@@ -320,7 +320,6 @@ def main() -> int:
         {
             "integrator_tip_error_um": 1e6 * float(np.median([m.tip for m in found.counts[1]])),
             "integrator_tip_error_unrounded_um": 1e6 * found.exact[1].tip,
-            "reference_tip_spread_um": 1e6 * float(np.median([m.tip for m in found.solver_counts])),
         }
     )
     if options.plot is not None:

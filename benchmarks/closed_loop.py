@@ -312,7 +312,6 @@ def main() -> int:
             "closed_loop_us_per_tick": median["this project"] * 1e6,
             "versus_mujoco_python": ratio["MuJoCo from Python"],
             "versus_mujoco_c": ratio["MuJoCo, bare C loop"],
-            "versus_pinocchio_python": ratio["Pinocchio from Python"],
         }
     )
     return 0

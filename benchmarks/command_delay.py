@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.report import merge, print_table
+from benchmarks.report import print_table
 from rx90_common.base.arrays import Array
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
@@ -148,7 +148,6 @@ def main() -> int:
             cells.append(f"{worst[0].max() * 1e3:.2f} mrad, {share:.0%}{fault}")
         rows.append(tuple(cells))
     print_table(("ticks", "ms", "linear loop", "all commands late by as much", "as many ticks on one command"), rows)
-    merge({"delay_margin_ticks": max(d for d in range(40) if spectral_radius(loop, d) < 1.0)})
     return 0
 
 
