@@ -29,7 +29,6 @@ from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.dynamics.manipulator import mass_and_bias
 from rx90_common.friction.curves import LINEAR_SPEED
-from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
 
@@ -205,14 +204,6 @@ def check_same_arm(setup: Setup, samples: int = 50) -> None:
                     raise RuntimeError(f"the arm in {name} is another: its {what} is off by {miss:g}")
 
 
-def run_ours(work: Work) -> float:
-    """Run the whole task compiled; return s per tick."""
-    run = timed(
-        lambda: simulate(work.setup, work.points, work.start, work.duration), work.duration * work.setup.rates.base_hz
-    )
-    return run()
-
-
 def run_with_python_law(
     work: Work, setpoints: Array, position: Callable[[], Sequence[float]], step: Callable[[list[float]], None]
 ) -> float:
@@ -292,7 +283,7 @@ def measure(rounds: int = ROUNDS) -> dict[str, list[float]]:
     check_same_arm(work.setup)
     peers, pinocchio = MujocoPeers(work), PinocchioPeer(work)
     runs = {
-        "this project": lambda: run_ours(work),
+        "this project": timed(work.run, work.duration * work.setup.rates.base_hz),
         "MuJoCo from Python": peers.from_python,
         "MuJoCo, bare C loop": peers.bare,
         "Pinocchio from Python": pinocchio.from_python,

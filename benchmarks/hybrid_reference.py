@@ -24,9 +24,11 @@ from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 from rx90_common.friction.curves import LINEAR_SPEED
 from rx90_common.kernels.compiled import kernel
-from rx90_controller.lines.task import load_task
+from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import plan_line
+from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import sample_drives
@@ -37,20 +39,28 @@ _MOST_STEPS = 20_000
 
 
 class Work(NamedTuple):
-    """What all of them run: a setup and the points of the reference line."""
+    """What all of them run: a setup and the points of a line."""
 
     setup: Setup
+    task: LineTask
     points: TrajectoryPoints
     start: Array
     duration: float
 
     @classmethod
-    def load(cls) -> Work:
-        """Read the shipped files and plan the line."""
-        setup = Setup.load()
-        task = load_task()
+    def plan(cls, setup: Setup, task: LineTask) -> Work:
+        """Plan a line."""
         plan = plan_line(setup, task)
-        return cls(setup, plan.points, plan.start_pose, plan.duration)
+        return cls(setup, task, plan.points, plan.start_pose, plan.duration)
+
+    @classmethod
+    def load(cls) -> Work:
+        """Read the shipped files and plan the reference line."""
+        return cls.plan(Setup.load(), load_task())
+
+    def run(self, setup: Setup | None = None, substeps: int | None = None) -> RunResult:
+        """Run the closed loop, of this setup or another one."""
+        return simulate(setup or self.setup, self.points, self.start, self.duration, substeps=substeps)
 
     def setpoints(self, first: float, ticks: int) -> Array:
         """Return the set-points of `ticks` base ticks from time `first`, s, on, shape (m, 3, 6)."""

@@ -73,7 +73,7 @@ def cost(work: Work) -> dict[str, float]:
     """Return the time of the reference line over that of rigid gears, by case, taken in turns."""
     cases = {"rigid": work.setup, "elastic": elastic(work.setup), "elastic with play": elastic(work.setup, 1.0, 1e-4)}
     runs = {
-        name: timed(lambda one=one: simulate(one, work.points, work.start, work.duration))  # type: ignore[misc]
+        name: timed(lambda one=one: work.run(one))  # type: ignore[misc]
         for name, one in cases.items()
     }
     return ratios(in_turns(runs, ROUNDS), "rigid")
