@@ -11,9 +11,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from browser import BrowserPage
+from pinocchio_chain import tip_place
 from processes import Processes
 from short_task import SHORT_TASK
 
@@ -36,14 +36,6 @@ ARM = "/arm/" + "/".join(f"joint_{k}" for k in range(1, 7)) + "/tip"
 POSE = [0.4, -0.7, 1.9, 0.8, -0.9, 2.5]
 SIZE = (700, 400)  # a small scene, because it is drawn in software
 SETTLED = 1e-3  # m; the arm gives a little under its weight
-
-
-def tip(setup: Setup, position: list[float]) -> np.ndarray:
-    """Return where the tool centre point is, m, by Pinocchio from the URDF's text."""
-    model = pin.buildModelFromXML(setup.robot.urdf)
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, np.array(position))
-    return np.asarray(data.oMf[model.getFrameId(setup.robot.tcp_frame)].translation)
 
 
 def address(view: ChildProcess) -> str:
@@ -70,7 +62,7 @@ def test_nodes_come_go_and_come_again(shipped: Setup, processes: Processes, open
     shown.wait_until(lambda: "Waiting for a simulation: nothing on /cell_1/joint_states" in shown.text(), "the wait")
     pose = f"rx90_sim:initial_position:={POSE}"
     cell = processes.start("rx90_cell", "--ros-args", "-r", "__ns:=/cell_1", "-p", pose)
-    shown.wait_until(near(shown, tip(shipped, POSE)), "the arm in its pose")
+    shown.wait_until(near(shown, tip_place(shipped.robot, POSE)), "the arm in its pose")
     for words in ("running", "holding", "open"):
         shown.wait_until(lambda words=words: words in shown.text(), words)  # type: ignore[misc]
     cell.signal(signal.SIGINT)

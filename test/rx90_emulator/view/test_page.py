@@ -20,10 +20,10 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from browser import BrowserPage, served
 from PIL import Image
+from pinocchio_chain import tip_pose
 from processes import wait_until
 
 from rx90_common.bags.joint_series import JointSeries
@@ -62,14 +62,6 @@ def page(tmp_path: Path) -> Iterator[Page]:
     """Serve a page on any free port, which writes beneath a new folder."""
     with served(Page("test", port=0, output=tmp_path)) as page:
         yield page
-
-
-def tip(setup: Setup, position: np.ndarray) -> np.ndarray:
-    """Return the pose (4, 4) of the tool centre point by Pinocchio, from the URDF's text."""
-    model = pin.buildModelFromXML(setup.robot.urdf)
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, position)
-    return np.asarray(data.oMf[model.getFrameId(setup.robot.tcp_frame)].homogeneous)
 
 
 @dataclass
@@ -118,7 +110,7 @@ def _arms_are_drawn_where_pinocchio_says(shown: Shown) -> None:
     """The tips' poses in the browser's own scene are those of the forward kinematics, and follow them."""
 
     def at(setup: Setup, arm: ArmScene, position: np.ndarray) -> bool:
-        return bool(np.allclose(shown.browser.pose(arm.tip), tip(setup, position), atol=PIXEL))
+        return bool(np.allclose(shown.browser.pose(arm.tip), tip_pose(setup.robot, position), atol=PIXEL))
 
     for position in (np.zeros(6), POSE):
         shown.page.later(lambda position=position: [arm.show(position) for _, arm in shown.arms])  # type: ignore[misc]

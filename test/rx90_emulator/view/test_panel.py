@@ -13,9 +13,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from browser import BrowserPage, served
+from pinocchio_chain import tip_place
 from processes import Processes, running_processes, wait_until
 from rcl_interfaces.srv import GetParameters
 from ros_client import JOINTS, Client, own_node, seconds
@@ -67,19 +67,6 @@ def panel(processes: Processes, shipped: Setup, monkeypatch: pytest.MonkeyPatch,
         parts.close()
 
 
-class Tips:
-    """Where Pinocchio has the tool centre point, from the URDF's text."""
-
-    def __init__(self, setup: Setup) -> None:
-        self._model = pin.buildModelFromXML(setup.robot.urdf)
-        self._data, self._frame = self._model.createData(), self._model.getFrameId(setup.robot.tcp_frame)
-
-    def at(self, position: Any) -> np.ndarray:
-        """Return it for joint positions, rad; m, shape (3,)."""
-        pin.framesForwardKinematics(self._model, self._data, np.array(position))
-        return np.array(self._data.oMf[self._frame].translation)
-
-
 def test_what_is_done_on_the_page_happens(
     panel: Any, open_page: Open, shipped: Setup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -116,16 +103,15 @@ def _the_line_is_followed(shown: BrowserPage, page: Page, setup: Setup, sent: li
     client.spin_until(lambda: bool(heard), "the arm")
     press(shown, "Send the line")
     wait_until(lambda: bool(sent), "the line on its way")
-    kinematics = Tips(setup)
 
     def arrived() -> bool:
-        return bool(np.linalg.norm(kinematics.at(heard[-1].position) - END) < 1e-4)
+        return bool(np.linalg.norm(tip_place(setup.robot, heard[-1].position) - END) < 1e-4)
 
     client.spin_until(arrived, "the end of the line")
     client.close()
     assert {tuple(m.name) for m in heard} == {tuple(JOINTS)}
     times = np.array([seconds(m) for m in heard])
-    path = np.array([kinematics.at(m.position) for m in heard])
+    path = np.array([tip_place(setup.robot, m.position) for m in heard])
     along = (path - START) @ (END - START) / length
     beside = np.linalg.norm(path - START - along[:, None] * (END - START) / length, axis=1)
     begun = int(np.flatnonzero(along < 1e-4)[-1])
