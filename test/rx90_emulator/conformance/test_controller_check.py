@@ -115,7 +115,7 @@ def test_a_controller_that_ends_or_is_silent(
 
 def test_an_interrupted_check_leaves_no_controller(processes: Processes, tmp_path: Path) -> None:
     """Ctrl-C ends the check with 130, and the controller with it."""
-    options = ("--output", tmp_path / "out", "--case", "line")
+    options = ("--output", tmp_path / "out", "--case", "step")
     pid = tmp_path / "pid"
     program = f"import os, pathlib, time; pathlib.Path({str(pid)!r}).write_text(str(os.getpid())); time.sleep(60)"
     check = processes.start("rx90_controller_check", *options, sys.executable, "-c", program)
