@@ -69,7 +69,7 @@ def run_both_ways(
     setup: Setup,
     folder: Path,
     *,
-    around: Sequence[str] = ("/usr/bin/env",),
+    around: Sequence[str] = (),
     composed: bool = False,
     burners: int = 0,
     rests: int = 0,
@@ -78,10 +78,10 @@ def run_both_ways(
 ) -> BagComparison:
     """Run the line of a shipped robot's setup both ways and compare all that was recorded, bit by bit.
 
-    `around` is the command line before those of the simulation and the controller, `composed` puts both into one
-    process. So many `burners` take the processors while the simulation runs, which is deactivated and activated so many
-    times in between: `rests`. Then it is paced, slowly while it is to be met on its way, and the pace is changed each
-    time. `switches` of the feed-forward are on, in the setup too. `corrected`: with a correction.
+    `around` is the command line before those of the simulation and the controller, which then start cold; `composed`
+    puts both into one process. So many `burners` take the processors while the simulation runs, which is deactivated
+    and activated so many times in between: `rests`. Then it is paced, slowly while it is to be met on its way, and the
+    pace is changed each time. `switches` of the feed-forward are on, in the setup too. `corrected`: with a correction.
     """
     files = setup.files
     assert files is not None
