@@ -87,17 +87,6 @@ def test_no_sweep_beats_with_the_sampling(shipped: Setup) -> None:
         assert np.abs(parts - np.round(parts)).min() > 0.05, name
 
 
-def test_directions_of_the_wrist_tell_three_elements_apart(shipped: Setup) -> None:
-    """The rows of torque that the wrist's directions excite have full rank in the three elements 5, 6 and 5+6."""
-    inputs = np.vstack([np.eye(6), [0, 0, 0, 0, 1, 1]])
-    rows = []
-    for direction in directions(shipped.robot.joint_names, shipped.drives.turning).values():
-        signs = np.sign(inputs @ direction)
-        if not direction[:4].any():
-            rows += [inputs[[4, 5, 6], joint] * signs[[4, 5, 6]] for joint in (4, 5)]
-    assert np.linalg.matrix_rank(np.array(rows)) == 3
-
-
 def test_oscillations_are_what_they_say() -> None:
     """In the middle of an oscillation the knots' position, velocity and acceleration are those of the sine."""
     motion = Motion(np.zeros(6))

@@ -24,7 +24,6 @@ from rx90_emulator.identification.excitation.choice import (
     Scored,
     Selection,
     TimeBlocks,
-    element_groups,
     left_out,
 )
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
@@ -346,12 +345,6 @@ def test_blocks_are_long_against_the_correlation_and_hold_all_repetitions(arm: R
         assert len({*problem.run[rows], *problem.run[near]} & {0, 2}) == 1
 
 
-def test_elements_are_one_group_by_way_of_others() -> None:
-    """Of a chain of elements that share a joint each with the next, and one alone, two groups come out."""
-    acts = np.array([[1.0, 1, 0, 0, 0], [0, 1, 1, 0, 0], [0, 0, 1, 1, 0], [0, 0, 0, 0, 1]])
-    assert element_groups(acts) == [(0, 1, 2), (3,)]
-
-
 def test_a_gain_is_judged_by_paired_blocks(weighted: WeightedProblem) -> None:
     """By blocks a gain beyond its standard error is better, by runs no loss beyond it; no model is than itself."""
     plain = fit_shapes(weighted, [ElementShape(), ElementShape()])
@@ -464,14 +457,6 @@ def test_friction_that_falls_with_speed_is_said(arm: RigidArm) -> None:
     assert written == pytest.approx(estimates["tau_c_positive"].value, abs=0.01)
     assert abs(3.0 - estimates["tau_c_positive"].value) < 1.96 * estimates["tau_c_positive"].deviation
     assert "without its bound 0 it would be -0." in estimates["c2"].reason
-
-
-def test_friction_without_a_viscous_part_carries_no_warning(arm: RigidArm) -> None:
-    """Where noise alone takes c2 below its bound 0, nothing is said of friction that falls with speed."""
-    laws = (power_law(3.0, 0.0, 1.0), power_law(1.0, 0.0, 1.0))
-    found = identify_friction_parts(problem_of(arm, record(laws, 1)), (), fixed=True)
-    assert any("without its bound 0" in one.parameters["c2"].reason for one in found.elements)
-    assert found.warnings == ()
 
 
 def test_a_bristle_needs_coulomb_torque(arm: RigidArm) -> None:
