@@ -53,7 +53,7 @@ def measured(torque: np.ndarray[Any, Any], seed: int) -> np.ndarray[Any, Any]:
 
 
 def test_a_single_joint_in_bags_of_ros_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A turning joint without limits gives all nine parameters, at 250 Hz and 1 kHz and without velocities in its bags."""
+    """A turning joint without limits and without velocities, in ROS 1 bags, gives all nine parameters."""
     urdf = write_urdf(tmp_path, ["hinge"], ["0 0 1"], [4.0], "continuous")
     model = pin.buildModelFromXML(urdf.read_text(encoding="utf-8"))
     motion = Program([[1.0]], [[0.3]], SPEEDS, 250.0).motion()
