@@ -237,6 +237,13 @@ def test_sliding_friction_is_found_at_changing_speed() -> None:
     assert values == pytest.approx((2.0, 2.5, 0.1, 1.0, 0.4), rel=0.1)
 
 
+def test_maxwell_law_has_shares_that_a_friction_file_accepts() -> None:
+    """Any values of the fit give blocks whose stiffnesses and shares add up to 1."""
+    for values in ([8.0, 0.0, 0.0, 0.0, 0.0, 0.0], [8.0, -800.0, 5.0, 700.0, 0.0, 3.0]):
+        bristles = laws.MAXWELL_SLIP.element(values, SLIDING).bristles
+        assert (sum(bristles.share), sum(bristles.stiffness)) == pytest.approx((1.0, 1.0))
+
+
 def test_blocks_one_after_the_other_are_predicted_as_each_alone() -> None:
     """Of bristles with a memory nothing is carried from one block to the next."""
     blocks = _blocks(lambda number, torque: torque / (3e3 * 1.1**number))
