@@ -46,6 +46,7 @@ from rx90_emulator.identification.presliding.bristle_motion import JointGroup, K
 from rx90_emulator.identification.presliding.fit import MovedGroup, PreslidingFit
 from rx90_emulator.identification.presliding.kinds import (
     ElementKind,
+    GroupFit,
     KindTrial,
     choose_kinds,
     choose_kinds_of,
@@ -231,6 +232,15 @@ def test_deviations_of_few_motions_hold_what_they_say() -> None:
     half = stats.t.interval(0.95, 3, scale=stats.sem(values))[1]
     low, high = jackknife_estimates(whole, without, {"c0": 0.0, "c1": 0.01})["c0"].bounds
     assert (high - low) / 2.0 == pytest.approx(half, rel=1e-3)
+
+
+def test_the_reach_is_that_of_the_block_that_slips_last() -> None:
+    """A block with half of the torque and a share s of the stiffness slips after 0.5 / s of the Coulomb torque / c0."""
+    motions = [KindMotion.of(motion, np.eye(1), [ELEMENT]) for motion in micro_motions(ONE, (BLOCKS,), (1.1,), 0.0)]
+    fit = GroupFit.of([FAMILIES[2]], motions, np.array([0.9e5]))
+    numbers = fit.numbers(0)
+    slips = [numbers[f"bristles.share[{k}]"] / numbers[f"bristles.stiffness[{k}]"] for k in range(2)]
+    assert fit.reach(0) == pytest.approx(max(slips) * 25.0 / numbers["c0"], rel=1e-12)
 
 
 def test_blocks_stand_in_the_order_in_which_they_slip() -> None:

@@ -19,7 +19,7 @@ from two_joints import CURVES, NAMES, RATE, Bench
 
 import rx90_emulator as rx
 from benchmarks.excitation_runs import NOISE
-from benchmarks.load_parts import MASS, Experiment, coefficients_of, payload_of, torque_of
+from benchmarks.load_parts import MASS, coefficients_of, payload_of, torque_of
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import DONE, REFUSED, ConfigError, IdentificationError
 from rx90_common.friction.friction_file import FrictionFile
@@ -365,12 +365,6 @@ def test_two_payloads_tell_the_load_part(
     assert next(iter(found["validation"].values()))["relative"] < 0.01
     assert "load.driving" in told
     assert "load parts of joint_" in told
-
-
-def test_no_load_part_is_found_where_there_is_none(tx40: Setup) -> None:
-    """Of an arm whose friction does not depend on the load no element gets a part."""
-    arm = Experiment(tx40, [motion_of(number, 12.0, RATE) for number in (3, 4)], MASS["tx40"])
-    assert arm.outcome(3, there=False).found.kept == ()
 
 
 LOW_RATE = 50.0
