@@ -18,7 +18,7 @@ from markdown_it import MarkdownIt
 
 from friction_bench.rig.rig_file import load_rig
 from rx90_common.base.rates import Rates
-from rx90_common.base.sources import PACKAGES
+from rx90_common.base.share import PACKAGES
 from rx90_common.report.page import render_page
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -117,21 +117,6 @@ def test_a_row_names_what_is_there(row: Row) -> None:
         assert row.remark.endswith(".")
     if row.verdict != "absent":
         assert places
-
-
-def test_wrong_names_are_noticed() -> None:
-    """A name, a file, a key or a test that does not exist is not taken for one that does."""
-    for wrong in (
-        "rx90_common.friction.bristle.no_step",
-        "no_package.module",
-        "firmware/core/no.c",
-        "config/rig/gm8224.yaml: gear.teeth",
-    ):
-        with pytest.raises((LookupError, OSError, AttributeError)):
-            named(wrong)
-    assert not is_test("test/docs/test_sources.py::test_that_nobody_wrote")
-    assert not is_test("test/docs/test_sources.py::is_test")
-    assert not is_test("test/docs/test_nothing.py::test_a_row_names_what_is_there")
 
 
 def test_all_equations_and_statements_have_a_row() -> None:
