@@ -40,9 +40,9 @@ Array = np.ndarray[Any, np.dtype[np.float64]]
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     """Return two links that swing, and three runs: one, another one, and another one with more friction."""
     bench = Bench.make(tmp_path_factory.mktemp("arm"))
-    bench.bag("run", 1, seconds=12.0)
-    bench.bag("unseen", 2, seconds=12.0)
-    bench.bag("stiff", 3, 1.8, seconds=12.0)
+    bench.bag("run", 1)
+    bench.bag("unseen", 2)
+    bench.bag("stiff", 3, 1.8)
     bench.bag("later", 1, seconds=30.0, first=1600)
     bench.bag("short", 5, seconds=0.5)
     position, velocity = fourier(4, 20.0)
