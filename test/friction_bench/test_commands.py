@@ -72,7 +72,10 @@ def ramps(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_report_page_and_estimates_are_complete(ramps: Path) -> None:
-    """Page: plots of loads, overlay, comparison, sensor, the source's bands. YAML: intervals of loads and joint."""
+    """Page: plots of loads, overlay, comparison, sensor, the source's bands. YAML: intervals of loads and joint.
+
+    The bag's stamps are the firmware's 20 ms ticks, and states and commands go together.
+    """
     page = (ramps / "report.html").read_text()
     assert page.count('<figure class="plot">') == 5
     for text in ("no-load", "loaded", "multibody", "closed form", "± 10", "± 7", "± 2", "joint side"):
@@ -80,6 +83,11 @@ def test_report_page_and_estimates_are_complete(ramps: Path) -> None:
     low, high = estimates(ramps)["loaded"]["exact, by covariance"]["coulomb"]["interval_95"]
     assert low < 0.0698 < high
     assert estimates(ramps)["joint"]["joint_side"]["coulomb"]["standard_uncertainty"] > 0.0
+    states = read_joint_states(ramps / "bag", "friction_bench/joint_states")
+    commands = read_joint_states(ramps / "bag", "friction_bench/joint_commands")
+    assert states.stamp_ns.tolist() == commands.stamp_ns.tolist()
+    assert set((states.stamp_ns % 20_000_000).tolist()) == {0}
+    assert commands.effort.max() <= 0.18
 
 
 def test_friction_file_is_one_that_the_simulation_reads(ramps: Path) -> None:
@@ -96,15 +104,6 @@ def test_friction_file_is_one_that_the_simulation_reads(ramps: Path) -> None:
     assert stated["provenance"] == "assumed"
     assert {name for name, entry in entries.items() if entry["provenance"] == "identified"} == {"tau_c", "c2"}
     assert "torque noise releases the shaft" in entries["tau_s"]["reason"]
-
-
-def test_bag_holds_every_reading(ramps: Path) -> None:
-    """The bag's stamps are the firmware's 20 ms ticks, and states and commands go together."""
-    states = read_joint_states(ramps / "bag", "friction_bench/joint_states")
-    commands = read_joint_states(ramps / "bag", "friction_bench/joint_commands")
-    assert states.stamp_ns.tolist() == commands.stamp_ns.tolist()
-    assert set((states.stamp_ns % 20_000_000).tolist()) == {0}
-    assert commands.effort.max() <= 0.18
 
 
 def test_recorded_ramps_evaluate_to_the_same_whatever_the_calibration(ramps: Path, tmp_path: Path) -> None:

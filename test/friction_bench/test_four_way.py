@@ -17,7 +17,6 @@ from friction_bench.experiment.four_way import (
     block_diagram,
     compare,
     simulate_multibody,
-    smooth_friction,
 )
 from friction_bench.experiment.record import RampModel, RampRecord
 
@@ -56,18 +55,6 @@ def test_sign_block_gives_three_values_and_switches_on_with_the_first_motion() -
     assert sign[sensor.time > released + 0.02].min() > 0.98
 
 
-def test_chatter_at_rest_is_that_of_the_solvers_step() -> None:
-    """Before break-away no velocity exceeds h (m t + f_c) / J, and a quarter of the step makes a quarter of it."""
-    time = np.arange(0.0, 0.2, 1e-4)
-    largest = []
-    for step in (8e-5, 2e-5):
-        velocity = np.abs(block_diagram(NO_LOAD, 0.0, time, step).velocity)
-        bound = step * (NO_LOAD.slope * time + NO_LOAD.coulomb) / NO_LOAD.inertia
-        assert np.all(velocity <= bound)
-        largest.append(velocity.max())
-    assert largest[1] == pytest.approx(largest[0] / 4, rel=0.15)
-
-
 def test_sensor_gives_what_belongs_together() -> None:
     """Reaction torque is J q'' (equation 1); position is the integral of velocity, and its end the closed form's."""
     model = MODELS[2]
@@ -78,18 +65,6 @@ def test_sensor_gives_what_belongs_together() -> None:
     assert sensor.position[1:] == pytest.approx(integral, abs=1e-3)
     assert sensor.position[-1] == pytest.approx(model.angle(3.0), rel=2e-3)
     assert sensor.acceleration[-1] == pytest.approx(model.slope / model.viscous, rel=0.01)
-
-
-def test_smooth_friction_is_adams_step() -> None:
-    """Cubics, flat at both ends: -f_s to f_s between the transition velocities, then f_s to f_c; f_c beyond; odd."""
-    inner = CubicHermiteSpline([-STICTION, STICTION], [-0.3, 0.3], [0.0, 0.0])
-    outer = CubicHermiteSpline([STICTION, 1.5 * STICTION], [0.3, 0.2], [0.0, 0.0])
-    for share in np.linspace(-0.99, 0.99, 23):
-        assert smooth_friction(share * STICTION, 0.3, 0.2) == pytest.approx(float(inner(share * STICTION)), abs=1e-12)
-    for velocity in np.linspace(STICTION, 1.5 * STICTION, 7):
-        assert smooth_friction(float(velocity), 0.3, 0.2) == pytest.approx(float(outer(velocity)), abs=1e-12)
-        assert smooth_friction(-float(velocity), 0.3, 0.2) == pytest.approx(-float(outer(velocity)), abs=1e-12)
-    assert smooth_friction(7.0, 0.3, 0.2) == 0.2
 
 
 def test_multibody_model_creeps_as_its_friction_asks() -> None:

@@ -237,12 +237,6 @@ def test_sliding_friction_is_found_at_changing_speed() -> None:
     assert values == pytest.approx((2.0, 2.5, 0.1, 1.0, 0.4), rel=0.1)
 
 
-def test_flicker_of_a_count_is_no_motion() -> None:
-    """Counts that jump between two neighbours stand still; a motion is followed to half a count."""
-    assert np.ptp(laws.settled(np.array([3.0, 4.0, 3.0, 4.0, 3.0]))[1:]) == 0.0
-    assert laws.settled(np.arange(0.0, 9.0))[1:] == pytest.approx(np.arange(0.5, 8.5))
-
-
 def test_maxwell_law_has_shares_that_a_friction_file_accepts() -> None:
     """Any values of the fit give blocks whose stiffnesses and shares add up to 1."""
     for values in ([8.0, 0.0, 0.0, 0.0, 0.0, 0.0], [8.0, -800.0, 5.0, 700.0, 0.0, 3.0]):

@@ -91,15 +91,6 @@ def test_source_figures_come_out() -> None:
     assert (round(loaded, 3), round(fc + fv, 3), round(loaded - fc - fv, 3)) == (0.231, 0.147, 0.084)
 
 
-@pytest.mark.parametrize(("m", "a", "b", "by_source"), [(0.02, 1.0, 2.65, 0.053), (0.05, 2.5, 2.875, 0.0575)])
-def test_closed_form_has_the_asymptote_of_the_hand_calculation(m: float, a: float, b: float, by_source: float) -> None:
-    """J = 3e-3, f_v = 0.02, f_c = 0.05: a, b, the source's f_c, and m b / a - J a = 0.05 exactly."""
-    late = np.array([50.0, 60.0])
-    assert replace(MODEL, slope=m).velocity(late) == pytest.approx(a * late - b, rel=1e-9)
-    assert source_formulas(a, b, m)[0] == pytest.approx(by_source, rel=1e-12)
-    assert m * b / a - 3e-3 * a == pytest.approx(0.05, rel=1e-12)
-
-
 def test_release_is_the_solution_of_equation_3() -> None:
     """With static friction above f_c the closed form is what a solver makes of a shaft that starts at break-away."""
     model = RampModel(coulomb=0.05, viscous=8e-4, inertia=6e-5, slope=0.03, release=0.01)
@@ -304,15 +295,6 @@ def test_stribeck_velocity_between_the_grids_points_is_held(velocity: float) -> 
     assert np.abs((fit.values - [coulomb, viscous, inertia]) / errors)[:2].max() < 3.0
     assert fit.values[:2] == pytest.approx((coulomb, viscous), rel=1e-3)
     assert fit.stribeck > 0.99
-
-
-def test_an_effect_that_settles_slowly_is_kept() -> None:
-    """A LuGre joint whose static friction is 1.4 times the Coulomb friction: f_c and f_v within 1 %, J within 3 %."""
-    rig = random_rig(1, 38, "LuGre")
-    quick = QuickRig(rig, 0)
-    fit = fit_sliding([sliding_window(quick.ramp(m, 0.16, True, "x")) for _ in range(5) for m in (0.0178, 0.0446)])
-    assert np.abs(fit.values / truth_of(rig, True) - 1.0) == pytest.approx([0.0, 0.0, 0.0], abs=0.03)
-    assert fit.values[:2] == pytest.approx(truth_of(rig, True)[:2], rel=0.01)
 
 
 def test_the_commands_staircase_does_not_bend_the_asymptote(rig: Rig) -> None:

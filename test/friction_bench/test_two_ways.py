@@ -215,7 +215,10 @@ def test_a_swing_counts_as_one_run() -> None:
 
 
 def test_files_of_both_directions_come_back(asymmetric: tuple[Rig, list[RampRecord]], tmp_path: Path) -> None:
-    """Written and read again, a ramp backward and a swing are the same, told by their signs alone."""
+    """Written and read again, a ramp backward and a swing are the same, told by their signs alone.
+
+    The ADC sees sizes; a swing's measured torque follows its command through both signs within noise and a step.
+    """
     rig, records = asymmetric
     for record in (records[0], records[7], records[-1]):
         write_csv(record, tmp_path / "ramp.csv")
@@ -225,11 +228,6 @@ def test_files_of_both_directions_come_back(asymmetric: tuple[Rig, list[RampReco
             assert getattr(back, name) == pytest.approx(getattr(record, name), abs=1e-9)
     raw = [float(line.split(",")[2]) for line in (tmp_path / "ramp.csv").read_text().splitlines()[2:]]
     assert min(raw) < 0.0 < max(raw)
-
-
-def test_current_backward_is_measured_with_its_sign(asymmetric: tuple[Rig, list[RampRecord]]) -> None:
-    """The ADC sees sizes; a swing's measured torque follows its command through both signs within noise and a step."""
-    _, records = asymmetric
     swing = records[-1]
     off = swing.measured_torque[1:] - swing.torque[:-1]
     assert float(np.abs(off).mean()) < 0.003

@@ -294,7 +294,11 @@ def outcome(shipped: Setup, tmp_path_factory: pytest.TempPathFactory) -> Outcome
 
 
 def test_the_file_carries_the_kind_and_where_it_comes_from(outcome: Outcome) -> None:
-    """The kind is that of the plant, its break-away within four deviations, by the bag of micro-oscillations."""
+    """The kind is that of the plant, its break-away within four deviations, by the bag of micro-oscillations.
+
+    Joints that did not move, those of the coupled wrist as well, have LuGre's bristles and the reason. Terminal and
+    page show the decision and how sure it is; progress names joint and kind and ends complete.
+    """
     found = outcome.content["identification"]["bristles"]["joint_4"]
     assert found["decision"] == "elasto-plastic"
     assert list(found["tried"]) == [family.name for family in FAMILIES]
@@ -308,18 +312,24 @@ def test_the_file_carries_the_kind_and_where_it_comes_from(outcome: Outcome) -> 
     assert abs(error) < min(0.1, 4.0 * number["deviation"] + 0.02)
     assert outcome.content["elements"]["joint_4"]["note"].startswith("bristles: elasto-plastic, better")
     assert schema_faults("friction", outcome.file) == []
-
-
-def test_what_was_not_compared_stays_lugre_and_says_so(outcome: Outcome) -> None:
-    """Joints that did not move, those of the coupled wrist as well, have LuGre's bristles and the reason."""
     for name, reason in (("joint_1", "0 micro-oscillations; 3"), ("joint_5_6", "0 micro-oscillations; 6")):
         assert "bristles" not in outcome.content["elements"][name]
         assert outcome.content["elements"][name]["note"].startswith(f"bristles: not compared: {reason}")
         assert outcome.content["identification"]["bristles"][name]["decision"] == "not compared"
+    assert "bristles of joint_4: elasto-plastic, better than the others by" in outcome.said
+    assert "bristles of joint_5, joint_6, joint_5_6: not compared: 0 micro-oscillations; 6 or more" in outcome.said
+    assert "joint_4: elasto-plastic" in outcome.shown
+    assert "| 54/54 [" in outcome.shown  # three bags, two fits, four joints and the wrist's 27 + 9, one validation
+    text = outcome.file.with_suffix(".html").read_text(encoding="utf-8")
+    assert "Kinds of bristles" in text
+    assert "better than the others by" in text
 
 
 def test_the_plant_runs_with_the_file(outcome: Outcome, shipped: Setup) -> None:
-    """The plant that loads the file has the bristles written there, c0 near the truth, and runs a motion with them."""
+    """The plant that loads the file has the bristles written there, c0 near the truth, and runs a motion with them.
+
+    The run that was not used confirms the identification, and the file given by itself.
+    """
     element = load_friction(outcome.file, RX_WRIST.element_names(shipped.robot.joint_names)).elements[3]
     written = outcome.content["elements"]["joint_4"]["bristles"]
     assert element.bristles == ElastoPlastic(written["break_away"])
@@ -331,24 +341,9 @@ def test_the_plant_runs_with_the_file(outcome: Outcome, shipped: Setup) -> None:
     series = rx.simulate(setup, points).series["friction_states"]
     assert series.effort is not None
     assert np.isfinite(series.effort).all()
-
-
-def test_a_validation_holds_the_bristles(outcome: Outcome) -> None:
-    """The run that was not used confirms the identification, and the file given by itself."""
     assert f"validation {outcome.bags['validation']}: confirmed" in outcome.said
     words = ["--friction", str(outcome.file), "--validation", str(outcome.bags["validation"])]
     assert run("rx90_identify", words) == DONE
-
-
-def test_terminal_and_page_show_the_choice(outcome: Outcome) -> None:
-    """A table of all kinds with the decision and how sure it is; progress names joint and kind and ends complete."""
-    assert "bristles of joint_4: elasto-plastic, better than the others by" in outcome.said
-    assert "bristles of joint_5, joint_6, joint_5_6: not compared: 0 micro-oscillations; 6 or more" in outcome.said
-    assert "joint_4: elasto-plastic" in outcome.shown
-    assert "| 54/54 [" in outcome.shown  # three bags, two fits, four joints and the wrist's 27 + 9, one validation
-    text = outcome.file.with_suffix(".html").read_text(encoding="utf-8")
-    assert "Kinds of bristles" in text
-    assert "better than the others by" in text
 
 
 SLIPPING = {"kind": "maxwell_slip", "stiffness": [0.61234567, 0.38765433], "share": [0.25, 0.75], "attraction": 5000.0}

@@ -140,7 +140,7 @@ def test_experiments_run_on_the_real_nodes(
     What a bag lacks of a motion's end is recorded again. Ctrl-C in an experiment ends with 130, those before it in the
     index, and no recorder left behind. Beside the bags stands the friction of the simulation.
     """
-    cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=0.0")
+    cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=1.0")
     names, fourth = shipped.robot.joint_names, np.eye(6)[3]
     short, long = Motion(np.zeros(6)), Motion(np.zeros(6))
     short.sweep(fourth, 0.3, 0.3, 6.0)
@@ -163,7 +163,7 @@ def test_experiments_run_on_the_real_nodes(
     interrupt.start()
     assert run("rx90_experiment", ["run", "--nodes", "--output", str(folder)]) == INTERRUPTED
     interrupt.join()
-    cell.signal(signal.SIGINT)  # it would go on as fast as it can
+    cell.signal(signal.SIGINT)
     said = capsys.readouterr().err
     assert said.splitlines()[-1] == "rx90_experiment: interrupted; complete bags stay"
     again = re.findall(r"(\w+): the bag ends at [\d.]+ s, before the motion does at [\d.]+ s; again", said)

@@ -53,13 +53,13 @@ def measured(torque: np.ndarray[Any, Any], seed: int) -> np.ndarray[Any, Any]:
 
 
 def test_a_single_joint_in_bags_of_ros_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A turning joint without limits, at 1 kHz and without velocities in ROS 1 bags, gives all nine parameters."""
+    """A turning joint without limits and without velocities, in ROS 1 bags, gives all nine parameters."""
     urdf = write_urdf(tmp_path, ["hinge"], ["0 0 1"], [4.0], "continuous")
     model = pin.buildModelFromXML(urdf.read_text(encoding="utf-8"))
-    motion = Program([[1.0]], [[0.3]], SPEEDS, 1000.0).motion()
-    torque = measured(drive_torque(model, np.eye(1), [CURVE], motion, 1000.0), 1)
+    motion = Program([[1.0]], [[0.3]], SPEEDS, 250.0).motion()
+    torque = measured(drive_torque(model, np.eye(1), [CURVE], motion, 250.0), 1)
     position = np.round(motion[0] / ENCODER) * ENCODER
-    write(tmp_path / "sweeps.bag", "/hinge/state", ["hinge"], 1000.0, (position, None, torque), "ros1")
+    write(tmp_path / "sweeps.bag", "/hinge/state", ["hinge"], 250.0, (position, None, torque), "ros1")
     inertia = float(pin.crba(model, model.createData(), pin.neutral(model))[0, 0])
     x, _, u = (column[:, None] for column in micro_oscillation(inertia, CURVE, C0, C1, 1000.0))
     rows = np.round(x / ENCODER) * ENCODER, None, measured(u, 1)

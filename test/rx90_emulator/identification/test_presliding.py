@@ -60,32 +60,21 @@ def fitted(
     return identify_presliding(records, arm, elements, 0.0, sliding_covariances, setup.rates.period)
 
 
-@pytest.mark.parametrize(("noise", "seed"), [(0.0, 1), (0.5, 3)])
-def test_known_bristles_come_out(shipped: Setup, noise: float, seed: int) -> None:
+def test_known_bristles_come_out(shipped: Setup) -> None:
     """From quantised encoders and noisy torques c0 comes back within 5 % and c1 within 15 %, joints 2 to 4."""
-    setup = random_set(shipped, seed)
-    fit = fitted(setup, measured(setup, oscillated(setup, ["joint_2", "joint_3", "joint_4"]), noise, seed))
+    setup = random_set(shipped, 3)
+    fit = fitted(setup, measured(setup, oscillated(setup, ["joint_2", "joint_3", "joint_4"]), 0.5, 3))
     for outcome in outcomes(fit.estimates[1:4], setup.friction.elements[1:4]):
         assert abs(outcome.error) < {"c0": 0.05, "c1": 0.15}[outcome.parameter], outcome
 
 
-@pytest.mark.parametrize("seed", [4, 5])
-def test_bristles_of_the_wrist_separate(shipped: Setup, seed: int) -> None:
-    """The elements of joints 5, 6 and 5+6 come back apart, also where 6 and 5+6 are so weak that they break away.
-
-    Twenty times the rig's noise leaves every parameter not identifiable or within four deviations.
-    """
-    setup = random_set(shipped, seed)
-    runs = oscillated(setup, WRIST)
-    quiet, loud = (
-        outcomes(fitted(setup, measured(setup, runs, noise, seed)).estimates[4:], setup.friction.elements[4:])
-        for noise in (0.25, 20.0)
-    )
-    for outcome in quiet:
+def test_bristles_of_the_wrist_separate(shipped: Setup) -> None:
+    """The elements of joints 5, 6 and 5+6 come back apart, of which 6 and 5+6 are so weak that they break away."""
+    setup = random_set(shipped, 5)
+    fit = fitted(setup, measured(setup, oscillated(setup, WRIST), 0.25, 5))
+    for outcome in outcomes(fit.estimates[4:], setup.friction.elements[4:]):
         assert abs(outcome.error) < {"c0": 0.05, "c1": 0.15}[outcome.parameter], outcome
         assert abs(outcome.score) < 4.0, outcome
-    assert any(not outcome.identifiable for outcome in loud)
-    assert all(abs(outcome.score) < 4.0 for outcome in loud if outcome.identifiable), loud
 
 
 @pytest.fixture(scope="module")
@@ -95,18 +84,27 @@ def fourth(shipped: Setup) -> tuple[Setup, list[Any]]:
     return setup, oscillated(setup, ["joint_4"])
 
 
+def test_noise_leaves_no_parameter_falsely_sure(fourth: tuple[Setup, list[Any]]) -> None:
+    """Sixty times the rig's noise leaves c0 within four deviations, and c1 not identifiable."""
+    setup, runs = fourth
+    fit = fitted(setup, measured(setup, runs, 60.0, 5))
+    c0, c1 = outcomes(fit.estimates[FOURTH:][:1], setup.friction.elements[FOURTH:][:1])
+    assert abs(c0.score) < 4.0, c0
+    assert (c0.identifiable, c1.identifiable) == (True, False)
+
+
 def test_intervals_hold_the_truth(fourth: tuple[Setup, list[Any]]) -> None:
-    """Of 20 intervals from ten draws of the rig's noise, 16 or more hold the truth, and errors share no sign."""
+    """Of 12 intervals from six draws of the rig's noise, 10 or more hold the truth, and errors share no sign."""
     setup, runs = fourth
     found = []
-    for seed in range(10):
+    for seed in range(6):
         fit = fitted(setup, measured(setup, runs, 1.0, seed))
         found += outcomes(fit.estimates[3:4], setup.friction.elements[3:4])
     scores = np.array([outcome.score for outcome in found])
-    assert np.sum(np.abs(scores) < 1.96) >= 16, scores
+    assert np.sum(np.abs(scores) < 1.96) >= 10, scores
     for name in ("c0", "c1"):
         own = [outcome.score for outcome in found if outcome.parameter == name]
-        assert abs(np.mean(own)) < 1.2, own  # nearly four deviations of such a mean
+        assert abs(np.mean(own)) < 1.2, own
         assert np.std(own) > 0.3, own  # deviations are not too large either
 
 

@@ -88,16 +88,6 @@ def test_what_is_little_beside_the_arms_torque_is_no_alarm(arm: RigidArm) -> Non
     assert check_zeros(rubbing, arm).text == ""
 
 
-def test_a_small_error_is_told_with_its_deviation() -> None:
-    """The line names joint, size, deviation, and the given zero with the error added."""
-    none = np.zeros(2)
-    told = np.array([False, True])
-    check = ZeroCheck(("a", "b"), np.array([0.0, 0.5]), np.array([0.0, 0.1]), np.array([1.0, 0.01]), told, 0.2, 0.1)
-    assert "b by 0.1 +- 0.01 rad" in check.text
-    assert "try --zero 0 0.6; the torques do not determine the zero of a" in check.text
-    assert ZeroCheck(("a", "b"), none, none, none, told, 0.2, 0.2).text == ""
-
-
 def test_a_zero_is_doubted_only_where_the_fit_is_better() -> None:
     """Of two errors that lower what is left by 1 and by 30 % the second is said; what the first lowers alone is none.
 

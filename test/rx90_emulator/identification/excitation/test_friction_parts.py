@@ -33,7 +33,6 @@ from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedPr
 from rx90_emulator.identification.excitation.friction import (
     FrictionSelection,
     identify_friction_parts,
-    predicted_torque,
 )
 from rx90_emulator.identification.excitation.law import ElementMotion, ElementShape, Part, element_rows
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
@@ -139,15 +138,6 @@ def test_an_exponent_is_found_where_there_is_one(selection: FrictionSelection) -
     assert kept[1].by_blocks.gain > kept[1].by_blocks.gain_deviation > 0.0
     assert kept[1].by_runs is not None
     assert np.isfinite(selection.fit.value).all()
-
-
-def test_the_model_predicts_a_run_that_it_has_not_seen(arm: RigidArm, selection: FrictionSelection) -> None:
-    """The error on an unseen run is that of its noise."""
-    unseen = problem_of(arm, record(LAWS, 3))
-    run = unseen.runs[0]
-    passed = float(np.std(run.parallel(np.random.default_rng(0).normal(size=len(run.time)))))
-    error = predicted_torque(selection, unseen) - unseen.torque
-    assert np.sqrt(np.mean(error**2)) < 1.2 * NOISE * passed
 
 
 def test_a_curve_has_the_band_of_its_parameters_and_ends_with_the_data(selection: FrictionSelection) -> None:
@@ -464,14 +454,6 @@ def test_friction_that_falls_with_speed_is_said(arm: RigidArm) -> None:
     assert written == pytest.approx(estimates["tau_c_positive"].value, abs=0.01)
     assert abs(3.0 - estimates["tau_c_positive"].value) < 1.96 * estimates["tau_c_positive"].deviation
     assert "without its bound 0 it would be -0." in estimates["c2"].reason
-
-
-def test_friction_without_a_viscous_part_carries_no_warning(arm: RigidArm) -> None:
-    """Where noise alone takes c2 below its bound 0, nothing is said of friction that falls with speed."""
-    laws = (power_law(3.0, 0.0, 1.0), power_law(1.0, 0.0, 1.0))
-    found = identify_friction_parts(problem_of(arm, record(laws, 1)), (), fixed=True)
-    assert any("without its bound 0" in one.parameters["c2"].reason for one in found.elements)
-    assert found.warnings == ()
 
 
 def test_a_bristle_needs_coulomb_torque(arm: RigidArm) -> None:

@@ -93,7 +93,8 @@ def outcome(bench: Bench) -> Outcome:
 def test_values_are_those_of_the_arm(bench: Bench, outcome: Outcome) -> None:
     """Coulomb, viscous and gravity parameters lie within four deviations of the truth; friction is told to 5 %.
 
-    So do values by instrumental variables; a remark says which of both are taken.
+    So do values by instrumental variables; a remark says which of both are taken. The bar names the stages of the
+    choice of friction and ends at its last step.
     """
     found = yaml.safe_load((outcome.folder / "parameters.yaml").read_text(encoding="utf-8"))
     for name, curve in zip(NAMES, CURVES, strict=True):
@@ -110,17 +111,17 @@ def test_values_are_those_of_the_arm(bench: Bench, outcome: Outcome) -> None:
     names = found["correlation"]["names"]
     assert np.shape(found["correlation"]["matrix"]) == (len(names), len(names))
     assert [bag["use"] for bag in found["bags"]] == ["excitation", "validation", "validation"]
-
-
-def test_progress_runs_to_its_end(outcome: Outcome) -> None:
-    """The bar, which tells how long it takes, names the stages of the choice of friction and ends at its last step."""
     assert "Stribeck rise: elements without it" in outcome.error
     done, total = re.findall(r"(\d+)/(\d+) \[", outcome.error)[-1]
     assert done == total
 
 
 def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
-    """The arm's own run is confirmed at its noise, one with 1.8 times the friction is not, and the code says so."""
+    """The arm's own run is confirmed at its noise, one with 1.8 times the friction is not, and the code says so.
+
+    Of the latter the first quantity is beyond its limit, with joint, value and limit. Distance and error of the files'
+    bodies stand in the summary, in the verdict and in the parameters.
+    """
     assert outcome.code == VERDICT_NO
     assert outcome.error.splitlines()[-1] == "rx90_identify: the validation does not confirm the result"
     verdicts = re.findall(r"validation \S+/(\w+): (confirmed|NOT CONFIRMED)", outcome.said)
@@ -132,6 +133,27 @@ def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
     assert all(
         f"{one.total_share:.1%}" in outcome.said for check in (good, bad) for one in (check.torques, check.files)
     )
+    line = next(one for one in outcome.said.splitlines() if one.startswith(f"validation {bad.torques.source.path}"))
+    decided, kept = line.partition("NOT CONFIRMED: ")[2].partition("; within the limits ")[::2]
+    assert f"torque RMS of all joints {bad.torques.total_share:.2%} (limit 10%)" in decided
+    for part in decided.split("), "):
+        value, limit = (float(text) for text in re.findall(r"([\d.]+)%", part))
+        assert value > limit
+    for part in kept.split("), ") if kept else []:
+        value, limit = (float(text) for text in re.findall(r"([\d.]+)%", part))
+        assert value <= limit
+    # A verdict that the files alone decide says so.
+    alone = replace(good, files=bad.files)
+    assert not alone.passed
+    assert "NOT CONFIRMED: torque RMS of all joints by the files" in unseen_verdict(alone)
+    written = yaml.safe_load((outcome.folder / "parameters.yaml").read_text(encoding="utf-8"))["bodies"]
+    distance = f"{written['distance']:.2g} standard deviations from the base parameters"
+    assert f"bodies in the files: {distance}" in outcome.said
+    lines = [line for line in outcome.said.splitlines() if line.startswith("validation")]
+    assert len(lines) == 2
+    assert all("by the files" in line and line.endswith(f"; bodies {distance}") for line in lines)
+    assert f"{written['relative_error']:.1%} with them" in outcome.said
+    assert "warning: the bodies" not in outcome.said
 
 
 def test_a_check_of_the_written_files_gives_the_same_numbers(bench: Bench, outcome: Outcome) -> None:
@@ -154,24 +176,6 @@ def test_a_check_of_the_written_files_gives_the_same_numbers(bench: Bench, outco
     (shocked,) = rx.check_friction(file, [bench.write("shocked", motion, torque)], robot)
     np.testing.assert_allclose(shocked.rms_share, checks[0].rms_share, rtol=0.1)
     assert "1 shock of the torque left out" in shocked.notes[0]
-
-
-def test_the_verdict_names_what_decided(outcome: Outcome) -> None:
-    """Of a run that is not confirmed the first quantity is beyond its limit, with joint, value and limit."""
-    good, bad = outcome.result.validations
-    line = next(one for one in outcome.said.splitlines() if one.startswith(f"validation {bad.torques.source.path}"))
-    decided, kept = line.partition("NOT CONFIRMED: ")[2].partition("; within the limits ")[::2]
-    assert f"torque RMS of all joints {bad.torques.total_share:.2%} (limit 10%)" in decided
-    for part in decided.split("), "):
-        value, limit = (float(text) for text in re.findall(r"([\d.]+)%", part))
-        assert value > limit
-    for part in kept.split("), ") if kept else []:
-        value, limit = (float(text) for text in re.findall(r"([\d.]+)%", part))
-        assert value <= limit
-    # A verdict that the files alone decide says so.
-    alone = replace(good, files=bad.files)
-    assert not alone.passed
-    assert "NOT CONFIRMED: torque RMS of all joints by the files" in unseen_verdict(alone)
 
 
 def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Callable[[Path], None]) -> None:
@@ -217,18 +221,6 @@ def test_offsets_and_rotors_of_a_friction_file_count(bench: Bench, outcome: Outc
             shares.append(check.largest_share)
     assert shares[0] < 0.05
     assert shares[1] > 0.15
-
-
-def test_bodies_are_told_on_the_terminal(outcome: Outcome) -> None:
-    """Distance and error of the files' bodies stand in the summary, in the verdict and in the parameters."""
-    found = yaml.safe_load((outcome.folder / "parameters.yaml").read_text(encoding="utf-8"))["bodies"]
-    distance = f"{found['distance']:.2g} standard deviations from the base parameters"
-    assert f"bodies in the files: {distance}" in outcome.said
-    verdicts = [line for line in outcome.said.splitlines() if line.startswith("validation")]
-    assert verdicts
-    assert all("by the files" in line and line.endswith(f"; bodies {distance}") for line in verdicts)
-    assert f"{found['relative_error']:.1%} with them" in outcome.said
-    assert "warning: the bodies" not in outcome.said
 
 
 def test_torques_without_rotors_of_this_robot_are_refused(bench: Bench) -> None:

@@ -15,7 +15,7 @@ from benchmarks.excitation_runs import MISFIT, NOISE, Disturbances
 from benchmarks.random_arms import random_arm
 from rx90_emulator.identification.excitation import instruments
 from rx90_emulator.identification.excitation.filtering import Bandwidths
-from rx90_emulator.identification.excitation.fit import hac, outside_residuals, solve, time_blocks
+from rx90_emulator.identification.excitation.fit import hac, solve
 from rx90_emulator.identification.excitation.friction import identify_friction_parts
 from rx90_emulator.identification.excitation.instruments import check_closed_loop
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
@@ -77,17 +77,6 @@ def test_the_kernel_covariance_is_the_weighted_sum_of_autocovariances() -> None:
     assert hac(series) == pytest.approx(expected, rel=1e-9)
     with np.errstate(all="raise"):
         assert not hac([np.zeros((30, 2))]).any()
-
-
-def test_outside_residuals_are_those_of_fits_without_the_block(problem: ExcitationProblem) -> None:
-    """Each block's residuals are those of a fit to the other blocks alone, made again here."""
-    columns, block = problem.regressor, time_blocks(problem)
-    value = np.linalg.lstsq(columns, problem.torque, rcond=None)[0]
-    found = outside_residuals(columns, columns, problem.torque - columns @ value, block)
-    for number in (0, int(block.max())):
-        inside = block == number
-        other = np.linalg.lstsq(columns[~inside], problem.torque[~inside], rcond=None)[0]
-        assert found[inside] == pytest.approx(problem.torque[inside] - columns[inside] @ other, abs=1e-6)
 
 
 def test_rows_far_off_weigh_less(problem: ExcitationProblem) -> None:

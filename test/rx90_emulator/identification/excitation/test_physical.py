@@ -28,7 +28,6 @@ from rx90_emulator.identification.excitation.bodies import (
     central,
     consistent_inertias,
     inertial_parameters,
-    is_body,
 )
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.excitation.fit import solve
@@ -99,21 +98,6 @@ def assert_bodies(result: ConsistentInertias) -> None:
         assert moments[0] > 0.0
         assert moments[0] + moments[1] > moments[2]
     assert (result.rotors > 0.0).all()
-
-
-def test_pseudo_inertia_is_that_of_point_masses() -> None:
-    """Of P, the sum of m (r, 1)(r, 1)^T, come the ten parameters; fewer than four masses are no solid body."""
-    masses, places = cloud(3.0, np.array([0.1, -0.2, 0.4]), 0.1)
-    one = np.column_stack([places, np.ones(6)])
-    pseudo = (masses * one.T) @ one
-    np.testing.assert_allclose(inertial_parameters(pseudo), parameters_of(masses, places), atol=1e-14)
-    mass, center, inertia = central(pseudo)
-    about = parameters_of(masses, places - masses @ places / 3.0)[[4, 5, 7, 6, 8, 9]]
-    assert mass == pytest.approx(3.0)
-    np.testing.assert_allclose(center, masses @ places / 3.0)
-    np.testing.assert_allclose(inertia[np.triu_indices(3)], about, atol=1e-14)
-    assert is_body(pseudo)
-    assert not is_body((masses[:3] * one[:3].T) @ one[:3])
 
 
 def test_consistent_truth_is_reproduced(arm: Arm) -> None:

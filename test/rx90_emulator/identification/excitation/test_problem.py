@@ -322,6 +322,8 @@ def test_wrong_zeros_are_found(
     given = np.array([0.0, 0.25, 0.0, 0.0])  # what --zero said: the better one is this and the error
     check = check_zeros(ExcitationProblem.of(known, recorded), given)
     small = np.abs(encoder) == _SMALL
+    for error, deviation in zip(check.error[small], check.deviation[small], strict=True):
+        assert f"by {error:.4g} +- {deviation:.2g} rad" in check.text
     assert np.all(np.abs(check.error - encoder)[small] < 4.0 * check.deviation[small])
     assert np.allclose(np.angle(np.exp(1j * (check.error - encoder)))[~small], 0.0, atol=1e-9)
     assert check.deviation[~small].max() == 0.0
