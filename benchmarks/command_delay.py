@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from benchmarks.report import merge, print_table
 from rx90_common.base.arrays import Array, Record
 from rx90_common.kernels.compiled import kernel
-from rx90_controller.law.loops import position_loop, velocity_loop
+from rx90_controller.law.cs7b import position_loop, velocity_loop
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant_step import plant_step

@@ -34,8 +34,7 @@ from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort, firmware_directory
 from friction_bench.rig.rig_file import JointFriction, Rig, load_rig
 from rx90_common.base.errors import INTERRUPTED
-from rx90_common.base.share import PRESLIDING_RIG, config_path
-from rx90_common.base.sources import sources_hash, with_imports
+from rx90_common.base.share import PRESLIDING_RIG, config_path, sources_hash, with_imports
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 

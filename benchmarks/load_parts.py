@@ -25,8 +25,7 @@ import rx90_emulator as rx
 from benchmarks.report import arguments, merge
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST
-from rx90_common.description.rigid_torque import rigid_torque
-from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.arm import RigidArm, rigid_torque
 from rx90_emulator.identification.excitation.choice import select_parts
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.excitation.known_payload import LoadParts, identify_load_parts

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
-from rx90_common.dynamics.manipulator import factorise, solve
-from rx90_common.friction.curves import LINEAR_SPEED
+from rx90_common.dynamics import factorise, solve
+from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_controller.law.loops import position_loop, velocity_loop
+from rx90_controller.law.cs7b import position_loop, velocity_loop
 from rx90_sim.plant_step import plant_step
 
 Record = NDArray[Any]
@@ -257,7 +257,7 @@ def _column(columns: Array, i: int) -> Vector:
 def mass_and_bias(arm: Any, work: Any, q: Array, v: Array, mass_matrix: Array, bias: Array) -> None:
     """Write M(q), shape (6, 6), and h(q, v), shape (6,), by Newton's and Euler's equations from link to link.
 
-    The equations of rx90_common.dynamics.manipulator in the same base parameters: masses are zero, moments are not.
+    The equations of rx90_common.dynamics in the same base parameters: masses are zero, moments are not.
     """
     x, y, z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     origin = w = a = (0.0, 0.0, 0.0)

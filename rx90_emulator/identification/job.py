@@ -12,7 +12,7 @@ from typing import Any
 from tqdm import tqdm
 
 from rx90_common.base.errors import IdentificationError, check_place, check_replaced, write_error
-from rx90_common.base.sources import versions
+from rx90_common.base.share import versions
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, MODEL_FILES, RobotFiles
 from rx90_common.process.files import write_all, write_text

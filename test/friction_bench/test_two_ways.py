@@ -262,24 +262,6 @@ def test_command_reports_both_directions(tmp_path: Path, check_report: Callable[
     assert torque.min() < -0.12 < 0.12 < torque.max()
 
 
-def test_whole_loops_show_the_law_of_the_joint(tmp_path: Path, check_report: Callable[[Path], None]) -> None:
-    """`friction_presliding` on the bipolar rig runs loops through zero and finds LuGre, its stiffness and sides."""
-    out = tmp_path / "out"
-    words = ["--rig", "rig/bipolar.yaml", "--kinds", "loops", "sweep", "--blocks", "6", "--output", str(out)]
-    assert run("friction_presliding", words) == 0
-    known = yaml.safe_load((out / "estimates.yaml").read_text())
-    assert known["law"]["verdict"] == "LuGre"
-    assert known["law"]["c0_nm_per_rad"]["LuGre"] == pytest.approx(4e3, rel=0.15)
-    assert (known["sliding"]["tau_c"], known["sliding_backward"]["tau_c"]) == pytest.approx((2.0, 1.7), rel=0.02)
-    slow = [known[f"break_away{way}"][0]["torque_nm"] for way in ("", "_backward")]
-    assert slow == pytest.approx([2.2, 1.9], rel=0.02)
-    blocks = [np.loadtxt(path, delimiter=",", skiprows=2) for path in sorted(out.glob("*_loops.csv"))]
-    assert len(blocks) == 6
-    for block in blocks:
-        assert block[:, 2].min() < -0.4 * block[:, 2].max() < 0.0
-    check_report(out / "report.html")
-
-
 def test_a_firmware_of_version_1_is_named(rig: Rig) -> None:
     """The shorter greeting of the protocol's first version is understood as far as its version, and refused."""
     old = bytes.fromhex("01 01 01 f801 204e 204e a861 e5 07")

@@ -20,10 +20,9 @@ import numpy as np
 import pinocchio as pin
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import check_numbers, load_yaml, without_schema_line, yaml_text
+from rx90_common.base.config import ABOUT, check_numbers, load_yaml, without_schema_line, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import listed, plain
-from rx90_common.base.section import ABOUT
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot

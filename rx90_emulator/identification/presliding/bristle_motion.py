@@ -22,10 +22,8 @@ from scipy.optimize import OptimizeResult, least_squares
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import decay
-from rx90_common.friction.bristles.step import bristles_dtype
-from rx90_common.friction.compiled_elements import element_arrays
+from rx90_common.friction.compiled_elements import BRISTLE_STATE_DTYPE, bristles_dtype, element_arrays, follow_bristles
 from rx90_common.friction.parts.bristles import MAX_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
-from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE, follow_bristles
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMotion, band_spectrum
 from rx90_emulator.identification.records import block_means

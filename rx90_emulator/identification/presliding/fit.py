@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.curves import LINEAR_SPEED
+from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_emulator.identification.arm import JointGroup, RigidArm, joint_groups
 from rx90_emulator.identification.estimates import (
     LARGEST_DEVIATION,

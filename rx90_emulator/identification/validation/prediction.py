@@ -22,7 +22,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionElement, FrictionSet
-from rx90_common.friction.tracing import prescribed_torque
+from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record, without_shocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, Payload

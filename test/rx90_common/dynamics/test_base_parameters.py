@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rx90_common.dynamics.base_parameters import base_parameters
+from rx90_common.dynamics import base_parameters
 from rx90_emulator.loop.setup import Setup
 
 
