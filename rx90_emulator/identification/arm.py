@@ -18,11 +18,13 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
+from scipy.sparse.csgraph import connected_components
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.description.coupling import sum_name
+from rx90_common.friction import FrictionElement
 from rx90_emulator.loop.setup import Setup
 
 _MIN_MASS, _MAX_MASS = 1e-12, 1e5  # kg
@@ -337,6 +339,38 @@ def _caught_stderr(lines: list[str]) -> Iterator[None]:
             os.close(before)
             file.seek(0)
             lines += file.read().decode("utf-8", "replace").splitlines()
+
+
+@dataclass(frozen=True, eq=False)
+class JointGroup:
+    """Joints that share friction elements with each other and with no other joint.
+
+    Attributes:
+        joints: indices of the group's k joints.
+        elements: indices of their e elements.
+        inputs: velocities of these joints to input velocities of the elements, shape (e, k).
+    """
+
+    joints: tuple[int, ...]
+    elements: tuple[int, ...]
+    inputs: Array
+
+    def break_away(self, sliding: Sequence[FrictionElement]) -> Array:
+        """Return the friction torque at which each joint slides, Nm, shape (k,), by its elements' sliding regime."""
+        return np.asarray(np.abs(self.inputs).T @ np.array([one.tau_c_positive for one in sliding]))
+
+
+def joint_groups(arm: RigidArm) -> list[JointGroup]:
+    """Return the groups of an arm's joints, from base to tip."""
+    matrix = arm.element_matrix
+    shared = np.abs(matrix).T @ np.abs(matrix)
+    _, group = connected_components(shared, directed=False)
+    found = []
+    for number in dict.fromkeys(group.tolist()):
+        joints = np.flatnonzero(group == number)
+        elements = np.flatnonzero(matrix[:, joints].any(axis=1))
+        found.append(JointGroup(tuple(joints.tolist()), tuple(elements.tolist()), matrix[np.ix_(elements, joints)]))
+    return found
 
 
 def rigid_torque(

@@ -29,6 +29,7 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 
 from rx90_common.base.arrays import Array, Index
 from rx90_common.friction.held_out import HeldOutErrors
+from rx90_emulator.identification.arm import joint_groups
 from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, best_start, fit_shapes, solve
 from rx90_emulator.identification.excitation.law import (
     COULOMB,
@@ -327,7 +328,7 @@ class Selection:
         self._problem, self._fixed = problem, fixed
         more = Part.STRIBECK in parts and not fixed
         self._allowed = frozenset({*parts, Part.BRISTLE, Part.DAMPING} if more else parts)
-        self._groups = element_groups(problem.arm.element_matrix)
+        self._groups = [group.elements for group in joint_groups(problem.arm)]
         self.rows: list[ModelRow] = []
         self.refused: dict[PartKey, str] = {}
         elements = element_rows(problem)
@@ -535,14 +536,6 @@ def candidates(weighted: WeightedProblem, shape: ElementShape, element: int, par
     if Part.STRIBECK in shape.parts and not shape.rise:
         rising = candidates(weighted, shape, element, Part.STRIBECK)[1::2]
     return [replace(one, stiffness=value) for value in points for one in rising]
-
-
-def element_groups(elements: Array) -> list[tuple[int, ...]]:
-    """Return groups of elements that share joints, directly or through others, for E of shape (n_el, n)."""
-    together = (elements != 0.0) @ (elements != 0.0).T
-    for _ in range(len(together)):
-        together = together @ together
-    return sorted({tuple(np.flatnonzero(row).tolist()) for row in together})
 
 
 def _reweighted(weighted: WeightedProblem, fit: SeparableFit) -> WeightedProblem:

@@ -18,7 +18,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.sparse.csgraph import connected_components
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
@@ -26,7 +25,6 @@ from rx90_common.friction.bristle import decay
 from rx90_common.friction.compiled_elements import BRISTLE_STATE_DTYPE, bristles_dtype, element_arrays, follow_bristles
 from rx90_common.friction.parts.bristles import MAX_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
 from rx90_common.kernels.compiled import kernel
-from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMotion, band_spectrum
 from rx90_emulator.identification.records import block_means
 
@@ -380,35 +378,3 @@ class GroupModel:
 
 def _exp(logarithm: float) -> float:
     return float(np.exp(np.clip(logarithm, -20.0, 25.0)))
-
-
-@dataclass(frozen=True, eq=False)
-class JointGroup:
-    """Joints that share friction elements with each other and with no other joint.
-
-    Attributes:
-        joints: indices of the group's k joints.
-        elements: indices of their e elements.
-        inputs: velocities of these joints to input velocities of the elements, shape (e, k).
-    """
-
-    joints: tuple[int, ...]
-    elements: tuple[int, ...]
-    inputs: Array
-
-    def break_away(self, sliding: Sequence[FrictionElement]) -> Array:
-        """Return the friction torque at which each joint slides, Nm, shape (k,), by its elements' sliding regime."""
-        return np.asarray(np.abs(self.inputs).T @ np.array([one.tau_c_positive for one in sliding]))
-
-
-def joint_groups(arm: RigidArm) -> list[JointGroup]:
-    """Return the groups of an arm's joints, from base to tip."""
-    matrix = arm.element_matrix
-    shared = np.abs(matrix).T @ np.abs(matrix)
-    _, group = connected_components(shared, directed=False)
-    found = []
-    for number in dict.fromkeys(group.tolist()):
-        joints = np.flatnonzero(group == number)
-        elements = np.flatnonzero(matrix[:, joints].any(axis=1))
-        found.append(JointGroup(tuple(joints.tolist()), tuple(elements.tolist()), matrix[np.ix_(elements, joints)]))
-    return found

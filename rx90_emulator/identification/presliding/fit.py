@@ -13,7 +13,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.part import LINEAR_SPEED
-from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.arm import JointGroup, RigidArm, joint_groups
 from rx90_emulator.identification.estimates import (
     LARGEST_DEVIATION,
     PRESLIDING,
@@ -28,10 +28,8 @@ from rx90_emulator.identification.presliding.bristle_motion import (
     MAX_MOTIONS_ALONE,
     MAX_MOTIONS_OF_BAG,
     GroupModel,
-    JointGroup,
     KindFamily,
     KindMotion,
-    joint_groups,
 )
 from rx90_emulator.identification.presliding.micro_motion import (
     BLOCK,

@@ -27,7 +27,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.quoting import listed
 from rx90_common.friction.held_out import HeldOutErrors, leave_out
 from rx90_common.friction.parts.bristles import BristlesPart, MaxwellSlip
-from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.arm import RigidArm, joint_groups
 from rx90_emulator.identification.estimates import LARGEST_DEVIATION, PRESLIDING, ParameterEstimate
 from rx90_emulator.identification.presliding.bristle_motion import (
     ATTRACTION,
@@ -35,7 +35,6 @@ from rx90_emulator.identification.presliding.bristle_motion import (
     GroupModel,
     KindFamily,
     KindMotion,
-    joint_groups,
 )
 from rx90_emulator.identification.presliding.fit import PreslidingFit
 from rx90_emulator.identification.records import BagSource

@@ -34,7 +34,7 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import identify as identification
-from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.arm import JointGroup, RigidArm
 from rx90_emulator.identification.estimates import SLIDING, ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.excitation.result import simulated_elements
 from rx90_emulator.identification.experiments.plan import PlanOptions, make_plan
@@ -42,7 +42,7 @@ from rx90_emulator.identification.experiments.series import run_on_engine
 from rx90_emulator.identification.identify import identify_records
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.presliding import kinds as kinds_module
-from rx90_emulator.identification.presliding.bristle_motion import JointGroup, KindFamily, KindMotion
+from rx90_emulator.identification.presliding.bristle_motion import KindFamily, KindMotion
 from rx90_emulator.identification.presliding.fit import MovedGroup, PreslidingFit
 from rx90_emulator.identification.presliding.kinds import (
     ElementKind,

@@ -17,14 +17,13 @@ from scipy.signal import lfilter
 
 from benchmarks.random_arms import FrictionLaw
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.arm import RigidArm, joint_groups
 from rx90_emulator.identification.estimates import PARAMETERS, ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.excitation.choice import (
     PartKey,
     Scored,
     Selection,
     TimeBlocks,
-    element_groups,
     left_out,
 )
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
@@ -339,7 +338,8 @@ def test_blocks_are_long_against_the_correlation_and_hold_all_repetitions(arm: R
 def test_elements_are_one_group_by_way_of_others() -> None:
     """Of a chain of elements that share a joint each with the next, and one alone, two groups come out."""
     acts = np.array([[1.0, 1, 0, 0, 0], [0, 1, 1, 0, 0], [0, 0, 1, 1, 0], [0, 0, 0, 0, 1]])
-    assert element_groups(acts) == [(0, 1, 2), (3,)]
+    groups = joint_groups(SimpleNamespace(element_matrix=acts))
+    assert [group.elements for group in groups] == [(0, 1, 2), (3,)]
 
 
 def test_a_gain_is_judged_by_paired_blocks(weighted: WeightedProblem) -> None:
