@@ -5,7 +5,7 @@
 Random friction sets (every parameter of every element scaled by 0.5 to 1.5) with bristles of each kind in turn, the
 presliding experiments of joints 1 and 2 on the engine, torques with the friction rig's noise, and the sliding regime
 given with errors as it is identified. Wrists the same, their three elements with kinds of their own each. How far the
-numbers of bristles are off in their deviations is counted, too. Merges the figures into out/bench.json.
+numbers of bristles are off in their deviations is counted, too.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from itertools import product
 import numpy as np
 from tqdm import tqdm
 
-from benchmarks.report import arguments, merge, print_table
+from benchmarks.report import arguments, print_table
 from benchmarks.synthetic_sweeps import Noise, measured_sliding, random_bristles, recorded, run_presliding
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_emulator.identification.arm import RigidArm
@@ -91,7 +91,7 @@ def within(kind: ElementKind, true: dict[str, float]) -> list[tuple[str, bool]]:
 
 
 def main() -> int:
-    """Print the figures and merge them."""
+    """Print the figures."""
     sets = arguments(__doc__, ("sets", SETS, "random sets of joints 1 and 2")).sets
     setup = Setup.load()
     arm = RigidArm.from_setup(setup)
@@ -119,12 +119,6 @@ def main() -> int:
     print_table(
         ("number", "within two deviations"), [(name, f"{sum(good)} of {len(good)}") for name, good in held.items()]
     )
-    for where, prefix in (("joints", "bristle_kinds"), ("wrist", "wrist_kinds")):
-        of = {name: count for (there, name), count in counts.items() if there == where}
-        right = sum(count[name] for name, count in of.items())
-        told = sum(count[key] for count in of.values() for key in KINDS)
-        everything = sum(count[key] for count in of.values() for key in ANSWERS)
-        merge({f"{prefix}_right": right, f"{prefix}_wrong": told - right, f"{prefix}_all": everything})
     return 0
 
 

@@ -17,13 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.report import merge, print_table
-from rx90_common.base.arrays import Array, Record
-from rx90_common.kernels.compiled import kernel
-from rx90_controller.law.cs7b import position_loop, velocity_loop
+from benchmarks.report import print_table
+from rx90_common.base.arrays import Array
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
-from rx90_sim.plant_step import plant_step
 
 DELAYS = (0, 1, 2, 3, 4, 5, 6, 8, 10, 12, 16)
 HOME = np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
@@ -95,45 +92,6 @@ def _one_period(loop: Loop, state: Array) -> Array:
     return np.array([q, v, seen_q, seen_v, integrator, held, current, *late])
 
 
-@kernel
-def run_late(
-    plants: Record,
-    states: Record,
-    laws: Record,
-    law_states: Record,
-    setpoints: Array,
-    ages: NDArray[np.int64],
-    worst: Array,
-) -> int:
-    """Run all set-points, shape (m, 3, 6), with commands that are `ages` ticks old, shape (ticks,), each below 64.
-
-    The largest position error rad, joint torque Nm and speed rad/s are written into `worst`, shape (3, 6).
-
-    Returns:
-        The tick in which the supervision cut the power, or the state diverged; -1.
-    """
-    state, law_state, gear = states[0], law_states[0], laws[0].gear
-    ratio = len(ages) // len(setpoints)
-    sent = np.zeros((64, 6))
-    worst[:] = 0.0
-    end = -1
-    for k in range(len(ages)):
-        if k % ratio == 0:
-            row = setpoints[k // ratio]
-            if position_loop(laws, law_states, row, state.motor_position, state.motor_velocity) and end < 0:
-                end = k
-            for i in range(6):
-                worst[0, i] = max(worst[0, i], abs(row[0, i] - state.q[i]))
-        velocity_loop(laws, law_states, state.motor_velocity)
-        sent[k % 64] = law_state.command
-        if plant_step(plants, states, sent[max(k - ages[k], 0) % 64], True) >= 0:
-            return k if end < 0 else end
-        for i in range(6):
-            worst[1, i] = max(worst[1, i], abs(gear[i] * state.motor_torque[i]))
-            worst[2, i] = max(worst[2, i], abs(state.v[i]))
-    return end
-
-
 def motion(setup: Setup, seconds: int = SECONDS) -> TrajectoryPoints:
     """Return a motion there and back with up to 0.75 rad/s, a second each way."""
     rows = [HOME + (k % 2) * TURN for k in range(seconds + 1)]
@@ -143,14 +101,26 @@ def motion(setup: Setup, seconds: int = SECONDS) -> TrajectoryPoints:
 
 
 def run(setup: Setup, ages: NDArray[np.int64]) -> tuple[Array, int]:
-    """Run the motion with commands of these ages in ticks; return `worst` and the end of `run_late`."""
+    """Run the motion with commands that are `ages` ticks old, shape (ticks,).
+
+    Returns:
+        The largest position error rad and motor torque Nm of each joint, shape (2, 6), and the tick in which the
+        supervision cut the power; -1.
+    """
     plant, controller = setup.plant(), setup.cs7b()
     plant.reset(HOME)
     controller.reset(plant.motor_states()[0])
     controller.trajectory.accept(motion(setup), 0, 0)
-    rows = len(ages) // setup.rates.ratio
-    setpoints, worst = controller.trajectory.setpoints(0, rows), np.zeros((3, 6))
-    end = run_late(plant.constants, plant.state, controller.law, controller.state, setpoints, ages, worst)
+    (position, velocity, torque), joints = plant.motor_states(), plant.joint_states()[0]
+    sent, worst, end = [], np.zeros((2, 6)), -1
+    for tick, age in enumerate(ages.tolist()):
+        sent.append(controller.step(position, velocity).copy())
+        if tick % setup.rates.ratio == 0:
+            worst[0] = np.maximum(worst[0], np.abs(controller.setpoint[0] - joints))
+        if controller.fault is not None and end < 0:
+            end = tick
+        plant.step(sent[max(tick - age, 0)])
+        worst[1] = np.maximum(worst[1], np.abs(torque))
     return worst, end
 
 
@@ -168,18 +138,16 @@ def main() -> int:
     """Compute and print the table."""
     setup = Setup.load()
     loop, ticks = Loop.of(setup), SECONDS * setup.rates.base_hz
-    peak = setup.drives.gear * setup.drives.peak_torque
     rows = []
     for delay in DELAYS:
         cells = [str(delay), f"{delay * setup.rates.period * 1e3:g}", f"{spectral_radius(loop, delay):.3f}"]
         for ages in (constant(ticks, delay), in_turns(ticks, delay)):
             worst, end = run(setup, ages)
-            share = float((worst[1] / peak).max())
+            share = float((worst[1] / setup.drives.peak_torque).max())
             fault = "" if end < 0 else f", fault at {end * setup.rates.period:.2f} s"
             cells.append(f"{worst[0].max() * 1e3:.2f} mrad, {share:.0%}{fault}")
         rows.append(tuple(cells))
     print_table(("ticks", "ms", "linear loop", "all commands late by as much", "as many ticks on one command"), rows)
-    merge({"delay_margin_ticks": max(d for d in range(40) if spectral_radius(loop, d) < 1.0)})
     return 0
 
 

@@ -438,9 +438,6 @@ def main() -> int:
         draw(runs, options.plot)
     merge(
         {
-            "path_error_inverse_dynamics_mm": runs[RIGHT]["+ inverse dynamics"].path_accuracy.worst * 1e3,
-            "path_error_friction_model_mm": runs[RIGHT]["+ friction model"].path_accuracy.worst * 1e3,
-            "path_error_model_mm": runs[RIGHT][BOTH].path_accuracy.worst * 1e3,
             "path_error_model_cold_mm": runs[COLD][BOTH].path_accuracy.worst * 1e3,
             "path_error_model_cold_known_mm": runs[COLD + KNOWN][BOTH].path_accuracy.worst * 1e3,
             "path_error_model_hot_mm": runs[HOT][BOTH].path_accuracy.worst * 1e3,
@@ -450,7 +447,6 @@ def main() -> int:
                 for law, known in ((BOTH, ""), (BOTH + KNOWN, "_known"))
                 for when, row in (("first", 0), ("last", -1))
             },
-            "feed_forward_by_model_real_time": faster["both parts of the model"],
         }
     )
     return 0

@@ -119,7 +119,7 @@ def main() -> int:
     figures |= {
         f"{key}_{of}": float(value) for key, (_, row) in choices.items() for of, value in zip(columns, row, strict=True)
     }
-    merge({**figures, "torque_at_rest_range_nm": extent, "torque_at_rest_step_nm": step})
+    merge(figures)
     return 0
 
 

@@ -31,7 +31,6 @@ from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_controller.law.parameters import FeedForward
 from rx90_emulator.identification.arm import rigid_torque
-from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 
@@ -111,7 +110,7 @@ def speed(rounds: int = ROUNDS) -> dict[str, list[float]]:
         }
         ticks = work.duration * work.setup.rates.base_hz
         runs = {
-            name: timed(lambda one=one: simulate(one, work.points, work.start, work.duration), ticks)  # type: ignore[misc]
+            name: timed(lambda one=one: work.run(one), ticks)  # type: ignore[misc]
             for name, one in setups.items()
         }
         return in_turns(runs, rounds)

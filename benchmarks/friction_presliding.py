@@ -4,37 +4,30 @@
 
 For each of five kinds of joints so many rigs with friction, presliding and damping of their own are measured as
 `friction_presliding` does it, with ramps, loops, a sweep and small cycles. Prints what loops and sliding alone, the
-drift alone, and both decided, and how often that was wrong. Merges the figures into out/bench.json. The exit code is 1
-when a decision is wrong more often than is accepted.
-
-Each rig is a line of out/presliding_rigs.csv as soon as it is measured; those that stand there by the same sources are
-not measured again, so that an interrupt costs one rig.
+drift alone, and both decided, and how often that was wrong. The exit code is 1 when a decision is wrong more often than
+is accepted.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from scipy.stats import binomtest
-from tqdm import tqdm
 
-from benchmarks.report import ROOT, arguments, merge, print_table
+from benchmarks.report import arguments, in_processes, print_table
 from friction_bench.presliding import USUAL_CYCLES
 from friction_bench.presliding.job import Campaign
 from friction_bench.presliding.motions import follow
 from friction_bench.presliding.report import PreslidingResult
 from friction_bench.presliding.sliding import DriftVerdict
 from friction_bench.rig.client import RigClient
-from friction_bench.rig.emulated import EmulatedRig, VirtualPort, firmware_directory
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort, native_library
 from friction_bench.rig.rig_file import JointFriction, Rig, load_rig
-from rx90_common.base.errors import INTERRUPTED
-from rx90_common.base.share import PRESLIDING_RIG, config_path, sources_hash, with_imports
+from rx90_common.base.share import PRESLIDING_RIG, config_path
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 
@@ -44,7 +37,6 @@ ACCEPTED = 0.05
 METHODS = ("loops and sliding", "drift", "both")
 VERDICTS = ("right", "cannot tell", "wrong")
 CONFIDENCE = 0.95
-RIGS_FILE = ROOT / "out" / "presliding_rigs.csv"
 STIFF = 1e-6
 """Presliding of a joint whose loops cannot be seen, rad: a twentieth of a count. Its law is LuGre's all the same."""
 
@@ -116,42 +108,11 @@ def decided(kind: str, result: PreslidingResult) -> dict[str, str]:
     }
 
 
-class RigTable:
-    """What was decided about rigs, as lines of a CSV file; those of other sources, seeds or cycles do not count.
-
-    Args:
-        file: to which lines are added.
-        code, seed, cycles: by which rigs are measured.
-    """
-
-    COLUMNS = ("code", "seed", "cycles", "rig", "joint", *METHODS, "found")
-
-    def __init__(self, file: Path, code: str, seed: int, cycles: int) -> None:
-        self._file = file
-        self._measured_by = {"code": code, "seed": str(seed), "cycles": str(cycles)}
-        self.rows: dict[tuple[int, str], dict[str, str]] = {}
-        if file.is_file():
-            with file.open(newline="", encoding="utf-8") as stream:
-                for row in csv.DictReader(stream):
-                    if None not in row.values() and self._measured_by.items() <= row.items():
-                        self.rows[int(row["rig"]), row["joint"]] = row
-
-    def add(self, number: int, kind: str, verdicts: Mapping[str, str]) -> None:
-        """Add a rig."""
-        row = {**self._measured_by, "rig": str(number), "joint": kind, **verdicts}
-        self.rows[number, kind] = row
-        self._file.parent.mkdir(exist_ok=True)
-        with self._file.open("a", newline="", encoding="utf-8") as stream:
-            writer = csv.DictWriter(stream, self.COLUMNS)
-            if stream.tell() == 0:
-                writer.writeheader()
-            writer.writerow(row)
-
-
-def sources() -> str:
-    """Return a hash of all that a rig's verdict follows from."""
-    firmware = sorted(firmware_directory().rglob("*.[ch]"))
-    return sources_hash([*with_imports([Path(__file__)]), config_path(PRESLIDING_RIG), *firmware])
+def job(arguments: tuple[int, int, str, int]) -> dict[str, str]:
+    """Measure a rig by its seed, number and kind with so many cycles; return what was decided about it."""
+    seed, number, kind, cycles = arguments
+    result = measured(random_rig(seed, number, kind), number, cycles)
+    return {"rig": str(number), "joint": kind, **decided(kind, result)}
 
 
 def count(rows: Sequence[Mapping[str, str]]) -> dict[str, float]:
@@ -177,25 +138,9 @@ def main() -> int:
     options = arguments(
         __doc__, ("--rigs", 8, "of each kind"), ("--seed", 1, "of all rigs"), ("--cycles", USUAL_CYCLES, "small ones")
     )
-    table = RigTable(RIGS_FILE, sources(), options.seed, options.cycles)
-    wanted = [(number, kind) for number in range(options.rigs) for kind in KINDS]
-    missing = [rig for rig in wanted if rig not in table.rows]
-    interrupted = False
-    try:
-        for number, kind in tqdm(missing, initial=len(wanted) - len(missing), total=len(wanted), disable=None):
-            result = measured(random_rig(options.seed, number, kind), number, options.cycles)
-            table.add(number, kind, decided(kind, result))
-    except KeyboardInterrupt:
-        interrupted = True
-    rows = [table.rows[rig] for rig in wanted if rig in table.rows]
-    if not rows:
-        return INTERRUPTED
-    shares = count(rows)
-    if interrupted:
-        return INTERRUPTED
-    figures = {f"presliding_wrong_{method.split()[0]}": share for method, share in shares.items()}
-    merge({"presliding_rigs": len(rows), **figures})
-    return int(max(shares.values()) > ACCEPTED)
+    native_library()  # built once, before several processes want it
+    jobs = [(options.seed, number, kind, options.cycles) for number in range(options.rigs) for kind in KINDS]
+    return int(max(count(in_processes(job, jobs, "rigs")).values()) > ACCEPTED)
 
 
 if __name__ == "__main__":

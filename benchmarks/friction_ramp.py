@@ -13,8 +13,7 @@ random and spread are run without firmware and line: the same plant and the same
 costs milliseconds instead of seconds. The firmware's ramp in rig.c is written again here in three lines; a test holds
 readings against those of the rig with the real firmware.
 
-All print how often the 95 % intervals hold the truth, and merge the figures into out/bench.json. The exit code is 1
-when a figure is not what is accepted.
+All print how often the 95 % intervals hold the truth. The exit code is 1 when a figure is not what is accepted.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.report import accepted, arguments, in_processes, merge, print_table
+from benchmarks.report import accepted, arguments, in_processes, print_table
 from friction_bench.experiment.identification import IntervalEstimate, RampFriction, evaluate, identify_ramps
 from friction_bench.experiment.job import SWING_TURNS, SWINGS, plan_from, run_planned, run_ramp
 from friction_bench.experiment.record import RampRecord
@@ -372,21 +371,19 @@ def _covered(hits: list[bool]) -> tuple[float, str]:
 
 
 def measure_grid() -> list[str]:
-    """Print and merge the figures of the grid; return what is not accepted."""
+    """Print the figures of the grid; return what is not accepted."""
     cells = grid()
     native_library()  # built once, before several processes want it
     jobs = [(cell, 1000 * number + seed) for number, cell in enumerate(cells) for seed in range(SEEDS)]
     outcomes = in_processes(grid_experiment, jobs, "grid", 4)
     results = [outcomes[k : k + SEEDS] for k in range(0, len(outcomes), SEEDS)]
     print(f"{len(jobs)} experiments: {len(cells)} rigs, {SEEDS} seeds, {REPEATS} repeats at 2 slopes")
-    rows, figures, wrong = [], {}, []
+    rows, wrong = [], []
     for method, quantity in product(METHODS, QUANTITIES):
         bias = np.array([np.mean([o.errors[method, quantity] for o in cell]) for cell in results])
         share, cover = _covered([o.hits[method, quantity] for o in outcomes])
         worst = float(np.abs(bias).max())
         rows.append((f"{quantity}, {method}", f"{100 * bias.mean():+.3f} %", f"{100 * worst:.2f} %", cover))
-        figures[f"friction_{method}_{quantity}_coverage"] = share
-        figures[f"friction_{method}_{quantity}_worst_bias"] = worst
         if worst >= BIAS or not COVERAGE[0] <= share <= COVERAGE[1]:
             wrong.append(f"{quantity}, {method}")
     print_table(("estimate", "mean bias", "worst rig's bias (< 1 %)", "coverage (90 to 99 %)"), rows)
@@ -398,13 +395,12 @@ def measure_grid() -> list[str]:
         f"source's f_c = m b / a: high by J a, {100 * share_of_f_c.min():.1f} to {100 * share_of_f_c.max():.1f} % of "
         f"f_c; found {ratio.mean():.3f} of J a in the mean, at worst off by {100 * off:.2f} % of f_c (< 1 %)"
     )
-    merge({**figures, "friction_source_bias_over_J_a": float(ratio.mean())})
     return [*wrong, "the source's bias"] if off >= BIAS else wrong
 
 
 def measure_random(rigs: int, seed: int, kinds: tuple[str, ...]) -> list[str]:
-    """Print and merge the figures of rigs, so many of each kind; return what is not accepted."""
-    figures, wrong, rows = {}, [], []
+    """Print the figures of rigs, so many of each kind; return what is not accepted."""
+    wrong, rows = [], []
     for kind in kinds:
         run = two_way_experiment if kind in BOTH else random_experiment
         outcomes = in_processes(run, [(seed, number, kind) for number in range(rigs)], kind, 4)
@@ -415,22 +411,18 @@ def measure_random(rigs: int, seed: int, kinds: tuple[str, ...]) -> list[str]:
             errors = 100 * np.array([outcome.errors[name] for outcome in having])
             most = f"{np.percentile(np.abs(errors), 95):.2f} %"
             rows.append((f"{kind}: {name}", str(len(having)), f"{errors.mean():+.2f} %", most, cover))
-            if "source" not in name:
-                figures[f"friction_coverage_{kind}_{name.replace(', ', '_')}".replace("-", "_")] = share
-                if kind not in BOTH and not COVERAGE[0] <= share <= COVERAGE[1] + 0.01:
-                    wrong.append(f"{kind}: {name}")
+            if "source" not in name and kind not in BOTH and not COVERAGE[0] <= share <= COVERAGE[1] + 0.01:
+                wrong.append(f"{kind}: {name}")
         if kind in BOTH:  # too few rigs to judge each estimate
             share, cover = _covered([hit for outcome in outcomes for hit in outcome.hits.values()])
             print(f"{kind}: of all intervals {cover} hold")
             if not COVERAGE[0] <= share <= COVERAGE[1]:
                 wrong.append(f"{kind}: all")
         refusals = [outcome.refusal for outcome in outcomes if outcome.refusal]
-        figures[f"friction_refusals_{kind}".replace("-", "_")] = len(refusals)
         unused = sum(outcome.unused for outcome in outcomes)
         print(f"{kind}: {len(refusals)} of {rigs} rigs refused, {unused} ramps not used")
         print(*sorted(set(refusals)), sep="\n")
     print_table(("estimate", "rigs", "mean error", "95 % of errors below", "intervals that hold"), rows)
-    merge(figures)
     return wrong
 
 

@@ -24,9 +24,11 @@ from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_common.kernels.compiled import kernel
-from rx90_controller.lines.task import load_task
+from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import plan_line
+from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import sample_drives
@@ -37,20 +39,28 @@ _MOST_STEPS = 20_000
 
 
 class Work(NamedTuple):
-    """What all of them run: a setup and the points of the reference line."""
+    """What all of them run: a setup and the points of a line."""
 
     setup: Setup
+    task: LineTask
     points: TrajectoryPoints
     start: Array
     duration: float
 
     @classmethod
-    def load(cls) -> Work:
-        """Read the shipped files and plan the line."""
-        setup = Setup.load()
-        task = load_task()
+    def plan(cls, setup: Setup, task: LineTask) -> Work:
+        """Plan a line."""
         plan = plan_line(setup, task)
-        return cls(setup, plan.points, plan.start_pose, plan.duration)
+        return cls(setup, task, plan.points, plan.start_pose, plan.duration)
+
+    @classmethod
+    def load(cls) -> Work:
+        """Read the shipped files and plan the reference line."""
+        return cls.plan(Setup.load(), load_task())
+
+    def run(self, setup: Setup | None = None, substeps: int | None = None) -> RunResult:
+        """Run the closed loop, of this setup or another one."""
+        return simulate(setup or self.setup, self.points, self.start, self.duration, substeps=substeps)
 
     def setpoints(self, first: float, ticks: int) -> Array:
         """Return the set-points of `ticks` base ticks from time `first`, s, on, shape (m, 3, 6)."""
@@ -70,11 +80,12 @@ class ReferenceRun(NamedTuple):
 
 @kernel
 def _derivative(y: Array, _: float, arm: Any, body: Any, friction: Any, drive: Array) -> Array:
-    mass, bias = np.empty((6, 6)), np.empty(6)
-    q, v, z = y[:6].copy(), y[6:12].copy(), y[12:]
+    mass, bias, torque = np.empty((6, 6)), np.empty(6), np.empty(6)
+    q, v, z = y[:6], y[6:12], y[12:]
     mass_and_bias(arm[0], body[0], q, v, mass, bias)
     derivative = np.empty(19)
-    torque = drive - bias
+    for i in range(6):
+        torque[i] = drive[i] - bias[i]
     for i in range(7):
         velocity = v[i] if i < 6 else v[4] + v[5]
         e = one_element(friction[0], i)
@@ -90,8 +101,17 @@ def _derivative(y: Array, _: float, arm: Any, body: Any, friction: Any, drive: A
         else:
             torque[4] -= tau
             torque[5] -= tau
-    derivative[:6] = v
-    derivative[6:12] = np.linalg.solve(mass, torque)
+    # By elimination, without pivots: the matrix is positive definite. NumPy's solver takes numba seconds to compile.
+    for k in range(6):
+        for i in range(k + 1, 6):
+            share = mass[i, k] / mass[k, k]
+            torque[i] -= share * torque[k]
+            for j in range(k, 6):
+                mass[i, j] -= share * mass[k, j]
+    for k in range(5, -1, -1):
+        for j in range(k + 1, 6):
+            torque[k] -= mass[k, j] * derivative[6 + j]
+        derivative[k], derivative[6 + k] = v[k], torque[k] / mass[k, k]
     return derivative
 
 

@@ -103,7 +103,7 @@ def noisy(record: JointRecord, factor: float, rng: np.random.Generator) -> Joint
 
 
 def sliding(sets: int) -> None:
-    """Print and merge the figures of the sliding regime, those without noise and at the rig's noise."""
+    """Print the figures of the sliding regime, and merge those at the rig's noise."""
     setup = Setup.load()
     arm = RigidArm.from_setup(setup)
     plan = [one for one in make_plan(setup.robot, setup.drives) if one.kind is Kind.SLIDING]
@@ -124,16 +124,13 @@ def sliding(sets: int) -> None:
                     score = (found.value - true) / found.deviation if found.identifiable else np.nan
                     tally.add(f"{name} of {estimate.element}", error, score)
     _print("sliding parameters", {f"noise of the rig x {level:g}": tally for level, tally in tallies.items()})
-    for key, level in (("", 0.0), ("_noisy", 1.0)):
-        tally = tallies[level]
-        figures = {"coverage": tally.covered, "within_2_percent": tally.within_2_percent}
-        figures["worst_error"] = max(tally.errors)
-        merge({f"identification{key}_{name}": value for name, value in figures.items()})
-    merge({"identification_sliding_s": float(np.median(tallies[1.0].seconds))})
+    noisy_tally = tallies[1.0]
+    figures = {"coverage": noisy_tally.covered, "within_2_percent": noisy_tally.within_2_percent}
+    merge({f"identification_noisy_{name}": value for name, value in figures.items()})
 
 
 def presliding(sets: int) -> None:
-    """Print and merge the figures of the presliding regime, those at the rig's noise."""
+    """Print the figures of the presliding regime."""
     setup = Setup.load()
     arm = RigidArm.from_setup(setup)
     tallies = {(level, name): Tally() for level in LEVELS for name in ("c0", "c1")}
@@ -153,10 +150,6 @@ def presliding(sets: int) -> None:
             for name in ("c0", "c1"):
                 tallies[level, name].seconds.append(elapsed)
     _print("presliding", {f"{name}, noise of the rig x {level:g}": one for (level, name), one in tallies.items()})
-    for name in ("c0", "c1"):
-        tally = tallies[1.0, name]
-        merge({f"presliding_{name}_coverage": tally.covered, f"presliding_{name}_worst_error": max(tally.errors)})
-    merge({"presliding_fit_s": float(np.median(tallies[1.0, "c0"].seconds))})
 
 
 def _print(title: str, tallies: dict[str, Tally]) -> None:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.hybrid_reference import Work
 from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, print_times, ratios, timed
 from rx90_common.base.arrays import Array
 from rx90_common.description.kinematics import forward
@@ -24,9 +25,7 @@ from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, Curve, Dots, Level, Mark, Panel, Plot
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_controller.lines.task import LineTask, load_task
-from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.line import path_accuracy, plan_line
+from rx90_emulator.loop.line import path_accuracy
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.model import PerturbationModel, PerturbationResult, prepare_perturbation
@@ -88,33 +87,9 @@ RAMP = 0.1
 """How long a line of the validity table takes to reach its speed, s."""
 
 
-class Work(NamedTuple):
-    """A line, planned."""
-
-    setup: Setup
-    task: LineTask
-    points: TrajectoryPoints
-    start: Array
-    duration: float
-
-    @classmethod
-    def plan(cls, setup: Setup, task: LineTask) -> Work:
-        """Plan the line."""
-        plan = plan_line(setup, task)
-        return cls(setup, task, plan.points, plan.start_pose, plan.duration)
-
-    def full(self) -> RunResult:
-        """Run the full closed loop."""
-        return simulate(self.setup, self.points, self.start, self.duration)
-
-    def prepare(self, spacing: float = 0.01) -> PerturbationModel:
-        """Prepare the perturbation model."""
-        return prepare_perturbation(self.setup, self.points, self.start, self.duration, spacing=spacing)
-
-    @property
-    def window(self) -> tuple[float, float]:
-        """Return from when to when the line counts, s."""
-        return self.task.counted
+def prepare(work: Work, spacing: float = 0.01) -> PerturbationModel:
+    """Prepare the perturbation model of a line."""
+    return prepare_perturbation(work.setup, work.points, work.start, work.duration, spacing=spacing)
 
 
 def scaled(friction: FrictionSet, scale: float) -> FrictionSet:
@@ -152,15 +127,15 @@ def controllers(shipped: CS7BParameters) -> dict[str, CS7BParameters]:
 
 def speed(work: Work, rounds: int = ROUNDS) -> dict[str, list[float]]:
     """Return the times per tick and run of all rounds, s."""
-    model = work.prepare()
+    model = prepare(work)
     scales = np.linspace(0.8, 1.2, BATCH).tolist()
     frictions = [scaled(work.setup.friction, scale) for scale in scales]
     ticks = work.duration * work.setup.rates.base_hz
     runs = {
-        "full closed loop": timed(work.full, ticks),
+        "full closed loop": timed(work.run, ticks),
         "perturbation, one run": timed(lambda: model.run(frictions[:1]), ticks),
         f"perturbation, batch of {BATCH}": timed(lambda: model.run(frictions), ticks * BATCH),
-        "perturbation, preparation": timed(work.prepare, ticks),
+        "perturbation, preparation": timed(lambda: prepare(work), ticks),
     }
     return in_turns(runs, rounds)
 
@@ -179,14 +154,14 @@ class PathError(NamedTuple):
 
 def line_error(work: Work) -> tuple[PathError, Agreement]:
     """Compare both methods on a line."""
-    full, result = work.full(), work.prepare().run_one()
+    full, result = work.run(), prepare(work).run_one()
     chain, task = work.setup.robot, work.task
     ours, theirs = (
         path_accuracy(chain, task, full.times, position)
         for position in (result.joint_position(0), full.slow.joint_states[:, 0])
     )
     error = PathError((theirs.worst, ours.worst), (theirs.rms, ours.rms))
-    return error, agreement(full, result, 0, *work.window)
+    return error, agreement(full, result, 0, *work.task.counted)
 
 
 class Case(NamedTuple):
@@ -209,15 +184,13 @@ def validity(setup: Setup, task: LineTask) -> list[Case]:
     cases = []
     for line_speed in SPEEDS:
         work = Work.plan(setup, at_speed(task, line_speed))
-        model = work.prepare()
+        model = prepare(work)
         grid = [(name, c, scale) for name, c in controllers(setup.controller).items() for scale in SCALES]
         frictions = [scaled(setup.friction, scale) for *_, scale in grid]
         result = model.run(frictions, [controller for _, controller, _ in grid])
         for run, (name, controller, scale) in enumerate(grid):
-            full = work._replace(
-                setup=dataclasses.replace(setup, friction=frictions[run], controller=controller)
-            ).full()
-            compared = agreement(full, result, run, *work.window)
+            full = work.run(dataclasses.replace(setup, friction=frictions[run], controller=controller))
+            compared = agreement(full, result, run, *work.task.counted)
             cases.append(Case(name, scale, line_speed, compared, bool(result.diverged[run])))
     return cases
 
@@ -273,8 +246,8 @@ def plot(cases: list[Case], spacing: list[tuple[float, float]], file: Path) -> N
 
 def spacings(work: Work) -> list[tuple[float, float]]:
     """Return (spacing in s, largest distance of the tips in m) of one line."""
-    full = work.full()
-    return [(s, agreement(full, work.prepare(s).run_one(), 0, *work.window).difference) for s in SPACINGS]
+    full = work.run()
+    return [(s, agreement(full, prepare(work, s).run_one(), 0, *work.task.counted).difference) for s in SPACINGS]
 
 
 def main() -> int:

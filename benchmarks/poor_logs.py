@@ -6,8 +6,7 @@ Random arms of 2 and 3 joints with Coulomb and viscous friction, of which everyt
 `rx90_identify --excitation` does with a log: shocks, bandwidths, signs, fit. Three runs of 12 s at 200 Hz are recorded
 as they should be, or with jittering stamps, gaps, 25 samples per second, one run alone, one joint whose effort is noise
 alone, one whose effort is negated. Of the others' parameters 95 % intervals are counted; a negated effort has to be
-refused by the name of its joint, nothing else at all, and an unseen run has to be confirmed. Merges the figures into
-out/bench.json.
+refused by the name of its joint, nothing else at all, and an unseen run has to be confirmed.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ import numpy as np
 from benchmarks.excitation_coverage import Case
 from benchmarks.excitation_runs import NOISE, FourierMotion, measured
 from benchmarks.random_arms import FrictionLaw, SyntheticArm, random_arm
-from benchmarks.report import arguments, in_processes, merge, print_table
+from benchmarks.report import arguments, in_processes, print_table
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
@@ -120,7 +119,7 @@ def experiment(arguments: tuple[int, str]) -> Outcome:
 
 
 def main() -> int:
-    """Print and merge the figures; return 1 where intervals hold too seldom or too often, or a verdict is wrong."""
+    """Print the figures; return 1 where intervals hold too seldom or too often, or a verdict is wrong."""
     options = arguments(__doc__, ("arms", 40, "how many"), ("--first", 0, "seed of the first"))
     rows, wrong = [], []
     for condition in CONDITIONS:
@@ -128,14 +127,11 @@ def main() -> int:
         outcomes = in_processes(experiment, jobs, condition)
         held = np.array([one for outcome in outcomes for one in outcome.held])
         said = [outcome.wrong for outcome in outcomes if outcome.wrong]
-        name = f"poor_logs_{condition.replace(' ', '_')}"
-        merge({f"{name}_wrong_verdicts": float(len(said))})
         shown = ["-", "-"]
         if len(held):
             share, error = float(np.mean(held)), float(np.std(held) / np.sqrt(len(held)))
             unseen = [outcome.unseen for outcome in outcomes if np.isfinite(outcome.unseen)]
             shown = [f"{share:.1%} +- {1.96 * error:.1%} of {len(held)}", f"{np.median(unseen):.1%}" if unseen else "-"]
-            merge({f"{name}_held": share})
             if not HELD[0] <= share <= HELD[1]:
                 wrong.append(f"{condition}: intervals hold {share:.1%}")
         rows.append((condition, *shown, str(len(said))))

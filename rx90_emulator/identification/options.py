@@ -86,6 +86,9 @@ class RobotOptions:
     signals: Path | str | None = None
 
 
+DEFAULT_ROBOT = RobotOptions()
+
+
 @dataclass(frozen=True)
 class MeasuredLayout:
     """The contents of the JointState messages of a measured bag of this project's arm, n = 6 joints.

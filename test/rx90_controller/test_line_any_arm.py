@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 from grip_arm import JOINTS, POSTURE, write_urdf
 from numpy.typing import NDArray
+from pinocchio_chain import tip_pose
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BPoly
 from scipy.optimize import least_squares
@@ -49,10 +50,8 @@ def _line(robot: RobotModel, way: Array = WAY, turn: Array | None = None, **more
 
 
 def _pose(robot: RobotModel, q: Array) -> tuple[Array, Array]:
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, q)
-    frame = data.oMf[robot.model.getFrameId(robot.tcp_frame)]
-    return frame.translation.copy(), frame.rotation.copy()
+    pose = tip_pose(robot, q)
+    return pose[:3, 3], pose[:3, :3]
 
 
 def _asked(task: LineTask, times: Array) -> tuple[Array, list[Array]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 import rclpy
 import yaml
+from processes import Start
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -155,35 +155,15 @@ def listener(ros_domain: int, request: pytest.FixtureRequest) -> Iterator[Listen
     listener.close()
 
 
-@pytest.fixture
-def start_line(ros_domain: int) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Return a function that starts `rx90_line` on the reference task, cold but for tests with `warm`; it is ended."""
-    assert ros_domain
-    started: list[subprocess.Popen[str]] = []
-
-    def start(*arguments: str) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            executable("rx90_line", "--from-file", REFERENCE, *arguments),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        started.append(process)
-        return process
-
-    yield start
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
+LINE = executable("rx90_line", "--from-file", REFERENCE)
 
 
 @pytest.mark.ros
 def test_a_controller_that_comes_later_gets_the_whole_trajectory(
-    shipped: Setup, listener: Listener, start_line: Callable[..., subprocess.Popen[str]]
+    shipped: Setup, listener: Listener, start_apart: Start
 ) -> None:
     """The tool announces its wait once, sends when the controller is there, and ends after it has it."""
-    process = start_line("--start-time", "12.5", "--timeout", str(PATIENCE))
+    process = start_apart(*LINE, "--start-time", "12.5", "--timeout", str(PATIENCE))
     assert process.stdout is not None
     for line in process.stdout:
         if line.startswith("waiting for a controller on /rx90_controller/joint_trajectory"):
@@ -209,7 +189,7 @@ def test_a_controller_that_comes_later_gets_the_whole_trajectory(
 @pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize("listener", ["/cell"], indirect=True)
 def test_approach_comes_first_where_the_arm_stands_elsewhere(
-    shipped: Setup, listener: Listener, start_line: Callable[..., subprocess.Popen[str]]
+    shipped: Setup, listener: Listener, start_apart: Start
 ) -> None:
     """From another pose the first point, the start of the line, comes after the time a joint move takes.
 
@@ -219,7 +199,7 @@ def test_approach_comes_first_where_the_arm_stands_elsewhere(
     here = plan.start_pose + np.array([0.1, -0.2, 0.3, 0.0, 0.1, -0.4])
     listener.tell(shipped.robot.joint_names, here)
     listener.listen()
-    process = start_line("--approach", "--node", "/cell/rx90_controller", "--timeout", str(PATIENCE))
+    process = start_apart(*LINE, "--approach", "--node", "/cell/rx90_controller", "--timeout", str(PATIENCE))
     out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0, err
     assert "approach: " in out
@@ -243,9 +223,9 @@ def test_without_approach_an_arm_elsewhere_is_refused(shipped: Setup) -> None:
 
 @pytest.mark.ros
 @pytest.mark.usefixtures("warm")
-def test_no_controller_within_the_timeout(start_line: Callable[..., subprocess.Popen[str]]) -> None:
+def test_no_controller_within_the_timeout(ros_domain: int, start_apart: Start) -> None:  # noqa: ARG001 - of its own
     """Without a controller the tool gives up with one line and status 3."""
-    process = start_line("--start-time", "1", "--timeout", "1")
+    process = start_apart(*LINE, "--start-time", "1", "--timeout", "1")
     _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 3
     assert err == "rx90_line: found no controller on /rx90_controller/joint_trajectory within 1 s\n"

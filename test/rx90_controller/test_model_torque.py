@@ -121,7 +121,7 @@ def test_the_friction_that_is_fed_forward_is_the_one_met_half_a_period_later(shi
         lambda t, z: oracle.rates(z, velocity(t))[0],
         (begin, times[-1] + late + period),
         np.zeros(7),
-        "Radau",
+        "LSODA",
         dense_output=True,
         rtol=1e-6,
         atol=1e-11,

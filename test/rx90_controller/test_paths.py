@@ -15,6 +15,7 @@ from grip_arm import JOINTS, POSTURE, write_urdf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from pinocchio_chain import tip_pose
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
@@ -198,12 +199,8 @@ def test_speed_is_lowered_where_joints_ask_for_it_and_said(shipped: Setup, seam:
 
 def _tips(setup: Setup, q: Array) -> tuple[Array, Array]:
     """Return tips and rotations by Pinocchio."""
-    model, frame = setup.robot.model, setup.robot.model.getFrameId(setup.robot.tcp_frame)
-    data, found = model.createData(), []
-    for row in q:
-        pin.framesForwardKinematics(model, data, row)
-        found.append((data.oMf[frame].translation.copy(), data.oMf[frame].rotation.copy()))
-    return tuple(np.array(each) for each in zip(*found, strict=True))  # type: ignore[return-value]
+    poses = np.array([tip_pose(setup.robot, row) for row in q])
+    return poses[:, :3, 3], poses[:, :3, :3]
 
 
 def test_the_engine_follows_a_circle(shipped: Setup, circle: Path) -> None:
@@ -248,9 +245,8 @@ def test_arms_of_five_and_seven_joints_travel_arcs(tmp_path: File, joints: int) 
     """By Pinocchio their tool stays on the circle; of seven joints it keeps its orientation, of five its axis."""
     robot: RobotModel = robot_of_urdf(write_urdf(tmp_path, joints), JOINTS[:joints])
     posture = np.array(POSTURE[:joints])
-    data, frame = robot.model.createData(), robot.model.getFrameId(robot.tcp_frame)
-    pin.framesForwardKinematics(robot.model, data, posture)
-    place, turn = data.oMf[frame].translation.copy(), data.oMf[frame].rotation.copy()
+    begin = tip_pose(robot, posture)
+    place, turn = begin[:3, 3], begin[:3, :3]
     center = place + np.array([0.0, 0.04, 0.0])
     path = Path(
         tuple(place), (Segment((tuple(place),), "arc", center=tuple(center)),), 0.1, 1.0, 10.0,
@@ -258,10 +254,10 @@ def test_arms_of_five_and_seven_joints_travel_arcs(tmp_path: File, joints: int) 
     )  # fmt: skip
     plan = plan_line(robot, path)
     for q in plan.setpoints(np.linspace(0.5, plan.duration - 0.5, 200))[:, 0]:
-        pin.framesForwardKinematics(robot.model, data, q)
-        off = data.oMf[frame].translation - center
+        pose = tip_pose(robot, q)
+        off = pose[:3, 3] - center
         assert max(abs(np.linalg.norm(off) - 0.04), abs(off[2])) < 2e-7
-        here = data.oMf[frame].rotation
+        here = pose[:3, :3]
         assert np.linalg.norm(here[:, 2] - turn[:, 2] if joints == 5 else pin.log3(here.T @ turn)) < 1e-6
 
 

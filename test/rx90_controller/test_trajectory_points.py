@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.interpolate import BPoly, CubicHermiteSpline, PPoly
+from scipy.interpolate import BPoly, CubicHermiteSpline
 
 from rx90_common.base.errors import ExchangeError, Rx90Error, TrajectoryError
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
@@ -166,23 +166,6 @@ def test_accelerations_make_it_quintic() -> None:
     for order in range(3):
         want = spline(INSIDE, order)
         assert got[:, order] == pytest.approx(want, abs=1e-10 * np.abs(want).max())
-
-
-def test_bounds_are_the_control_points() -> None:
-    """Positions, velocities and accelerations lie between the least and the most of SciPy's Bernstein coefficients."""
-    spline = interpolate(TIMES, POSITION, VELOCITY, ACCELERATION)
-    low, high = spline.bounds()
-    curve = PPoly(np.moveaxis(spline.coefficients[:, ::-1], 1, 0), TIMES)
-    for row in range(3):
-        control = BPoly.from_power_basis(curve.derivative(row) if row else curve).c
-        scale = np.abs(control).max()
-        assert low[row] == pytest.approx(control.min(axis=(0, 1)), abs=1e-11 * scale)
-        assert high[row] == pytest.approx(control.max(axis=(0, 1)), abs=1e-11 * scale)
-    spline.coefficients[2, 3, 4] = np.nan
-    low, high = spline.bounds()
-    assert np.all(low[:, 4] == -np.inf)
-    assert np.all(high[:, 4] == np.inf)
-    assert np.isfinite(low[:, :4]).all()
 
 
 MOST = np.array([8.0, 10.0, 12.0, 8.0, 20.0, 30.0])

@@ -18,11 +18,8 @@ import numpy as np
 import pytest
 
 import rx90_emulator as rx
-from rx90_common.base.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs/tutorials/python.md"
-EXAMPLES = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 LIGHT = "numpy scipy numba pinocchio rclpy rosbags matplotlib pyarrow yaml tqdm jinja2 serial"
 
 
@@ -88,22 +85,6 @@ def test_every_name_explains_itself() -> None:
         _ = rx.load_setups  # type: ignore[attr-defined]
 
 
-def test_the_first_example_is_short_and_shows_an_effect() -> None:
-    """Changing tau_s, running the line, plotting the path error: under 15 lines, and the plotted errors differ."""
-    import matplotlib.pyplot as plt
-
-    lines = [line for line in EXAMPLES[0].splitlines() if line.strip()]
-    assert len(lines) < 15
-    plt.switch_backend("Agg")
-    plt.figure()
-    exec("\n".join(line for line in lines if "savefig" not in line), {})
-    errors = [np.asarray(line.get_ydata()) for line in plt.gca().get_lines()]
-    assert len(errors) == 3
-    assert errors[0].max() < errors[1].max() < errors[2].max() < 1.0
-    assert plt.gca().get_ylabel() == "path error [mm]"
-    plt.close("all")
-
-
 def test_parameters_are_listed_with_their_units_and_can_be_set_back() -> None:
     """Every listed path can be set, and setting all of them to what they are changes no number of plant and law."""
     setup = rx.load_setup()
@@ -115,28 +96,6 @@ def test_parameters_are_listed_with_their_units_and_can_be_set_back() -> None:
     again = rx.with_parameters(setup, {path: value for path, (value, _) in listed.items()})
     assert again.plant().constants.tobytes() == setup.plant().constants.tobytes()
     assert again.cs7b().law.tobytes() == setup.cs7b().law.tobytes()
-
-
-@pytest.mark.parametrize(
-    ("path", "value", "said"),
-    [
-        ("friction.joint_2.tau_x", 1.0, "'tau_x' is unknown; accepted there: alpha, c0"),
-        ("controller.feed_forward.coulomb", 0.5, "'controller.feed_forward.coulomb': a value is 0.5; accepted: true"),
-        ("friction.joint_2.c0", True, "a value is True; accepted: numbers"),
-        ("friction.joint_2.c0", "stiff", "a value is stiff; accepted: numbers"),
-    ],
-)
-def test_parameters_that_are_none_are_refused(shipped: rx.Setup, path: str, value: float, said: str) -> None:
-    """A path that names nothing of a setup, or a value it cannot have, is refused in one line; the setup stays.
-
-    Of a path with a star and one of its places, the one that is given later decides.
-    """
-    with pytest.raises(ConfigError, match=re.escape(said)) as caught:
-        rx.with_parameters(shipped, {path: value})
-    assert "\n" not in str(caught.value)
-    setup = rx.with_parameters(shipped, {"friction.*.c0": 1e5, "friction.joint_2.c0": 2e5})
-    assert [element.c0 for element in setup.friction.elements] == [1e5, 2e5, 1e5, 1e5, 1e5, 1e5, 1e5]
-    assert shipped.friction["joint_2"].c0 not in (1e5, 2e5)
 
 
 def test_a_run_and_its_bag_give_the_same_series(shipped: rx.Setup, task: rx.LineTask, tmp_path: Path) -> None:

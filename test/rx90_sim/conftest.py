@@ -67,7 +67,9 @@ class ArmOracle:
         """Return joint torques by the principle of virtual work."""
         return np.asarray(self.turns.T @ (self.setup.drives.gear * np.asarray(motor, float)))
 
-    def integrate(self, state: Array, motor: ArrayLike, duration: float, tolerance: float = 1e-11) -> Array:
+    def integrate(
+        self, state: Array, motor: ArrayLike, duration: float, tolerance: float, method: str = "Radau"
+    ) -> Array:
         """Return (q, v, z), shape (2 n + e,), after `duration` seconds of constant motor torques."""
         lugre = LuGreOracle(self.setup.friction.elements)
         drive, n = self.joint_torque(motor), len(self.turns)
@@ -78,7 +80,7 @@ class ArmOracle:
             mass, bias = self.mass_and_bias(q, v)
             return np.concatenate([v, np.linalg.solve(mass, drive - bias - self.inputs.T @ friction), z_dot])
 
-        result = solve_ivp(rhs, (0.0, duration), state, "Radau", rtol=tolerance, atol=tolerance * 1e-2)
+        result = solve_ivp(rhs, (0.0, duration), state, method, rtol=tolerance, atol=tolerance * 1e-2)
         assert result.success
         return np.asarray(result.y[:, -1])
 

@@ -46,16 +46,16 @@ _USUAL = (
 )
 _MATRIX = "name => window.__viserMutable?.nodeRefFromName[name]?.matrixWorld.elements"
 # A sixtieth of a second after a frame the page would draw the next one, which in software takes a processor's time.
-# Here it makes ten frames a second at most. The first ones are drawn, which shows errors of drawing, and then one in
-# two seconds: where things are, and the plots, do not depend on it, and a test
+# Here it makes five frames a second at most. The first ones are drawn, which shows errors of drawing, and then one in
+# four seconds: where things are, and the plots, do not depend on it, and a test
 # that looks at the scene's pixels asks for every picture: most screenshots would show an empty scene.
 _SELDOM = """let picture = 0;
-    window.requestAnimationFrame = draw => setTimeout(() => { picture++; draw(performance.now()); }, 100);
+    window.requestAnimationFrame = draw => setTimeout(() => { picture++; draw(performance.now()); }, 200);
     window.cancelAnimationFrame = clearTimeout;
     for (const name of ['drawElements', 'drawArrays', 'drawElementsInstanced', 'drawArraysInstanced']) {
         const draw = WebGL2RenderingContext.prototype[name];
         WebGL2RenderingContext.prototype[name] = function (...rest) {
-            if (picture < 12 || picture % 20 === 0) draw.apply(this, rest);
+            if (picture < 6 || picture % 20 === 0) draw.apply(this, rest);
         };
     }"""
 _SHOWN = "() => Boolean(window.__viserMutable?.scene) && !document.body.innerText.includes('Connecting')"

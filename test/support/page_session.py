@@ -17,6 +17,7 @@ import contextlib
 import doctest
 import io
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -156,6 +157,8 @@ class PageSession:
     def _words(self, line: str) -> list[str]:
         """Return the command line to start for one of the page's, which bash reads as the reader's shell does."""
         first = line.split(maxsplit=1)[0]
+        if first == "python":
+            return [sys.executable, *shlex.split(line)[1:]]
         if first not in EXECUTABLES and first != "ros2":
             folder = Path(sys.executable).parent
             return ["/bin/bash", "-c", f"PATH={folder}:$PATH; {line}"]

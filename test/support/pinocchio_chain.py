@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from rx90_common.base.arrays import Array
 from rx90_common.description.chain import RigidChain
+from rx90_common.description.robot import RobotModel
 
 
 def pinocchio_chain(model: Any, tcp_frame: str) -> RigidChain:
@@ -34,3 +37,21 @@ def pinocchio_chain(model: Any, tcp_frame: str) -> RigidChain:
         tcp_position=np.array(tcp.translation - position[-1]),
         tcp_rotation=np.ascontiguousarray(tcp.rotation),
     )
+
+
+@lru_cache
+def _model(urdf: str) -> tuple[Any, Any]:
+    model = pin.buildModelFromXML(urdf)
+    return model, model.createData()
+
+
+def tip_pose(robot: RobotModel, position: Any) -> Array:
+    """Return the pose (4, 4) of the tool centre point for joint positions, rad, from the URDF's text."""
+    model, data = _model(robot.urdf)
+    pin.framesForwardKinematics(model, data, np.asarray(position, dtype=float))
+    return np.array(data.oMf[model.getFrameId(robot.tcp_frame)].homogeneous)
+
+
+def tip_place(robot: RobotModel, position: Any) -> Array:
+    """Return where the tool centre point is for joint positions, rad: m, shape (3,)."""
+    return tip_pose(robot, position)[:3, 3]

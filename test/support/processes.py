@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from warm_start import WarmPopen
@@ -186,3 +187,26 @@ def processes(ros_domain: int, warm: None) -> Iterator[Processes]:  # noqa: ARG0
     """Give a Processes on a free domain; afterwards end every process, and fail if one ignored Ctrl-C."""
     with running_processes() as started:
         yield started
+
+
+Start = Callable[..., "subprocess.Popen[str]"]
+
+
+@pytest.fixture
+def start_apart() -> Iterator[Start]:
+    """Return a function that starts a command line in a session of its own, with stdout and stderr apart.
+
+    It starts cold, but for tests with `warm`. What is left of its session is killed.
+    """
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*words: str, **options: Any) -> subprocess.Popen[str]:
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        started.append(subprocess.Popen(words, text=True, start_new_session=True, **pipes, **options))
+        return started[-1]
+
+    yield start
+    for process in started:
+        with contextlib.suppress(ProcessLookupError):  # nothing of its session is left
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate(timeout=TIMEOUT)

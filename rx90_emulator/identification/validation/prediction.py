@@ -171,7 +171,7 @@ def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Ban
     """
     if chosen is None:
         return Bandwidths.of([record])
-    highest = _MAX_BANDWIDTH_OVER_RATE / float(np.median(np.diff(record.time)))
+    highest = _MAX_BANDWIDTH_OVER_RATE / record.period
     if chosen.position <= highest:
         return chosen
     reason = f"{chosen.reason}; no more than {_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"

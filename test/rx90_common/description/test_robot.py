@@ -16,13 +16,6 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
 
 
-def test_constants_are_arrays_that_compiled_code_takes(shipped: Setup) -> None:
-    """Every array of the chain is C-contiguous float64 of the documented shape."""
-    shapes = [(6, 3), (6, 3), (6,), (6, 3), (6, 6), (3,), (3,), (3, 3)]
-    assert [array.shape for array in shipped.robot.chain] == shapes
-    assert all(array.dtype == np.float64 and array.flags.c_contiguous for array in shipped.robot.chain)
-
-
 def test_masses_with_and_without_tool(shipped_files: RobotFiles) -> None:
     """The arm weighs 111 kg; the tool adds 3.5 kg to the last link and moves its centre of mass."""
     bare, tooled = load_robot(shipped_files.urdf), load_robot(shipped_files.urdf, shipped_files.tool)

@@ -6,15 +6,13 @@ import dataclasses
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from rx90_common.description.robot import load_robot
-from rx90_common.dynamics import body_dtype, factorise, inverse_dynamics, manipulator_record, mass_and_bias, solve
+from rx90_common.dynamics import body_dtype, inverse_dynamics, manipulator_record, mass_and_bias
 from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.setup import Setup
 
@@ -35,13 +33,6 @@ def inverse(setup: Setup, q: Array, v: Array, a: Array) -> Array:
     arm = manipulator_record(setup.robot.chain, setup.drives)
     inverse_dynamics(arm[0], body[0], q, v, a, torque)
     return torque
-
-
-@numba.njit
-def factorise_and_solve(mass: Array, work: Any, x: Array) -> None:
-    """Write the factor of a matrix, and the solution for what x holds."""
-    factorise(mass, work[0].factor)
-    solve(work[0].factor, x)
 
 
 def worst(setup: Setup, rng: np.random.Generator, states: int) -> float:
@@ -94,25 +85,3 @@ def test_gravity_check_values_of_the_parameter_set(shipped: Setup) -> None:
     # Gravity pulls the arm down, to larger q2; holding it takes a negative torque.
     assert gravity[1] < 0
     assert gravity[0] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_rotor_6_appears_in_four_entries(shipped: Setup) -> None:
-    """Rotor inertia 6 adds to M55, M56, M65 and M66 and to nothing else."""
-    heavier = shipped.drives.rotor_inertia + np.array([0, 0, 0, 0, 0, 0.7])
-    setup = dataclasses.replace(shipped, drives=dataclasses.replace(shipped.drives, rotor_inertia=heavier))
-    q = np.array([0.1, 0.5, 1.2, -0.3, 0.9, 0.4])
-    added = compiled(setup, q, np.zeros(6))[0] - compiled(shipped, q, np.zeros(6))[0]
-    want = np.zeros((6, 6))
-    want[4:, 4:] = 0.7
-    assert added == pytest.approx(want, abs=1e-13)
-
-
-def test_factor_and_solve_equal_lapack() -> None:
-    """The Cholesky solution equals LAPACK's for random symmetric positive definite matrices."""
-    rng = np.random.default_rng(3)
-    for _ in range(50):
-        root = rng.normal(size=(6, 6))
-        mass, b = root @ root.T + 0.05 * np.eye(6), rng.normal(size=6)
-        work, x = np.zeros(1, [("factor", np.float64, (6, 6))]), b.copy()
-        factorise_and_solve(mass, work, x)
-        assert x == pytest.approx(np.linalg.solve(mass, b), rel=1e-10, abs=1e-12)

@@ -137,7 +137,7 @@ def steps_errors(
 
     exact = np.zeros(2)
     for start, stop in pairwise([0.0, *turn, end]):
-        exact = solve_ivp(rhs, (start, stop), exact, "Radau", rtol=1e-11, atol=[1e-16, 1e-12]).y[:, -1]
+        exact = solve_ivp(rhs, (start, stop), exact, "LSODA", rtol=1e-11, atol=[1e-16, 1e-12]).y[:, -1]
     errors = []
     for steps in counts:
         h, z, impulse = end / steps, 0.0, 0.0

@@ -18,17 +18,17 @@ from rx90_common.base.share import ROOT
 from rx90_emulator.cli.frame import EXECUTABLES
 
 CALLS = {
-    "rx90_sim": ([], "numpy yaml numba pinocchio rclpy"),
-    "rx90_controller": ([], "rclpy"),
+    "rx90_sim": ([], "rclpy"),
+    "rx90_controller": ([], "numpy"),
     "rx90_cell": ([], "rclpy"),
-    "friction_bench": ([], "serial rclpy"),
-    "friction_presliding": (["--output", "out"], "tqdm matplotlib"),
-    "friction_ramp": (["--output", "out"], "numpy"),
+    "friction_bench": ([], "serial"),
+    "friction_presliding": (["--output", "out"], "matplotlib"),
+    "friction_ramp": (["--output", "out"], "tqdm"),
     "friction_rig_emulator": ([], "numba"),
-    "rx90_bag": (["record", "--output", "bag"], "yaml rosbags rclpy"),
+    "rx90_bag": (["record", "--output", "bag"], "rosbags"),
     "rx90_compare_measured": (["bag"], "scipy"),
-    "rx90_config": (["completion", "bash"], "shtab yaml"),
-    "rx90_controller_check": (["true"], "scipy rclpy"),
+    "rx90_config": (["completion", "bash"], "shtab"),
+    "rx90_controller_check": (["true"], "rclpy"),
     "rx90_correct": (["learn", "robots/rx90b/task.yaml", "--output", "out.yaml"], "scipy"),
     "rx90_demo": ([], "bokeh"),
     "rx90_experiment": (["plan"], "rosbags"),
@@ -38,14 +38,11 @@ CALLS = {
     "rx90_line": (["--from-file", "robots/rx90b/task.yaml"], "yaml"),
     "rx90_own_controller": (["--engine"], "pinocchio"),
     "rx90_path": (["paths/circle.yaml"], "numba"),
-    "rx90_run": ([], "numba"),
+    "rx90_run": ([], "pinocchio"),
     "rx90_sweep": (["info", "out.parquet"], "pyarrow"),
     "rx90_view": (["--port", "0", "--no-browser"], "viser"),
 }
-"""A call of each executable that begins its work, and packages without which that cannot be done.
-
-Those that come with the first import of the arm in nearly all of them stand at some alone.
-"""
+"""A call of each executable that begins its work, and a package without which that cannot be done."""
 
 CHILD = """
 import importlib, json, os, sys, tempfile
@@ -91,7 +88,7 @@ for program, words, package, broken in json.load(sys.stdin):
 def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
     """Without a package each executable, a node too, ends with 3 and a line: package, distribution, how to get it."""
     assert set(CALLS) == set(EXECUTABLES)
-    cases = [(name, words, package, False) for name, (words, given) in CALLS.items() for package in given.split()]
+    cases = [(name, words, package, False) for name, (words, package) in CALLS.items()]
     cases += [("rx90_sim", [], "numba", True), ("rx90_sweep", ["info", "x"], "pyarrow", True)]
     done = subprocess.run(
         [sys.executable, "-c", CHILD], input=json.dumps(cases), cwd=tmp_path,

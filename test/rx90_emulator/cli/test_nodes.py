@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from processes import Start
 
 ROOT = Path(__file__).parents[3]
 NODE = """
@@ -49,26 +50,11 @@ sys.exit(frame.stub())
 
 
 @pytest.fixture
-def start(tmp_path: Path, ros_domain: int):  # type: ignore[no-untyped-def]  # noqa: ARG001 - a domain of its own
-    """Start the stub with arguments; it is killed at the end."""
+def start(tmp_path: Path, ros_domain: int, start_apart: Start) -> Start:  # noqa: ARG001 - a domain of its own
+    """Return a function that starts the stub with arguments."""
     (tmp_path / "stub_node.py").write_text(NODE, encoding="utf-8")
-    started: list[subprocess.Popen[str]] = []
-
-    def begin(*arguments: str) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            [sys.executable, "-c", RUN, *arguments],
-            env=dict(os.environ, PYTHONPATH=f"{ROOT}:{tmp_path}"),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        started.append(process)
-        return process
-
-    yield begin
-    for process in started:
-        process.kill()
-        process.communicate()
+    environment = dict(os.environ, PYTHONPATH=f"{ROOT}:{tmp_path}")
+    return lambda *arguments: start_apart(sys.executable, "-c", RUN, *arguments, env=environment)
 
 
 def read_until(process: subprocess.Popen[str], line: str) -> None:
@@ -89,8 +75,12 @@ pytestmark = pytest.mark.ros
         ("up", signal.SIGHUP),
     ],
 )
-def test_a_signal_ends_in_order_and_silently(start, moment: str, number: signal.Signals) -> None:  # type: ignore[no-untyped-def]
+def test_a_signal_ends_in_order_and_silently(
+    start: Start, moment: str, number: signal.Signals, request: pytest.FixtureRequest
+) -> None:
     """Ctrl-C, SIGTERM and SIGHUP, also twice, while starting and while running: exit code 0, nothing on stderr."""
+    if moment == "up":
+        request.getfixturevalue("warm")
     process = start()
     read_until(process, moment)
     process.send_signal(number)
@@ -110,7 +100,7 @@ def test_a_signal_ends_in_order_and_silently(start, moment: str, number: signal.
     ],
 )
 @pytest.mark.usefixtures("warm")
-def test_a_user_mistake_is_one_line(start, arguments: tuple[str, ...], complaint: str) -> None:  # type: ignore[no-untyped-def]
+def test_a_user_mistake_is_one_line(start: Start, arguments: tuple[str, ...], complaint: str) -> None:
     """A refused value, from ROS, the constructor or the ticks, is one line on stderr and exit code 2."""
     process = start(*arguments)
     _, errors = process.communicate(timeout=60)

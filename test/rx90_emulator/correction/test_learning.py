@@ -28,7 +28,7 @@ from rx90_emulator.correction.learning import (
     learn,
     run_corrected,
 )
-from rx90_emulator.correction.methods import best_change, gains, response, zero_phase
+from rx90_emulator.correction.methods import best_change, gains, response
 from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.correction.recorded import joints_of_bag, laid_under, learn_from_record, tip_of_file
 from rx90_emulator.loop.line import plan_line
@@ -353,15 +353,6 @@ def test_precompensation_says_what_it_loses(shipped: Setup, task: rx.LineTask) -
     assert found.channel < 0.5 * found.path < 0.5 * found.plain
     assert np.array_equal(found.points.position[0], plan.start_pose)
     assert not found.points.velocity[-1].any()  # type: ignore[index]
-
-
-def test_the_filter_has_no_phase() -> None:
-    """A slow sine passes it without a shift, a fast one does not pass."""
-    t = np.arange(2000) * 1e-3
-    slow, fast = (np.sin(2.0 * np.pi * f * t)[:, None] for f in (5.0, 200.0))
-    low_pass = zero_phase(40.0, 1e-3)
-    assert low_pass(slow)[500:1500] == pytest.approx(slow[500:1500], abs=2e-3)
-    assert np.abs(low_pass(fast)[500:1500]).max() < 0.01
 
 
 def test_the_command_learns_shows_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

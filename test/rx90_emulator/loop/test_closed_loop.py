@@ -119,27 +119,6 @@ def test_recording_the_fast_series_does_not_change_the_run(shipped: Setup) -> No
     assert lean.times == pytest.approx(np.arange(500) * 1e-3)
 
 
-def test_the_first_sample_is_the_reset_state(shipped: Setup) -> None:
-    """Tick 0 samples the arm at rest in its initial pose, before any command."""
-    result = simulate(shipped, there_and_back(), HOME, 0.01, record_fast=True)
-    position, velocity, torque = result.slow.joint_states[0]
-    assert np.array_equal(position, HOME)
-    assert not velocity.any()
-    assert not torque.any()
-    assert result.fast is not None
-    # A command acts in the tick it is given for and shows in the next sample.
-    assert np.array_equal(result.fast.motor_states[1, 2], result.fast.motor_commands[0])
-
-
-def test_the_arm_follows_and_comes_to_rest(shipped: Setup) -> None:
-    """The shipped controller keeps the shipped arm near its set-points and rests at the last point."""
-    result = simulate(shipped, there_and_back(), HOME, 1.5)
-    position, reference = result.slow.joint_states[:, 0], result.slow.reference[:, 0]
-    assert np.abs(position - reference).max() < 5e-3
-    assert np.abs(position[-200:] - HOME).max() < 2e-4
-    assert np.array_equal(reference[-1], HOME)
-
-
 def test_what_cannot_be_run_is_refused(shipped: Setup) -> None:
     """A time that is none, a trajectory that starts elsewhere or in the past, and a pose out of reach are refused."""
     for duration in (0.0, -1.0, 1e-9, float("nan"), float("inf")):

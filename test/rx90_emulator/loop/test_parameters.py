@@ -104,6 +104,9 @@ def test_values_of_task_and_links(shipped: Setup, task: LineTask, catalogue: Cat
         ("friction.joint_2.load.driving", 2.0, "friction.joint_2: load: driving is 2.0; accepted: a number in [0"),
         ("friction.joint_2.ripple.motor_amplitude[0]", 0.9, "friction.joint_2: ripple: the amplitudes sum to 1.05"),
         ("friction.joint_1.load.driving", 0.1, "joint_1 has no part load; accepted: with a friction file"),
+        ("controller.feed_forward.coulomb", 0.5, "'controller.feed_forward.coulomb': a value is 0.5; accepted: true"),
+        ("friction.joint_2.c0", True, "a value is True; accepted: numbers"),
+        ("friction.joint_2.c0", "stiff", "a value is stiff; accepted: numbers"),
         ("drives.gear[*]", 0.0, "drives: gear[0] is"),
         ("drives.winding.limit", math.nan, "winding: limit is nan; accepted: a finite number >= -273.15"),
         ("drives.elasticity.backlash[1]", 1e-3, "drives: elasticity: backlash[1] is 0.001, stiffness[1] infinite; acc"),
@@ -125,7 +128,7 @@ def test_values_of_task_and_links(shipped: Setup, task: LineTask, catalogue: Cat
         ("", 1.0, "is not a path"),
     ],
 )
-def test_wrong_paths_and_values_are_refused(parted: Setup, path: str, value: float, said: str) -> None:
+def test_wrong_paths_and_values_are_refused(parted: Setup, path: str, value: float | str, said: str) -> None:
     """A path that names nothing or too much, and a value out of range, are one line with what is accepted."""
     with pytest.raises(ConfigError) as caught:
         with_parameters(parted, {path: value})

@@ -135,14 +135,6 @@ def test_services_and_the_end_in_free_running_time_are_those_of_two_processes(pr
         assert "Traceback" not in cell.output
 
 
-@pytest.mark.ros
-def test_another_robot_in_the_other_section_ends_it(processes: Processes) -> None:
-    """A robot, as a rate, that differs between the two nodes is one line with both values."""
-    done = processes.run("rx90_cell", "--ros-args", "-p", "rx90_controller:robot:=tx40")
-    assert done.returncode == 3
-    assert "rx90_cell: the robot is 'tx40' here and 'rx90b' in the simulation" in done.stderr
-
-
 def test_a_parameter_of_another_node_is_refused() -> None:
     """A parameter goes to the node that it names, whatever the namespace; a node that is not there is refused."""
     words = ["--ros-args", "-p", "rx90_sim:a:=1", "-p", "b:=rx90_sim:c", "--param", "rx90_controller:d:=x:=y"]

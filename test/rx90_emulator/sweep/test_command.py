@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from processes import Start
 
 from rx90_common.process.children import TIMEOUT, executable
 from rx90_emulator.cli.frame import run
@@ -37,33 +37,6 @@ def plan_file(tmp_path: Path, task_file: Path, sweep: Sweep) -> Path:
     file = tmp_path / "plan.yaml"
     file.write_text(ENDLESS.format(task=task_file), encoding="utf-8")
     return file
-
-
-Start = Callable[..., "subprocess.Popen[str]"]
-
-
-@pytest.fixture
-def start() -> Iterator[Start]:
-    """Return a function that starts the command in a session of its own; what is left of it is ended."""
-    started: list[subprocess.Popen[str]] = []
-
-    def begin(*arguments: str | Path) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            executable("rx90_sweep", *arguments),
-            cwd=ROOT,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        started.append(process)
-        return process
-
-    yield begin
-    for process in started:
-        with contextlib.suppress(ProcessLookupError):  # nothing of its session is left
-            os.killpg(process.pid, signal.SIGKILL)
-        process.communicate(timeout=TIMEOUT)
 
 
 def until(condition: Callable[[], object], process: subprocess.Popen[str] | None = None) -> None:
@@ -98,13 +71,16 @@ def assert_true_rows(output: Path, plan_file: Path) -> int:
     return len(table)
 
 
-def test_interrupt_and_kill_keep_what_is_done(tmp_path: Path, plan_file: Path, start: Start) -> None:
+def test_interrupt_and_kill_keep_what_is_done(
+    tmp_path: Path, plan_file: Path, start_apart: Start, request: pytest.FixtureRequest
+) -> None:
     """Ctrl-C exits 130, says how to go on and leaves one readable file; a resumed sweep that is killed adds to it.
 
     No process is left behind by either.
     """
     output = tmp_path / "out.parquet"
-    first = start("run", plan_file, "--output", output, "--workers", "2")
+    command = executable("rx90_sweep", "run", plan_file, "--output", output, "--workers", "2")
+    first = start_apart(*command, cwd=ROOT)
     until(lambda: parts(output), first)
     os.killpg(first.pid, signal.SIGINT)
     _, error = first.communicate(timeout=TIMEOUT)
@@ -116,7 +92,8 @@ def test_interrupt_and_kill_keep_what_is_done(tmp_path: Path, plan_file: Path, s
     assert not parts_folder(output).exists()
     kept = assert_true_rows(output, plan_file)
 
-    second = start("run", plan_file, "--output", output, "--workers", "2", "--resume")
+    request.getfixturevalue("warm")  # how it starts has been seen
+    second = start_apart(*command, "--resume", cwd=ROOT)
     until(lambda: parts(output), second)
     workers = [int(pid) for pid in Path(f"/proc/{second.pid}/task/{second.pid}/children").read_text().split()]
     second.send_signal(signal.SIGKILL)

@@ -10,10 +10,10 @@ from time import monotonic
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from bag_making import joint_state, write_ros2
 from browser import BrowserPage, served
+from pinocchio_chain import tip_place, tip_pose
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.interpolate import interp1d
@@ -283,18 +283,6 @@ def test_time_of_a_playback(shipped: Setup, tmp_path: Path, monkeypatch: pytest.
     page.close()
 
 
-def pose(setup: Setup, q: np.ndarray) -> np.ndarray:
-    """Return the pose (4, 4) of the tip by Pinocchio."""
-    model, data = setup.robot.model, setup.robot.model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    return np.asarray(data.oMf[model.getFrameId(setup.robot.tcp_frame)].homogeneous)
-
-
-def tip(setup: Setup, q: np.ndarray) -> np.ndarray:
-    """Return where Pinocchio has the tip, m."""
-    return pose(setup, q)[:3, 3]
-
-
 def motion(time: np.ndarray) -> np.ndarray:
     """Return smooth joint angles, (n, 6) rad, at times in s."""
     return np.stack([0.4 * np.sin((0.5 + 0.3 * k) * time + k) for k in range(6)], axis=1)
@@ -312,7 +300,9 @@ def test_worst_differences_are_those_of_the_comparison(tmp_path: Path, shipped: 
     compared = compare_bags(tmp_path / "a", tmp_path / "b").topics[0].values
     for (worst, at_ns), value in zip(found.joints.worst(), compared, strict=True):
         assert (abs(worst), at_ns) == (value.maximum, value.at_ns)
-    distances = [np.linalg.norm(tip(shipped, b) - tip(shipped, a)) for a, b in zip(*values, strict=True)]
+    distances = [
+        np.linalg.norm(tip_place(shipped.robot, b) - tip_place(shipped.robot, a)) for a, b in zip(*values, strict=True)
+    ]
     np.testing.assert_allclose(found.tip.fields["position"][:, 0], distances, rtol=0, atol=1e-12)
     assert found.tip.worst()[0][1] == stamps[int(np.argmax(distances))]
     assert found.exact == 1.0
@@ -392,19 +382,19 @@ def test_path_error_is_the_distance_across_the_path(shipped: Setup, tmp_path: Pa
     assert errors is not None
     found = errors.distance
     error = found.fields["position"][:, 0]
-    lag = np.linalg.norm(tip(shipped, arm[100]) - tip(shipped, target[100]))
+    lag = np.linalg.norm(tip_place(shipped.robot, arm[100]) - tip_place(shipped.robot, target[100]))
     assert lag > 3e-4
     np.testing.assert_array_equal(np.isfinite(error), (stamps >= 50) & (stamps <= 500))
     assert np.nanmax(np.delete(error, [150, 350])) < lag**2  # of an arc with a radius of some 0.7 m
     for row in (150, 350):
-        off = tip(shipped, arm[row]) - tip(shipped, target[row])
-        tangent = np.cross([0.0, 0.0, 1.0], tip(shipped, target[row]))
+        off = tip_place(shipped.robot, arm[row]) - tip_place(shipped.robot, target[row])
+        tangent = np.cross([0.0, 0.0, 1.0], tip_place(shipped.robot, target[row]))
         across = off - (off @ tangent) * tangent / (tangent @ tangent)
         assert error[row] == pytest.approx(np.linalg.norm(across), rel=5e-3)
     points, largest = tip_path(recording.arm, found, shipped.robot.chain, 40)
     assert np.nanmax(largest) == np.nanmax(error)
-    np.testing.assert_allclose(points[0], tip(shipped, arm[0]), atol=1e-12)
-    np.testing.assert_allclose(points[-1], tip(shipped, arm[-1]), atol=1e-12)
+    np.testing.assert_allclose(points[0], tip_place(shipped.robot, arm[0]), atol=1e-12)
+    np.testing.assert_allclose(points[-1], tip_place(shipped.robot, arm[-1]), atol=1e-12)
 
 
 CLOCK = 1_700_000_000 * 10**9  # of the wall clock
@@ -459,7 +449,7 @@ def test_scrubbing_shows_what_was_recorded(
     player = played.player
 
     def wait_for_both_at(message: int) -> list[np.ndarray]:
-        poses = [pose(shipped, angles[message]) for angles in played.angles]
+        poses = [tip_pose(shipped.robot, angles[message]) for angles in played.angles]
         for drawn, placed in zip(player.arms, poses, strict=True):
             shown.wait_until(lambda: bool(np.allclose(shown.pose(drawn.tip), placed, atol=PIXEL)), f"message {message}")  # noqa: B023
         return [placed[:3, 3] for placed in poses]

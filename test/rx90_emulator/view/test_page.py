@@ -12,7 +12,7 @@ import threading
 import time
 import webbrowser
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import FrameType, SimpleNamespace
@@ -20,10 +20,10 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from browser import BrowserPage, served
 from PIL import Image
+from pinocchio_chain import tip_pose
 from processes import wait_until
 
 from rx90_common.bags.joint_series import JointSeries
@@ -45,8 +45,16 @@ JOINTS = [f"joint_{k}" for k in range(1, 7)]
 PLACES = """() => [...document.querySelectorAll('.uplot')].map(plot => plot.getBoundingClientRect())
     .filter(({width}) => width > 0).map(({left, top, right, bottom}) => [left, top, right, bottom].map(Math.round))"""
 TICKS = """() => Object.values(window.__viserTestpoints?.uplots ?? {}).map(({chart}) =>
-    [(chart.axes[1]._values ?? []).filter(text => text), [chart.scales.y.min, chart.scales.y.max]])"""
+    [chart.root.querySelector('.u-title')?.textContent ?? '', (chart.axes[1]._values ?? []).filter(text => text),
+     [chart.scales.y.min, chart.scales.y.max]])"""
 PIXEL = 1e-6  # m; positions go to the page as single precision
+NOISE = 1e-7 * np.sin(np.arange(100.0) * 7.0)
+NOISY = {"rest", "seldom known", "noisy loop", "recorded [rad]"}
+START, END = np.array([0.5, 0.0, 0.2]), np.array([0.7, 0.0, 0.2])
+LINE = LineTask(tuple(START), tuple(END))
+SHARE = np.linspace(0.0, 1.0, 401)
+ALONG = "path error along the line [mm]"
+UNITS = "torque [Nm]"
 
 
 @pytest.fixture
@@ -56,64 +64,92 @@ def page(tmp_path: Path) -> Iterator[Page]:
         yield page
 
 
-def tip(setup: Setup, position: np.ndarray) -> np.ndarray:
-    """Return the pose (4, 4) of the tool centre point by Pinocchio, from the URDF's text."""
-    model = pin.buildModelFromXML(setup.robot.urdf)
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, position)
-    return np.asarray(data.oMf[model.getFrameId(setup.robot.tcp_frame)].homogeneous)
+@dataclass
+class Shown:
+    """A page as a browser has it, and what stands on it."""
+
+    page: Page
+    browser: BrowserPage
+    arms: list[tuple[Setup, ArmScene]]
+    rolling: RollingPlot
+    broken: RollingPlot
+    loop: LoopPlot
+    noisy: tuple[RollingPlot, RollingPlot, LoopPlot, TrackPlot]
+    line: LineScene
+    runs: RunComparison
 
 
-def test_arms_are_drawn_where_pinocchio_says(shipped: Setup, tx40: Setup, page: Page, open_page: Open) -> None:
-    """The tips' poses in the browser's own scene are those of the forward kinematics, and follow them."""
+def test_what_the_page_was_given_is_what_the_browser_shows(
+    shipped: Setup, tx40: Setup, page: Page, open_page: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Arms stand where Pinocchio says, plots hold their samples, noise reads as noise, and two runs are compared."""
     arms = [(setup, ArmScene(page, f"/{setup.robot.model.name}", setup.robot)) for setup in (shipped, tx40)]
-    shown = open_page(page.address)
-
-    def at(setup: Setup, arm: ArmScene, position: np.ndarray) -> bool:
-        return bool(np.allclose(shown.pose(arm.tip), tip(setup, position), atol=PIXEL))
-
-    for position in (np.zeros(6), POSE):
-        page.later(lambda position=position: [arm.show(position) for _, arm in arms])  # type: ignore[misc]
-        for setup, arm in arms:
-            shown.wait_until(partial(at, setup, arm, position), "the tip where it is by Pinocchio")
-    assert (shown.complaints, shown.foreign_requests) == ([], [])
-
-
-def test_plots_show_what_they_were_given(page: Page, open_page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A rolling plot holds the samples of its window; a loop is drawn whole though its abscissa goes back."""
+    track, _ = Track.of(JointSeries("/joint_states", JOINTS[:1], np.arange(100) * 10**7, 1.57 + NOISE[:, None]))
+    line = LineScene(page, "/line", shipped.robot, LINE)
     with page.plot_tab("Plots"):
         rolling = RollingPlot(page, "speed [rad/s]", ("joint_1", "joint_2"), (-1.0, 1.0))
         broken = RollingPlot(page, "broken", ("error",), (-1.0, 1.0), gaps=1)
         loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]", (0.01, 0.01))
-    angle = np.linspace(0.0, 4.0 * np.pi, 100)
+        noisy = (
+            RollingPlot(page, "rest", ("joint_1",), (-0.01, 0.01)),
+            RollingPlot(page, "seldom known", ("error",), (0.0, 0.01), gaps=1),
+            LoopPlot(page, "noisy loop", "x [rad]", "y [Nm]", (0.01, 1.0)),
+            TrackPlot(page, "recorded [rad]", [track], "position", 0),
+        )
+        runs = RunComparison(page)
+    page.every(0.05, lambda _: runs.draw(line))
+    shown = Shown(page, open_page(page.address, (1000, 700)), arms, rolling, broken, loop, noisy, line, runs)
+    _arms_are_drawn_where_pinocchio_says(shown)
+    _plots_show_what_they_were_given(shown, monkeypatch)
+    _noise_at_rest_reads_as_noise(shown)
+    _two_runs_are_compared_along_the_line(shown)
+    assert (shown.browser.complaints, shown.browser.foreign_requests) == ([], [])
+
+
+def _arms_are_drawn_where_pinocchio_says(shown: Shown) -> None:
+    """The tips' poses in the browser's own scene are those of the forward kinematics, and follow them."""
+
+    def at(setup: Setup, arm: ArmScene, position: np.ndarray) -> bool:
+        return bool(np.allclose(shown.browser.pose(arm.tip), tip_pose(setup.robot, position), atol=PIXEL))
+
+    for position in (np.zeros(6), POSE):
+        shown.page.later(lambda position=position: [arm.show(position) for _, arm in shown.arms])  # type: ignore[misc]
+        for setup, arm in shown.arms:
+            shown.browser.wait_until(partial(at, setup, arm, position), "the tip where it is by Pinocchio")
+
+
+def _plots_show_what_they_were_given(shown: Shown, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rolling plot holds the samples of its window; a loop is drawn whole though its abscissa goes back."""
+    browser, angle = shown.browser, np.linspace(0.0, 4.0 * np.pi, 100)
 
     def feed() -> None:
         for at in np.arange(0.0, 5.0, 0.1):
-            rolling.add(at, np.array([at, -at]))
-            broken.add(at, [np.nan if at < 0.25 or 1.95 < at < 3.05 else 1.0 + at])
+            shown.rolling.add(at, np.array([at, -at]))
+            shown.broken.add(at, [np.nan if at < 0.25 or 1.95 < at < 3.05 else 1.0 + at])
         for a in angle:
-            loop.add(np.cos([a]), np.sin([a]))
-        broken.draw()
-        monkeypatch.setattr(plots, "WINDOW", 2.0)
-        rolling.draw()
-        loop.draw()
+            shown.loop.add(np.cos([a]), np.sin([a]))
+        shown.broken.draw()
+        with monkeypatch.context() as patch:
+            patch.setattr(plots, "WINDOW", 2.0)
+            shown.rolling.draw()
+        shown.loop.draw()
 
-    shown = open_page(page.address)
     titles = {"speed [rad/s]": "time [s]", "broken": "time [s]", "loop": "x [rad]"}
-    shown.wait_until(lambda: set(titles) == set(shown.plots()), "the plots")
-    assert {title: plot["axes"][0] for title, plot in shown.plots().items()} == titles
-    assert not np.isfinite([column for plot in empty(shown) for column in plot]).any()  # no line at 0
-    page.later(feed)
+    browser.wait_until(lambda: titles.keys() <= browser.plots().keys(), "the plots")
+    assert {title: browser.plots()[title]["axes"][0] for title in titles} == titles
+    empty = [np.array(column, float) for title in titles for column in browser.plots()[title]["data"][1:]]
+    assert not any(np.isfinite(column).any() for column in empty)  # no line at 0
+    shown.page.later(feed)
     # The page may get one plot's samples before another's.
-    shown.wait_until(lambda: all(len(plot["data"][0]) > 2 for plot in shown.plots().values()), "samples")
-    times, first, second = shown.plots()["speed [rad/s]"]["data"]
+    browser.wait_until(lambda: all(len(browser.plots()[title]["data"][0]) > 2 for title in titles), "samples")
+    times, first, second = browser.plots()["speed [rad/s]"]["data"]
     np.testing.assert_allclose(times, np.arange(2.9, 4.95, 0.1))
     np.testing.assert_allclose([first, second], [times, np.negative(times)])
     # What is unknown is not drawn across: before the gap one curve, after it another.
-    _, extent, early, late = (np.array(column, float) for column in shown.plots()["broken"]["data"])
+    _, extent, early, late = (np.array(column, float) for column in browser.plots()["broken"]["data"])
     assert [np.isfinite(part).sum() for part in (early, late)] == [17, 19]
     assert (extent.min(), extent.max()) == (np.nanmin(early), np.nanmax(late))
-    x, y = np.array(shown.plots()["loop"]["data"])
+    x, y = np.array(browser.plots()["loop"]["data"])
     assert x[0] == x.min()
     assert x[-1] == x.max()
     assert (x[:-1] < x[-1]).all()  # so that halving finds the two ends
@@ -122,42 +158,67 @@ def test_plots_show_what_they_were_given(page: Page, open_page: Open, monkeypatc
         (round(a, 9), round(b, 9)) for a, b in zip(x, y, strict=True)
     }
     assert np.hypot(np.diff(x), np.diff(y)).max() < 1.01 * 2.0 * np.sin(2.0 * np.pi / 99)
-    page.later(loop.clear)
-    shown.wait_until(lambda: not np.isfinite(np.array(shown.plots()["loop"]["data"][1], float)).any(), "an empty loop")
+    shown.page.later(shown.loop.clear)
+    browser.wait_until(lambda: not np.isfinite(np.array(browser.plots()["loop"]["data"][1], float)).any(), "no loop")
 
 
-def test_noise_at_rest_reads_as_noise(page: Page, open_page: Open) -> None:
+def _noise_at_rest_reads_as_noise(shown: Shown) -> None:
     """Each tick of an ordinate has a text of its own, without -0, and noise far below what is measured stays flat."""
-    noise = 1e-7 * np.sin(np.arange(100.0) * 7.0)
-    track, _ = Track.of(JointSeries("/joint_states", JOINTS[:1], np.arange(100) * 10**7, 1.57 + noise[:, None]))
-    with page.plot_tab("Plots"):
-        rolling = RollingPlot(page, "rest", ("joint_1",), (-0.01, 0.01))
-        known = RollingPlot(page, "seldom known", ("error",), (0.0, 0.01), gaps=1)
-        loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]", (0.01, 1.0))
-        curves = TrackPlot(page, "recorded [rad]", [track], "position", 0)
-    for k, value in enumerate(noise):
-        rolling.add(k * 0.01, [value])
-        known.add(k * 0.01, [abs(value) if k > 50 else np.nan])
-        loop.add(np.array([0.01 * k]), np.array([value]))
-    for plot in (rolling, known, loop):
-        plot.draw()
-    curves.draw(0, 10**9, 0)
-    shown = open_page(page.address)
-    shown.wait_until(lambda: len(shown.page.evaluate(TICKS)) == 4, "the plots")
+    rolling, known, loop, curves = shown.noisy
 
-    def ticks() -> list[list[str]]:
-        return [texts for texts, _ in shown.page.evaluate(TICKS) if texts]
+    def feed() -> None:
+        for k, value in enumerate(NOISE):
+            rolling.add(k * 0.01, [value])
+            known.add(k * 0.01, [abs(value) if k > 50 else np.nan])
+            loop.add(np.array([0.01 * k]), np.array([value]))
+        for plot in (rolling, known, loop):
+            plot.draw()
+        curves.draw(0, 10**9, 0)
 
-    shown.wait_until(lambda: len(ticks()) == 4, "their ticks")
-    for texts in ticks():
+    shown.page.later(feed)
+
+    def ticks() -> dict[str, Any]:
+        found = shown.browser.page.evaluate(TICKS)
+        return {title: (texts, ends) for title, texts, ends in found if title in NOISY and texts}
+
+    shown.browser.wait_until(lambda: len(ticks()) == len(NOISY), "their ticks")
+    for texts, (low, high) in ticks().values():
         assert len(set(texts)) == len(texts) > 2
         assert not {"-0", "-0.00", "-0.000"} & set(texts)
-    assert all(high - low >= 0.01 for _, (low, high) in shown.page.evaluate(TICKS))
+        assert high - low >= 0.01
 
 
-def empty(shown: BrowserPage) -> list[list[np.ndarray]]:
-    """Return the ordinates of all plots."""
-    return [[np.array(column, float) for column in plot["data"][1:]] for plot in shown.plots().values()]
+def _two_runs_are_compared_along_the_line(shown: Shown) -> None:
+    """The run that is held stays while others come: curves, largest, place, RMS and ratio; another line lets it go."""
+    browser, page = shown.browser, shown.page
+    hold, release = (browser.page.get_by_role("button", name=words) for words in ("Hold the", "Let the held"))
+    assert hold.is_disabled()
+    page.later(lambda: run(shown.line, 1.0, 1e-4))
+    # A half sine of 0.1 mm: RMS of 0.1 / sqrt(2), the largest in the middle of 200 mm.
+    browser.wait_until(lambda: "newest\t0.1000\t100\t0.0706" in browser.text(), "the first run")
+    hold.click()
+    browser.wait_until(release.is_visible, "that it is held")
+    page.later(lambda: run(shown.line, 10.0, 2.5e-5))
+    browser.wait_until(lambda: "newest\t0.0250\t100\t0.0177" in browser.text(), "the second run")
+    assert "held\t0.1000\t100\t0.0706" in browser.text()
+    assert "newest / held\t0.250\t\t0.250" in browser.text()
+    way, _, held, newest = (np.array(column, float) for column in browser.plots()[ALONG]["data"])
+    half = np.sin(np.pi * way / 200.0)
+    np.testing.assert_allclose(held, 0.1 * half, atol=1e-3)
+    np.testing.assert_allclose(newest, 0.025 * half, atol=3e-4)
+    files = {curve.label: curve for curve in shown.runs.panel().marks if isinstance(curve, Curve)}
+    np.testing.assert_allclose(files["held"].y, 0.1 * np.sin(np.pi * files["held"].x / 200.0), atol=1e-6)
+    assert list(files) == ["held", "newest"]
+    page.later(lambda: shown.line.place(replace(LINE, end=(0.8, 0.1, 0.3))))
+    browser.wait_until(lambda: not release.is_visible(), "that it was let go")
+    assert "0.1000" not in browser.text()
+
+
+def run(line: LineScene, begin: float, largest: float) -> None:
+    """Lead the tip along the line within 4 s, half a sine beside it, `largest` m in the middle."""
+    times = begin + 4.0 * SHARE
+    line.follow(times[[0, -1]], np.stack([START, END]), np.array([True, True]))
+    line.add(times, START + SHARE[:, None] * (END - START) + np.outer(largest * np.sin(np.pi * SHARE), [0, 1.0, 0]))
 
 
 def test_the_trace_is_drawn_beside_the_line(shipped: Setup, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -351,51 +412,6 @@ def test_a_signal_that_is_handled_beyond_the_wait_does_not_stop_the_page(idle: P
         signal.signal(signal.SIGALRM, before)
         rescue.cancel()
     assert not helped.is_set()
-
-
-START, END = np.array([0.5, 0.0, 0.2]), np.array([0.7, 0.0, 0.2])
-LINE = LineTask(tuple(START), tuple(END))
-SHARE = np.linspace(0.0, 1.0, 401)
-ALONG = "path error along the line [mm]"
-UNITS = "torque [Nm]"
-
-
-def run(line: LineScene, begin: float, largest: float) -> None:
-    """Lead the tip along the line within 4 s, half a sine beside it, `largest` m in the middle."""
-    times = begin + 4.0 * SHARE
-    line.follow(times[[0, -1]], np.stack([START, END]), np.array([True, True]))
-    line.add(times, START + SHARE[:, None] * (END - START) + np.outer(largest * np.sin(np.pi * SHARE), [0, 1.0, 0]))
-
-
-def test_two_runs_are_compared_along_the_line(shipped: Setup, page: Page, open_page: Open) -> None:
-    """The run that is held stays while others come: curves, largest, place, RMS and ratio; another line lets it go."""
-    line = LineScene(page, "/line", shipped.robot, LINE)
-    with page.plot_tab("Path"):
-        runs = RunComparison(page)
-    page.every(0.05, lambda _: runs.draw(line))
-    shown = open_page(page.address, (1000, 700))
-    hold, release = (shown.page.get_by_role("button", name=words) for words in ("Hold the", "Let the held"))
-    assert hold.is_disabled()
-    page.later(lambda: run(line, 1.0, 1e-4))
-    # A half sine of 0.1 mm: RMS of 0.1 / sqrt(2), the largest in the middle of 200 mm.
-    shown.wait_until(lambda: "newest\t0.1000\t100\t0.0706" in shown.text(), "the first run")
-    hold.click()
-    shown.wait_until(release.is_visible, "that it is held")
-    page.later(lambda: run(line, 10.0, 2.5e-5))
-    shown.wait_until(lambda: "newest\t0.0250\t100\t0.0177" in shown.text(), "the second run")
-    assert "held\t0.1000\t100\t0.0706" in shown.text()
-    assert "newest / held\t0.250\t\t0.250" in shown.text()
-    way, _, held, newest = (np.array(column, float) for column in shown.plots()[ALONG]["data"])
-    half = np.sin(np.pi * way / 200.0)
-    np.testing.assert_allclose(held, 0.1 * half, atol=1e-3)
-    np.testing.assert_allclose(newest, 0.025 * half, atol=3e-4)
-    files = {curve.label: curve for curve in runs.panel().marks if isinstance(curve, Curve)}
-    np.testing.assert_allclose(files["held"].y, 0.1 * np.sin(np.pi * files["held"].x / 200.0), atol=1e-6)
-    assert list(files) == ["held", "newest"]
-    page.later(lambda: line.place(replace(LINE, end=(0.8, 0.1, 0.3))))
-    shown.wait_until(lambda: not release.is_visible(), "that it was let go")
-    assert "0.1000" not in shown.text()
-    assert shown.complaints == []
 
 
 def test_a_plot_is_written_as_picture_and_table(

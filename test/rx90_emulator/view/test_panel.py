@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from browser import BrowserPage, served
+from pinocchio_chain import tip_place
 from processes import Processes, running_processes, wait_until
 from rcl_interfaces.srv import GetParameters
 from ros_client import JOINTS, Client, own_node, seconds
+from rosbags.rosbag2 import Reader as Rosbag2Reader
 from std_srvs.srv import SetBool
 
 from rx90_common.base.share import config_path
@@ -34,6 +36,7 @@ from rx90_emulator.view import forms
 from rx90_emulator.view.forms import ElementForm, changed
 from rx90_emulator.view.page import Page, put
 from rx90_emulator.view.panel import DoPanel, Operator
+from rx90_emulator.view.processes import RecordButton
 from rx90_sim.node.simulation_client import pause_request, reset_request, step_request
 
 Open = Callable[..., BrowserPage]
@@ -62,19 +65,6 @@ def panel(processes: Processes, shipped: Setup, monkeypatch: pytest.MonkeyPatch,
         with served(page):
             yield page, cell, sent
         parts.close()
-
-
-class Tips:
-    """Where Pinocchio has the tool centre point, from the URDF's text."""
-
-    def __init__(self, setup: Setup) -> None:
-        self._model = pin.buildModelFromXML(setup.robot.urdf)
-        self._data, self._frame = self._model.createData(), self._model.getFrameId(setup.robot.tcp_frame)
-
-    def at(self, position: Any) -> np.ndarray:
-        """Return it for joint positions, rad; m, shape (3,)."""
-        pin.framesForwardKinematics(self._model, self._data, np.array(position))
-        return np.array(self._data.oMf[self._frame].translation)
 
 
 def test_what_is_done_on_the_page_happens(
@@ -113,16 +103,15 @@ def _the_line_is_followed(shown: BrowserPage, page: Page, setup: Setup, sent: li
     client.spin_until(lambda: bool(heard), "the arm")
     press(shown, "Send the line")
     wait_until(lambda: bool(sent), "the line on its way")
-    kinematics = Tips(setup)
 
     def arrived() -> bool:
-        return bool(np.linalg.norm(kinematics.at(heard[-1].position) - END) < 1e-4)
+        return bool(np.linalg.norm(tip_place(setup.robot, heard[-1].position) - END) < 1e-4)
 
     client.spin_until(arrived, "the end of the line")
     client.close()
     assert {tuple(m.name) for m in heard} == {tuple(JOINTS)}
     times = np.array([seconds(m) for m in heard])
-    path = np.array([kinematics.at(m.position) for m in heard])
+    path = np.array([tip_place(setup.robot, m.position) for m in heard])
     along = (path - START) @ (END - START) / length
     beside = np.linalg.norm(path - START - along[:, None] * (END - START) / length, axis=1)
     begun = int(np.flatnonzero(along < 1e-4)[-1])
@@ -351,8 +340,40 @@ def listener(ros_domain: int, warm: None) -> Iterator[Listener]:  # noqa: ARG001
         yield listening
 
 
+@contextmanager
+def recorded(listener: Listener, folder: Path) -> Iterator[None]:
+    """Record by the page's button what happens within the block; it is in the bag that the page names."""
+    page = Page("test", port=0, output=folder)
+    button = RecordButton(page, "/cell", ())
+
+    def says(words: str) -> bool:
+        button._follow(time.monotonic())
+        return words in button._said.content
+
+    use(page, button._button)
+    listener.until(lambda: says("recording to bag: "), "the recorder")
+    yield
+    use(page, button._button)
+    listener.until(lambda: says("messages of"), "the end of the recording")
+    told = re.search(r"recorded (\d+) messages", button._said.content)
+    assert told is not None
+    with Rosbag2Reader(folder / "bag") as bag:
+        assert bag.message_count == int(told[1]) > 0
+        assert {f"/cell/{topic}_states" for topic in ("joint", "friction", "motor")} <= set(bag.topics)
+    button.close()
+    page.close()
+
+
 def test_both_nodes_do_what_they_are_asked(listener: Listener, shipped: Setup, tmp_path: Path) -> None:
-    """Services and trajectories are answered with the nodes' own words; another friction file is loaded."""
+    """Services and trajectories are answered with the nodes' own words; another friction file is loaded.
+
+    What is recorded meanwhile is in a bag.
+    """
+    with recorded(listener, tmp_path):
+        _both_nodes_are_asked(listener, shipped, tmp_path)
+
+
+def _both_nodes_are_asked(listener: Listener, shipped: Setup, tmp_path: Path) -> None:
     operator = listener.operator
     simulation, controller = operator.simulation, operator.controller
     operator.ask(step_request(simulation))

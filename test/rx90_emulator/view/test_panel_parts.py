@@ -13,9 +13,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from lugre_oracle import LuGreOracle
+from pinocchio_chain import tip_place
 
 from rx90_common.base.errors import ConfigError, LineError
 from rx90_common.friction import FrictionElement
@@ -283,9 +283,7 @@ def test_a_line_is_shown_with_what_it_comes_to(shipped: Setup, form: LineForm) -
     """The approach leads the tip from where Pinocchio has it to the start; time and speeds are the motion's own."""
     here = np.array([0.4, 0.3, 1.2, 0.1, 0.5, 0.2])
     found, robot = form.preview([*TYPED.values()], here), shipped.robot
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, here)
-    tip = data.oMf[robot.model.getFrameId(robot.tcp_frame)].translation
+    tip = tip_place(robot, here)
     np.testing.assert_allclose(found.approach[[0, -1]], [tip, [0.6, -0.1, 0.2]], atol=1e-9)
     assert "0.200 m in 0.93 s" in found.text()  # 0.2 m / 0.25 m/s and 0.25 m/s / 2 m/s^2
     # The set-points as the controller makes them, against the speed limits.
