@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from builtin_interfaces.msg import Duration
@@ -17,7 +16,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ExchangeError, LineError
+from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange import endpoints
 from rx90_common.exchange.cdr import message_time_ns
@@ -228,55 +227,50 @@ def trajectory_message(names: Sequence[str], points: TrajectoryPoints, start_tim
     return message
 
 
-@dataclass(frozen=True)
-class Delivery:
-    """Options for sending a plan.
+def deliver(
+    client: ClientNode,
+    plan: LinePlan,
+    controller: str,
+    limits: JointLimits,
+    set_point_period: float,
+    approach: Approach | None,
+    *,
+    start_time: float = 0.0,
+    correction: Correction | None = None,
+    starting: float = 0.0,
+) -> None:
+    """Wait for the controller, send it the line, and print what was sent.
 
-    Attributes:
+    Args:
+        client: the node to do it with.
+        plan: the line.
         controller: name of the controller node.
-        start_time: time at which the trajectory starts, s; 0 means now.
         limits: the controller's.
         set_point_period: the controller's, s.
         approach: the move to the start of the line, None if the arm must be there already.
+        start_time: time at which the trajectory starts, s; 0 means now.
         correction: of the line, None for none.
         starting: time beyond the timeout that a starting controller is waited for, s.
-    """
-
-    controller: str
-    start_time: float
-    limits: JointLimits
-    set_point_period: float
-    approach: Approach | None
-    correction: Correction | None = None
-    starting: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.start_time) and 0.0 <= self.start_time < 2.0**31):
-            raise LineError(f"the start time is {self.start_time:g} s; accepted: a number >= 0, 0 for now")
-
-
-def deliver(client: ClientNode, plan: LinePlan, delivery: Delivery) -> None:
-    """Wait for the controller, send it the line, and print what was sent.
 
     Raises:
         ConfigError: if that cannot be a controller's name.
         ExchangeError: if the controller or the joint states do not appear within the timeout.
         LineError: if the arm is elsewhere and there is no approach, or if the controller would refuse the approach.
     """
-    trajectory = TrajectoryClient(client, delivery.controller)
-    trajectory.wait_for_controller(delivery.starting)
+    trajectory = TrajectoryClient(client, controller)
+    trajectory.wait_for_controller(starting)
     here = plan.start_pose
-    if delivery.approach is not None or delivery.start_time <= 0.0:
+    if approach is not None or start_time <= 0.0:
         here = trajectory.joint_positions(plan.joint_names)
     # else: where the arm will be by then is not known here; the controller checks it
-    line = approached(plan, here, delivery.limits, delivery.set_point_period, delivery.approach)
+    line = approached(plan, here, limits, set_point_period, approach)
     if line.approach > 0.0:
         client.say(f"approach: {np.degrees(line.way):.1f} deg in {line.farthest}, {line.approach:.3f} s")
-    points, correction = line.points, delivery.correction
+    points = line.points
     if correction is not None:
         points = replace(points, correction=correction.later(line.approach))
-    trajectory.send(plan.joint_names, points, delivery.start_time)
-    start = f"at {delivery.start_time:g} s" if delivery.start_time else "now"
+    trajectory.send(plan.joint_names, points, start_time)
+    start = f"at {start_time:g} s" if start_time else "now"
     client.say(f"sent {len(line.points.times)} points to {trajectory.topic}: start {start}, {line.duration:.3f} s")
     standing = trajectory.standing_time()
     if standing is not None:

@@ -36,7 +36,7 @@ EXECUTABLES = {
     "rx90_bag": "rx90_emulator.cli.bag",
     "rx90_config": "rx90_emulator.cli.config",
     "rx90_correct": "rx90_emulator.cli.correct",
-    "rx90_compare_measured": "rx90_emulator.cli.compare_measured",
+    "rx90_compare_measured": "rx90_emulator.cli.identify:compare_measured",
     "rx90_controller_check": "rx90_emulator.cli.controller_check",
     "rx90_demo": "rx90_emulator.cli.demo",
     "rx90_experiment": "rx90_emulator.cli.experiment",

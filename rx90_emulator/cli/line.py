@@ -184,23 +184,24 @@ def _correction(plan: LinePlan, files: RobotFiles, options: argparse.Namespace) 
 
 
 def _send(plan: LinePlan, limits: JointLimits, correction: Correction | None, options: argparse.Namespace) -> None:
+    if not 0.0 <= options.start_time < 2.0**31:
+        raise LineError(f"the start time is {options.start_time:g} s; accepted: a number >= 0, 0 for now")
     from rx90_common.exchange.ros_start import prepare
 
     prepare()
     # Here, because planning alone needs no ROS.
     from rx90_common.exchange.client_node import client_node
     from rx90_controller.lines.plan import Approach
-    from rx90_controller.node.trajectory_client import Delivery, deliver
+    from rx90_controller.node.trajectory_client import deliver
 
     asked = {"speed": options.approach_speed, "acceleration": options.approach_acceleration}
     given = {name: value for name, value in asked.items() if value is not None}
     approach = Approach(**given) if options.approach else None
-    delivery = Delivery(
-        node_of(options), options.start_time, limits, 1.0 / options.set_point_rate, approach, correction,
-        starting=0.0 if options.timeout else _STARTING,
-    )  # fmt: skip
     with client_node(options.program, options.timeout or _TIMEOUT, _say, options.ros_args) as client:
-        deliver(client, plan, delivery)
+        deliver(
+            client, plan, node_of(options), limits, 1.0 / options.set_point_rate, approach,
+            start_time=options.start_time, correction=correction, starting=0.0 if options.timeout else _STARTING,
+        )  # fmt: skip
 
 
 def _say(text: str) -> None:

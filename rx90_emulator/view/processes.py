@@ -12,7 +12,7 @@ from rx90_common.base.errors import ExchangeError, Rx90Error
 from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 from rx90_controller.lines.plan import Approach, LinePlan
-from rx90_controller.node.trajectory_client import Delivery, deliver
+from rx90_controller.node.trajectory_client import deliver
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.live import LiveView
 from rx90_emulator.view.page import Page, from_user, output_path, sentence
@@ -96,7 +96,7 @@ class Tour:
     def __init__(self, robot: str, setup: Setup, plan: LinePlan, controller: str) -> None:
         self._command = executable("rx90_cell", "--ros-args", "-p", f"robot:={robot}")
         limits, period = setup.controller.limits(setup.robot), setup.rates.position_period
-        self._plan, self._delivery = plan, Delivery(controller, 0.0, limits, period, Approach())
+        self._line = plan, controller, limits, period, Approach()
         self._group = ProcessGroup()
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
@@ -136,7 +136,7 @@ class Tour:
         while not self._ending.is_set():
             try:
                 with client_node("rx90_view_line", _TIMEOUT, lambda _: None) as client:
-                    deliver(replace(client, check_interrupt=leave_at_the_end), self._plan, self._delivery)
+                    deliver(replace(client, check_interrupt=leave_at_the_end), *self._line)
             except Rx90Error as error:  # torque off, somebody else's motion: the next time it may go
                 if str(error) != said and not self._ending.is_set():
                     said = str(error)
