@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from any_arm import write_arm
 
-from benchmarks.any_arm import write_arm
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.pacing import OnceLog

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from any_arm import joint_names, write_arm
 from full_friction import PARTS
 from numpy.typing import NDArray
 
-from benchmarks.any_arm import joint_names, write_arm
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.coupling import ArmSize, Coupling
 from rx90_common.description.drives import LINK, MOTOR, Cogging, CurrentSensor, Elasticity, Windings
