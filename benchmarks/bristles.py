@@ -20,10 +20,15 @@ import numpy as np
 from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, timed
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristles.step import bristles_dtype, bristles_energy, bristles_step
-from rx90_common.friction.compiled_elements import element_arrays, load_elements
+from rx90_common.friction.compiled_elements import (
+    BRISTLE_STATE_DTYPE,
+    bristles_dtype,
+    bristles_energy,
+    bristles_step,
+    element_arrays,
+    load_elements,
+)
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
-from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import lane, load
 from rx90_common.report.picture import write_picture

@@ -27,8 +27,8 @@ from benchmarks.mujoco_lugre import mujoco_arm
 from benchmarks.report import in_turns, merge, print_times, ratios, timed
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST
-from rx90_common.dynamics.manipulator import mass_and_bias
-from rx90_common.friction.curves import LINEAR_SPEED
+from rx90_common.dynamics import mass_and_bias
+from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_emulator.loop.setup import Setup
 
 

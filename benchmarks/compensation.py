@@ -43,7 +43,7 @@ from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, Curve, Level, Panel, Plot
-from rx90_controller.law.loops import position_loop, velocity_loop
+from rx90_controller.law.cs7b import position_loop, velocity_loop
 from rx90_controller.law.model import ModelFiles
 from rx90_controller.law.parameters import FeedForward
 from rx90_controller.lines.task import LineTask, load_task

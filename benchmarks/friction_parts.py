@@ -23,7 +23,6 @@ from scipy.integrate import solve_ivp
 from benchmarks.hybrid_reference import Work
 from benchmarks.report import in_turns, merge, print_table, print_times, ratios, timed
 from rx90_common.base.arrays import Array
-from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.load import LoadPart
@@ -31,6 +30,7 @@ from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_controller.law.parameters import FeedForward
+from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 

@@ -19,10 +19,10 @@ from tqdm import tqdm
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST, to_joint_torque
-from rx90_common.dynamics.manipulator import mass_and_bias
+from rx90_common.dynamics import mass_and_bias
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.compiled_elements import element_arrays, one_element
-from rx90_common.friction.curves import LINEAR_SPEED
+from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints

@@ -15,6 +15,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +25,8 @@ import rx90_emulator as rx
 from benchmarks.report import arguments
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST
-from rx90_common.description.rigid_torque import rigid_torque
-from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.arm import RigidArm, rigid_torque
+from rx90_emulator.identification.excitation.choice import select_parts
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.excitation.known_payload import LoadParts, identify_load_parts
 from rx90_emulator.identification.excitation.problem import (
@@ -154,7 +155,8 @@ class Experiment:
     def outcome(self, seed: int, *, there: bool) -> Outcome:
         """Return what is found on a seeded arm with load parts on all elements, or on none."""
         true = coefficients_of(seed) if there else np.zeros((7, 2))
-        return Outcome(true, identify_load_parts(problem_of(self.setup, seed, true, self.motions, self.mass), ()))
+        problem = problem_of(self.setup, seed, true, self.motions, self.mass)
+        return Outcome(true, identify_load_parts(problem, partial(select_parts, parts=())))
 
     def bound(self) -> Array:
         """Return the Cramer-Rao bounds of an arm in the middle of the coefficients, shape (7, 2)."""

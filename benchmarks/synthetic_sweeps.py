@@ -15,8 +15,8 @@ import pinocchio as pin
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST
-from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.identification.estimates import PRESLIDING, SLIDING, ElementEstimate
 from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, make_plan
 from rx90_emulator.identification.records import JointRecord

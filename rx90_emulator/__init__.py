@@ -105,7 +105,7 @@ if TYPE_CHECKING:
     )
     from rx90_emulator.correction.methods import Filtered as Filtered, NormOptimal as NormOptimal
     from rx90_emulator.correction.path import TrajectoryPath as TrajectoryPath
-    from rx90_emulator.correction.precompensation import precompensate as precompensate
+    from rx90_emulator.correction.learning import precompensate as precompensate
     from rx90_emulator.correction.recorded import learn_from_record as learn_from_record, measured as measured
     from rx90_emulator.identification.arm import RigidArm as RigidArm
     from rx90_emulator.identification.excitation.friction import identify_friction_parts as identify_friction_parts
@@ -172,7 +172,7 @@ if TYPE_CHECKING:
     from rx90_emulator.loop.path_file import load_path as load_path
     from rx90_emulator.loop.result import RunResult as RunResult, save_arrays as save_arrays, write_bag as write_bag
     from rx90_emulator.loop.setup import Setup as Setup, load_setup as load_setup
-    from rx90_emulator.loop.trajectory_file import load_trajectory as load_trajectory
+    from rx90_emulator.loop.path_file import load_trajectory as load_trajectory
     from rx90_emulator.loop.working_day import RepeatedLine as RepeatedLine, repeat_line as repeat_line
     from rx90_emulator.perturbation.model import (
         PerturbationModel as PerturbationModel,

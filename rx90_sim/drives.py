@@ -38,8 +38,15 @@ from rx90_common.description.coupling import add_drive_torques, to_motor
 from rx90_common.description.drives import MAX_TERMS, Cogging, CurrentSensor, Windings
 from rx90_common.friction.bristle import decay
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.elementary import GOLDEN, WHOLE, mixed, nearly_normal, sine_cosine
-from rx90_common.kernels.elementary_arrays import exponential_less_one_of, sines_cosines
+from rx90_common.kernels.elementary import (
+    GOLDEN,
+    WHOLE,
+    exponential_less_one_of,
+    mixed,
+    nearly_normal,
+    sine_cosine,
+    sines_cosines,
+)
 from rx90_common.kernels.lanes import Lanes, Number, absolute, fma, load, select, size, store
 
 _SMALL = 1e-2  # rad; below it the series of sin(x) / x is exact to rounding, and 0 is not divided by

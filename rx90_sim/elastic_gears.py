@@ -46,7 +46,7 @@ from rx90_common.description.coupling import (
     share_among_drives,
     turn_of_drive,
 )
-from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
+from rx90_common.dynamics import factorise, mass_and_bias, solve
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import size
 from rx90_sim.drives import add_cogging

@@ -1,4 +1,4 @@
-"""The plant as the nodes and the closed loop use it: motor torques in, sampled states out."""
+"""The plant as the nodes and the closed loop use it: motor torques in, sampled states out; or seen from the joints."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError, DivergenceError
-from rx90_common.base.rates import Rates
-from rx90_common.description.coupling import ArmSize, gear_field
+from rx90_common.base.rates import Rates, ticks_per
+from rx90_common.description.coupling import ArmSize, gear_field, to_joint, to_joint_torque, to_motor_torque
 from rx90_common.description.drives import LINK, DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.dynamics import body_dtype, manipulator_dtype, manipulator_record
@@ -23,7 +23,7 @@ from rx90_common.friction.parts.scatter import check_seed
 from rx90_common.friction.parts.step import parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.temperature import follow_temperatures
 from rx90_common.kernels.compiled import kernel
-from rx90_common.kernels.elementary_arrays import exponential_of
+from rx90_common.kernels.elementary import exponential_of
 from rx90_common.kernels.lanes import size
 from rx90_sim.drives import (
     cogging_dtype,
@@ -399,3 +399,61 @@ def beyond_law(friction: FrictionSet, temperatures: Array) -> str:
 def _follow(plants: Record, states: Record) -> None:
     """Give the elements the friction of their temperatures."""
     follow_temperatures(plants[0].parts.temperature, states[0].parts.temperature, size(states[0].z))
+
+
+class JointInterface:
+    """Joint positions, velocities and efforts of an arm whose motors alone are measured and driven.
+
+    A motor may turn with several joints, as motor 6 of the RX family does with joints 5 and 6. Positions and torques
+    are transformed so that power is the same on both sides: motor torque times motor velocity is effort times joint
+    velocity, summed over the arm.
+
+    Args:
+        plant: the arm.
+        rates: of the simulation.
+        command_hz: how often efforts are commanded, Hz.
+
+    Attributes:
+        ticks: base ticks that a command is held for.
+
+    Raises:
+        ConfigError: if `command_hz` does not divide the base rate.
+    """
+
+    def __init__(self, plant: Plant, rates: Rates, command_hz: int) -> None:
+        self.ticks = ticks_per("command_rate", rates.base_hz, command_hz)
+        self._plant, joints = plant.constants, len(plant.joint_names)
+        self._motor_states = plant.motor_states()
+        self._measured = np.zeros(joints), np.zeros(joints), np.zeros(joints)
+        self._torques = np.zeros(joints)
+        self.measure()
+
+    def measure(self) -> tuple[Array, Array, Array]:
+        """Return position by encoders rad, observed velocity rad/s, torque by current sensors Nm, all at the joints.
+
+        Shape (n,); always the same arrays, brought up to date by this call.
+        """
+        _to_joints(self._plant, *self._motor_states, *self._measured)
+        return self._measured
+
+    def motor_torques(self, effort: Array) -> Array:
+        """Return the motor torques, motor side, that make efforts at the joints, Nm, shape (n,).
+
+        Always the same array, which the next call overwrites.
+        """
+        _to_motors(self._plant, effort, self._torques)
+        return self._torques
+
+
+@kernel
+def _to_joints(
+    plants: Record, of_motor: Array, speed: Array, torque: Array, position: Array, velocity: Array, effort: Array
+) -> None:
+    to_joint(plants[0].gear, of_motor, position)
+    to_joint(plants[0].gear, speed, velocity)
+    to_joint_torque(plants[0].gear, torque, effort)
+
+
+@kernel
+def _to_motors(plants: Record, effort: Array, torque: Array) -> None:
+    to_motor_torque(plants[0].gear, effort, torque)

@@ -96,13 +96,8 @@ class BringUp(Dialogue):
         return {"positive": 1, "negative": -1} if self.rig.bipolar else {"positive": 1}
 
     @property
-    def _signed_codes(self) -> list[int]:
-        return [way * code for way in self._ways.values() for code in self.codes]
-
-    @property
     def _limit(self) -> int:
-        assert self.client.hello is not None  # the first step has greeted it
-        return self.client.hello.torque_limit_code
+        return self._hello.torque_limit_code
 
     def run(self) -> int:
         """Run all steps, and print the result of each.
@@ -156,9 +151,7 @@ class BringUp(Dialogue):
     # The steps.
 
     def _line(self) -> None:
-        client, rig, hello = self.client, self.rig, self.client.hello
-        assert hello is not None
-        name = plain(rig.file.name)
+        client, rig, hello, name = self.client, self.rig, self._hello, plain(self.rig.file.name)
         self._say(f"{hello.text}: {self.board.name}")
         self._say(
             f"{hello.counts_per_revolution} counts a turn, tick {hello.tick_us / 1e3:g} ms, "
@@ -187,9 +180,7 @@ class BringUp(Dialogue):
         samples = self._listen(LISTENED_TICKS)
         report = samples[-1].report
         if report.state != State.DISARMED or report.dac:
-            self.results[-1].faults.append(
-                f"state {report.state.name}, DAC code {report.dac}; expected: DISARMED and 0"
-            )
+            self._fault(f"state {report.state.name}, DAC code {report.dac}; expected: DISARMED and 0")
         self._compare("ADC code", "codes", 0, READING[1], _mean_reading(samples))
         moved = max(sample.counts for sample in samples) - min(sample.counts for sample in samples)
         self._compare("encoder counts of a shaft at rest", "counts", 0, 1, moved)
@@ -264,8 +255,7 @@ class BringUp(Dialogue):
         self._say(f"TORQUE {limit + 1} and {CODES} and a RAMP to {limit + 1} are refused{both}")
 
     def _watchdog(self) -> None:
-        client, code, hello = self.client, self.codes[0], self.client.hello
-        assert hello is not None
+        client, code, hello = self.client, self.codes[0], self._hello
         expected = hello.watchdog_ticks * self.rig.tick
         self._say(
             f"S1 stays open. Code {code} is put on the DAC, then this computer is silent: after {1e3 * expected:g} ms "
@@ -390,7 +380,7 @@ class BringUp(Dialogue):
             f"{self.rig.dac_full_scale / self.board.current(CODES):.3g} Nm/A."
         )
         readings = {}
-        for code in self._signed_codes:
+        for code in (way * code for way in self._ways.values() for code in self.codes):
             torque, current = self.rig.torque(code), self.board.current(code)
             self._ready(f"Apply code {code}: {torque:.4g} Nm, {current:.3g} A")
             with self._stage_on(code):

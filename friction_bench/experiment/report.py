@@ -180,14 +180,13 @@ def _add_both(
             directions.setdefault(name, {})[key] = entries
     document["directions"] = directions
     for load, swing in found.swings.items():
-        times = {way: [one.lag for one in swing.reversals if WAYS[one.backward] == way] for way in WAYS}
         document.setdefault("lag_time_s", {})[load] = {
-            way: [float(f"{lag:.4g}") for lag in some] for way, some in times.items()
+            way: [float(f"{lag:.4g}") for lag in some] for way, some in zip(WAYS, swing.times, strict=True)
         }
         lags[load] = [
             f"to {way}: no reversal" if mean is None else
             f"to {way}: {mean[0]} s, at {mean[1]} Nm ({len(some)} reversals)"
-            for (way, some), mean in zip(times.items(), swing.lags, strict=True)
+            for way, some, mean in zip(WAYS, swing.times, swing.lags, strict=True)
         ]  # fmt: skip
         head = f"{load}: lag time, from the torque's change of sign to the velocity's, "
         lines += [head + text for text in lags[load]]

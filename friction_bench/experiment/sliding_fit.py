@@ -31,7 +31,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from friction_bench.experiment.record import SlidingWindow
 from rx90_common.base.arrays import Array
-from rx90_common.friction.curves import stribeck_decay_slopes
+from rx90_common.friction.element import stribeck_decay_slopes
 from rx90_common.kernels.compiled import kernel
 
 EXPONENTS = (0.7, 1.0, 1.5, 2.0)

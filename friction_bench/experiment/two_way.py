@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -64,18 +65,6 @@ class Half(NamedTuple):
     top: int
 
 
-class Reversal(NamedTuple):
-    """A passage of the torque through zero.
-
-    Attributes:
-        backward: the torque's direction after it.
-        lag: when it began to move in the torque's direction, s after the torque was zero.
-    """
-
-    backward: bool
-    lag: float
-
-
 @dataclass(frozen=True)
 class SwingResult:
     """Results of the swings under one load; pairs are of WAYS.
@@ -84,13 +73,13 @@ class SwingResult:
         friction: from the sliding stretches.
         difference: forward less backward, of f_c, Nm, and f_v, Nm s/rad.
         lags: mean lag time, s, and the torque then, Nm; None without a reversal to that direction.
-        reversals: all reversals.
+        times: lag time of each reversal to that direction, s.
     """
 
     friction: tuple[RampFriction, RampFriction]
     difference: tuple[IntervalEstimate, IntervalEstimate]
     lags: tuple[tuple[IntervalEstimate, ...] | None, ...]
-    reversals: tuple[Reversal, ...]
+    times: tuple[list[float], list[float]]
 
 
 @dataclass(frozen=True)
@@ -186,8 +175,8 @@ def _friction(swings: Sequence[Sequence[Half]], scale: float) -> RampFriction:
     return RampFriction.of(fit.values, fit.covariance, scale, fit.freedom)
 
 
-def _reversal(half: Half, friction: RampFriction) -> Reversal:
-    """Return the lag.
+def _lag(half: Half, friction: RampFriction) -> float:
+    """Return when the shaft began to move in the torque's direction, s after the torque was zero.
 
     A shaft that turns where the torque exceeds f_c is carried on by its inertia, and turns at once, in the middle of
     its slow readings. Another one rests until the torque is at f_c at least: that moment is fitted to the motion.
@@ -205,18 +194,17 @@ def _reversal(half: Half, friction: RampFriction) -> Reversal:
     reversal = float(time[low + 1])
     middle = 0.5 * (float(time[half.stopped]) + reversal)
     if record.slope * middle > coulomb:
-        return Reversal(half.backward, middle)
+        return middle
     assert friction.inertia is not None  # swings determine it
     model = RampModel(coulomb, friction.viscous.value, friction.inertia.value, record.slope)
     onset = slice(low - 1, low + ONSET_TICKS)
     earliest = min(max(coulomb / record.slope, reversal - EARLIER_TICKS * record.tick), reversal - record.tick)
-    lag = fit_break_away(
+    return fit_break_away(
         time[onset],
         record.angle[onset] - record.angle[half.first],
         (earliest, reversal),
         lambda moment: replace(model, release=moment * record.slope - coulomb),
     )
-    return Reversal(half.backward, lag)
 
 
 def _mean_lag(lags: Sequence[float], tick: float, slope: float, scale: float) -> tuple[IntervalEstimate, ...] | None:
@@ -245,17 +233,13 @@ def identify_swings(records: Sequence[RampRecord], scale_uncertainty: float) -> 
         _friction([[half for half in one if half.backward is way] for one in found], scale_uncertainty)
         for way in (False, True)
     )
-    reversals = []
+    times: tuple[list[float], list[float]] = [], []
     for one in found:
         for half in one[1:]:  # the first begins at rest, and reverses nothing
-            try:
-                reversals.append(_reversal(half, backward if half.backward else forward))
-            except IdentificationError:  # the swing ended before the shaft moved
-                continue
-    by_way = [[one.lag for one in reversals if one.backward is way] for way in (False, True)]
-    lags = [_mean_lag(some, records[0].tick, records[0].slope, scale_uncertainty) for some in by_way]
-    both = difference(forward, backward, scale_uncertainty)
-    return SwingResult((forward, backward), both, tuple(lags), tuple(reversals))
+            with suppress(IdentificationError):  # the swing ended before the shaft moved
+                times[half.backward].append(_lag(half, backward if half.backward else forward))
+    lags = tuple(_mean_lag(some, records[0].tick, records[0].slope, scale_uncertainty) for some in times)
+    return SwingResult((forward, backward), difference(forward, backward, scale_uncertainty), lags, times)
 
 
 def evaluate_all(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -> Measurement:

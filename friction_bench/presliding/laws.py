@@ -32,10 +32,10 @@ from friction_bench.presliding.sliding import (
 )
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.held_out import HeldOutErrors, leave_out
 from rx90_common.friction.parts.bristles import MAX_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip
-from rx90_common.friction.tracing import prescribed_torque
 
 SIGNIFICANCE = 0.01
 MIN_EXCESS = 0.1

@@ -12,8 +12,7 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.base.stamps import ENCAPSULATION, HEAD
-from rx90_common.exchange.cdr import CdrBody, JointStateCodec
+from rx90_common.exchange.cdr import ENCAPSULATION, HEAD, CdrBody, JointStateCodec
 
 Int64Array = NDArray[np.int64]
 Bytes = NDArray[np.uint8]

@@ -31,12 +31,11 @@ from typing import Any, Final, TypeAlias
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import SERIES_FIELDS, quantities
-from rx90_common.base.config import load_yaml, yaml_text
+from rx90_common.base.config import Section, load_yaml, yaml_text
 from rx90_common.base.entries import LEFT_OUT, Integer, ListOf, Number, Numbers, Other, Switch, Text, Texts
 from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import plain
-from rx90_common.base.section import Section
 
 Column: TypeAlias = int | str
 """Number of a column, from 1 on, or its name."""

@@ -17,11 +17,12 @@ import numpy as np
 
 from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.base.stamps import ENCAPSULATION, cdr_stamp_ns
+from rx90_common.exchange.cdr import ENCAPSULATION, cdr_stamp_ns
 
 _HOLD_NS = 500_000_000  # of simulated time; far above the differences between topics
 _RESEND_NS = 1_000_000_000  # of the wall clock; a lost message delays its topic by several heartbeats
 _MAX_UNDATED_BYTES = 16 << 20
+_ALWAYS = int(np.iinfo(np.int64).min)  # reception before all others, ns
 OTHER_CLOCK_NS: Final = 86_400 * NANOSECONDS
 """A stamp this far from the newest one belongs to another clock: wall-clock time among simulated times, for example."""
 _COUNT = slice(ENCAPSULATION, ENCAPSULATION + 4)  # where a list has its length
@@ -51,7 +52,8 @@ class Dated(NamedTuple):
 class Arrived(NamedTuple):
     """n messages of the topic with this index, in the order of arrival.
 
-    `source` is the source of their log time; `received_ns` are the wall clock's times of reception, int64 (n,).
+    `source` is the source of their log time; `received_ns` are the wall clock's times of reception, int64 (n,), or of
+    sending where messages are older than the subscription.
     """
 
     topic: int
@@ -65,8 +67,8 @@ class LogOrder:
 
     All log times are of one clock: that of the first topic that defines the time. Messages with stamps of another clock
     get their time of reception, as messages without a stamp do. Messages before the first one that defines the
-    time get that one's. If no topic defines the time, it is the clock of the first stamp, or the wall clock's time of
-    reception.
+    time get that one's, also if they arrive after it, as long as nothing has been released. If no topic defines the
+    time, it is the clock of the first stamp, or the wall clock's time of reception.
 
     Log time never goes back, because a reader, which sorts by it, would mix two runs: if stamps go back, after a reset
     of the simulation, log time continues from its last value, and is ahead of them from then on.
@@ -82,6 +84,7 @@ class LogOrder:
         self.held_bytes = 0
         self.other_clock: Counter[int] = Counter()
         self._newest: int | None = None  # log time
+        self._first: tuple[int, int] | None = None  # reception and stamp of the first message that gives the time
         self._stamps: dict[int, int] = {}  # newest of each topic that gives the time
         self._epochs: dict[int, int] = {}  # of each of these: how often its stamps went back
         self._offsets = [0]  # log time less stamp, for each epoch
@@ -106,7 +109,10 @@ class LogOrder:
 
     def add(self, arrived: Sequence[Arrived]) -> None:
         """Take the messages that have arrived since the last call."""
-        self._known = [] if self._newest is None else [self._since_ever(self._newest)]
+        self._known = [] if self._newest is None else [_column(_ALWAYS, self._newest, self._offsets[-1])]
+        if self._newest is not None and self._first is not None and self._next_cut == 0:
+            received_ns, stamp = self._first
+            self._known = [_column(_ALWAYS, stamp, 0), _column(received_ns, self._newest, self._offsets[-1])]
         for each in (each for each in arrived if len(each.messages)):
             self.held_bytes += each.messages.total
             gives_time = each.source is TimeSource.CLOCK and each.topic not in self.other_clock
@@ -157,16 +163,14 @@ class LogOrder:
     def _hold(self, arrived: Arrived, log_ns: Int64Array) -> None:
         self._held.append(Dated(log_ns, np.full(len(log_ns), arrived.topic, dtype=np.int64), arrived.messages))
 
-    def _since_ever(self, log_ns: int) -> Int64Array:
-        return np.array([[np.iinfo(np.int64).min], [log_ns], [self._offsets[-1]]])
-
     def _date_by_stamps(self, arrived: Arrived) -> bool:
         """Date messages that give the time, and go on by them; return False if they are of another clock."""
         topic, stamps, newest = arrived.topic, arrived.messages.stamps_ns(), self.newest_ns
         if topic not in self._stamps and newest is not None and abs(int(stamps[0]) - newest) >= OTHER_CLOCK_NS:
             return False
         if newest is None:
-            self._known = [self._since_ever(int(stamps[0]))]
+            self._first = int(arrived.received_ns[0]), int(stamps[0])
+            self._known = [_column(_ALWAYS, self._first[1], 0)]
         offsets = np.empty_like(stamps)
         ends = [*(np.flatnonzero(np.diff(stamps) < 0) + 1).tolist(), len(stamps)]
         for begin, end in zip([0, *ends[:-1]], ends, strict=True):  # from one set-back to the next
@@ -206,6 +210,10 @@ class LogOrder:
             if other.any():
                 self.other_clock[each.topic] += int(other.sum())
             self._hold(each, np.where(stamped & ~other, stamps + ahead, now))
+
+
+def _column(received_ns: int, log_ns: int, lead_ns: int) -> Int64Array:
+    return np.array([[received_ns], [log_ns], [lead_ns]])
 
 
 def _stamps_ns(messages: MessageBatch, source: TimeSource) -> Int64Array:

@@ -26,7 +26,7 @@ from rx90_common.bags.storage_files import ACCEPTED, BagTopic, DamagedError, Sto
 from rx90_common.bags.topics import EFFORT_UNIT, FIELDS, absolute
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import Integer, Text, Texts
-from rx90_common.base.errors import BagError, ConfigError
+from rx90_common.base.errors import BagError, ConfigError, located
 from rx90_common.base.quoting import listed, plain
 
 __all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_states"]
@@ -309,10 +309,8 @@ class JointBag:
             raise BagError(f"{plain(self.path)}: no messages in {plain(topic)}")
         if names is not None:
             fitting = [series for series in found if set(names) <= set(series.names)]
-            try:
+            with located(plain(self.path)):
                 return (fitting or found)[0].select(names)
-            except BagError as error:
-                raise BagError(f"{plain(self.path)}: {error}") from error
         if len(found) > 1:
             sets = "; ".join(", ".join(map(plain, series.names)) for series in found)
             raise BagError(f"{plain(self.path)}: {plain(topic)} carries several sets of joints: {sets}; {remedy}")

@@ -13,7 +13,7 @@ from dataclasses import KW_ONLY, dataclass
 from numbers import Real
 from typing import Any, Final, NoReturn, TypeAlias
 
-from rx90_common.base.section import Section
+from rx90_common.base.config import Section
 
 JsonSchema: TypeAlias = dict[str, Any]
 

@@ -6,7 +6,8 @@ import errno
 import os
 import sys
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import ClassVar
@@ -40,6 +41,17 @@ class FailureError(Rx90Error):
     """The request is acceptable and could not be carried out."""
 
     exit_code = FAILED
+
+
+@contextmanager
+def located(where: object, kind: type[Rx90Error] = Rx90Error) -> Iterator[None]:
+    """Let the refusals of a block, of a kind, begin with their place, such as a file, where they do not name it yet."""
+    try:
+        yield
+    except kind as error:
+        if str(error).startswith(f"{where}: "):
+            raise
+        raise type(error)(f"{where}: {error}") from error
 
 
 class Rx90Warning(UserWarning):

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, ClassVar, Final
 
+from rx90_common.base.config import ABOUT, PROVENANCE, Section
 from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, JsonSchema, Text
-from rx90_common.base.section import ABOUT, PROVENANCE, Section
 
 DEFINITIONS: Final[Mapping[str, JsonSchema]] = {
     "provenance": {

@@ -1,12 +1,91 @@
-"""Find config/ and launch/ in a colcon install space, a pip environment or a source tree."""
+"""The project's own files: its sources with a hash and their versions, and config/ and launch/, wherever they are.
+
+Every command imports this module: what is slow to import, the functions import themselves.
+"""
 
 from __future__ import annotations
 
+import re
 import sys
+from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
+
+PACKAGES = ("rx90_common", "rx90_sim", "rx90_controller", "friction_bench", "rx90_emulator")
+"""The Python packages of this project, from the ground to the roof."""
+
+ROOT = Path(__file__).resolve().parents[2]
+"""The folder that holds them: a checkout or a site-packages folder."""
+
+_IMPORT = re.compile(r"^\s*(?:from (\S+) import ([^\n(]*(?:\([^)]*\))?)|import (\S+))", re.MULTILINE)
+
+
+@cache
+def module_file(name: str) -> Path | None:
+    """Return the file of a module of this project, None for any other name."""
+    parts = name.split(".")
+    if parts[0] not in PACKAGES:
+        return None
+    path = ROOT.joinpath(*parts)
+    return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
+
+
+def importers_of(package: str) -> list[Path]:
+    """Return the project's files that import from `package`, sorted."""
+    pattern = re.compile(rf"^\s*from {re.escape(package)}[. ]", re.MULTILINE)
+    files = (file for name in PACKAGES for file in (ROOT / name).rglob("*.py"))
+    return sorted(file for file in files if pattern.search(file.read_text(encoding="utf-8")))
+
+
+def with_imports(files: Iterable[Path]) -> list[Path]:
+    """Return `files` and all files of this project that they import, directly or not, sorted."""
+    found: set[Path] = set()
+    todo = list(files)
+    while todo:
+        file = todo.pop()
+        if file not in found:
+            found.add(file)
+            todo.extend(_imported(file))
+    return sorted(found)
+
+
+@cache
+def _imported(source: Path) -> list[Path]:
+    files = []
+    for base, items, plain in _IMPORT.findall(source.read_text(encoding="utf-8")):
+        names = [f"{base}.{item}" for item in re.findall(r"\w+", items)] if base else []
+        files += [file for name in (base, *names, plain) if name and (file := module_file(name))]
+    return files
+
+
+def sources_hash(files: Iterable[Path], salt: str = "") -> str:
+    """Return a hash of the contents of `files`, 16 hexadecimal digits."""
+    import hashlib
+
+    digest = hashlib.sha256(salt.encode())
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+_PACKAGES = ("rx90_emulator", "numpy", "scipy", "numba", "pin")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the interpreter and of the libraries that decide the results."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    found = {"python": f"{sys.version_info.major}.{sys.version_info.minor}"}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return found
+
 
 PACKAGE = "rx90_emulator"
 SHIPPED_RIG = "rig/gm8224.yaml"
@@ -23,9 +102,8 @@ def share_directory() -> Path:
     Raises:
         ConfigError: if none of them exists.
     """
-    source = Path(__file__).resolve().parents[2]
-    if (source / "package.xml").is_file() and (source / "config").is_dir():
-        return source
+    if (ROOT / "package.xml").is_file() and (ROOT / "config").is_dir():
+        return ROOT
     try:
         # The models work where no ROS is installed.
         from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
@@ -40,7 +118,7 @@ def share_directory() -> Path:
     prefix = Path(sys.prefix) / "share" / PACKAGE
     if prefix.is_dir():
         return prefix
-    raise ConfigError(f"the data folder of {PACKAGE} was not found in {source}, AMENT_PREFIX_PATH or {prefix}")
+    raise ConfigError(f"the data folder of {PACKAGE} was not found in {ROOT}, AMENT_PREFIX_PATH or {prefix}")
 
 
 def config_path(relative: str) -> Path:

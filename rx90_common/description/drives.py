@@ -18,7 +18,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.declared import Declared
 from rx90_common.base.entries import LEFT_OUT, PER_JOINT, REQUIRED, Integer, ListOf, Number, Numbers, Rows, Text
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, located
 from rx90_common.base.quoting import counted
 from rx90_common.description.coupling import Coupling
 
@@ -354,7 +354,5 @@ def load_drives(path: Path) -> DriveParameters:
     """
     root = load_yaml(path)
     content = DRIVES.read(root)
-    try:
+    with located(root.where("")[:-2]):
         return DriveParameters.of_file(content)
-    except ConfigError as error:
-        raise ConfigError(f"{root.where('')[:-2]}: {error}") from error

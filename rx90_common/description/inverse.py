@@ -25,7 +25,7 @@ from rx90_common.description.rotations import (
     solved,
     transposed,
 )
-from rx90_common.kernels.elementary_arrays import angles_of, sines_cosines
+from rx90_common.kernels.elementary import angles_of, sines_cosines
 
 _Y, _Z = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 # Geometry read from a URDF counts as exact within this many metres or sines.

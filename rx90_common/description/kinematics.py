@@ -25,7 +25,7 @@ from rx90_common.description.rotations import (
     rpy_quaternion,
 )
 from rx90_common.description.urdf import Placement
-from rx90_common.kernels.elementary_arrays import sines_cosines
+from rx90_common.kernels.elementary import sines_cosines
 
 
 class Pose(NamedTuple):

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
 from rx90_common.kernels.compiled import kernel
-from rx90_common.kernels.elementary_arrays import angles_of, sines_cosines
+from rx90_common.kernels.elementary import angles_of, sines_cosines
 
 
 def dot(a: Array, b: Array) -> Array:

@@ -86,10 +86,13 @@ class ClientNode:
             ExchangeError: if the service is not there or does not answer within the timeout.
         """
         caller = self.node.create_client(kind, service)
-        self.wait(caller.service_is_ready, f"a service {caller.srv_name}")
-        answer = caller.call_async(request)
-        self.wait(answer.done, f"an answer of {caller.srv_name}")
-        return answer.result()
+        try:
+            self.wait(caller.service_is_ready, f"a service {caller.srv_name}")
+            answer = caller.call_async(request)
+            self.wait(answer.done, f"an answer of {caller.srv_name}")
+            return answer.result()
+        finally:  # each client that is left makes every later wait longer
+            self.node.destroy_client(caller)
 
 
 @contextmanager

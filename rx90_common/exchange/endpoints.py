@@ -69,7 +69,7 @@ REQUEST_QOS: Final = _reliable(2000)
 
 
 def ros_time(nanoseconds: int) -> Time:
-    """Return a time, ns, as a message; `rx90_common.base.stamps` reads them."""
+    """Return a time, ns, as a message; `rx90_common.exchange.cdr` reads them."""
     seconds, rest = divmod(nanoseconds, NANOSECONDS)
     return Time(sec=seconds, nanosec=rest)
 

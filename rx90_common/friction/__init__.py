@@ -12,10 +12,8 @@ __all__ = [
     "arm_elements",
     "bristle",
     "compiled_elements",
-    "curves",
     "element",
     "friction_file",
     "held_out",
     "load_friction",
-    "tracing",
 ]

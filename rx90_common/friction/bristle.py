@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rx90_common.friction.curves import LINEAR_SPEED
+from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import exponential, power
 from rx90_common.kernels.lanes import Number, absolute, any_lane, fma, select

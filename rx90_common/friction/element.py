@@ -14,14 +14,14 @@ from typing import Annotated, Final, get_args, get_type_hints
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.declared import Declared, declarations
 from rx90_common.base.entries import REQUIRED, Entry, Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Either, Group
-from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay, viscous_torque
 from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY, BristlesPart
 from rx90_common.friction.parts.load import LoadPart
-from rx90_common.friction.parts.part import MIN_SPEED, FrictionPart, in_words
+from rx90_common.friction.parts.part import LINEAR_SPEED, MIN_SPEED, FrictionPart, in_words
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
@@ -275,3 +275,32 @@ def legend(parts: Iterable[str] = ()) -> str:
         accepted = parameter.accepted.rpartition("number ")[2]
         lines += f"# {parameter.name:<8} {parameter.meaning}, {parameter.unit}, {accepted}{signed}{optional}\n"
     return lines + "".join(part.legend() for name, part in PARTS.items() if name in parts)
+
+
+_MAX_POWER = 700.0  # of (|v| / omega_s)^delta: beyond it, exp(-x) is no normal number
+
+
+def stribeck_decay(velocity: Array, omega_s: float, delta: float) -> Array:
+    """Return exp(-(|v| / omega_s)^delta), the remaining share of the Stribeck rise; shape of the velocity in rad/s."""
+    with np.errstate(over="ignore"):  # nothing is left then
+        return np.asarray(np.exp(-((np.abs(velocity) / omega_s) ** delta)))
+
+
+def stribeck_decay_slopes(velocity: Array, omega_s: float, delta: float) -> tuple[Array, Array, Array]:
+    """Return the same, and its derivatives by ln omega_s and by ln delta, each with the shape of the velocity."""
+    speed = np.abs(velocity)
+    power = np.minimum((speed / omega_s) ** delta, _MAX_POWER)
+    decay = np.exp(-power)
+    by_omega_s = decay * power * delta
+    logarithm = np.log(speed / omega_s, out=np.zeros_like(power), where=speed > 0.0)
+    return decay, by_omega_s, -by_omega_s * logarithm
+
+
+def viscous_torque(velocity: Array, c2: float, alpha: float) -> Array:
+    """Return c2 |v|^alpha sign(v), below LINEAR_SPEED the chord of it, Nm, with the shape of the velocity in rad/s.
+
+    The derivative by alpha is this torque times ln max(|v|, LINEAR_SPEED).
+    """
+    if alpha == 1.0:
+        return np.asarray(c2 * velocity)
+    return np.asarray(c2 * velocity * np.maximum(np.abs(velocity), LINEAR_SPEED) ** (alpha - 1.0))

@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rx90_common.base.config import load_yaml, yaml_text
+from rx90_common.base.config import ABOUT, PROVENANCE, Section, load_yaml, yaml_text
 from rx90_common.base.entries import LEFT_OUT, Number
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, located
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import conjoined, quoted
-from rx90_common.base.section import ABOUT, PROVENANCE, Section
 from rx90_common.friction.element import ELEMENT, FRICTION_PARAMETERS, PARTS, SIGNS, FrictionElement, legend
 from rx90_common.friction.parts.bristles import MaxwellSlip
 
@@ -232,11 +231,9 @@ def read_element(section: Section) -> FrictionElement:
         given = content[parameter.name]
         numbers = [given[sign] for sign in SIGNS] if isinstance(given, dict) else [given] * len(parameter.attributes)
         values |= zip(parameter.attributes, numbers, strict=True)
-    try:
+    with located(section.where("")[:-1]):
         values |= {name: part.read(content[name]) for name, part in PARTS.items() if name in content}
         return FrictionElement(**values)
-    except ConfigError as error:
-        raise ConfigError(f"{section.where('')[:-1]}: {error}") from error
 
 
 def _values(element: FrictionElement) -> dict[str, Any]:

@@ -1,25 +1,223 @@
-"""Compile the numerical kernels with numba.
+"""Compile the numerical kernels with numba, and keep the code on disk.
 
 fastmath stays off, so that a kernel gives the same bits wherever it is inlined. docs/explanation/kernels.md explains
 when to use which decorator.
+
+numba's own cache checks only the file of a compiled function: after a change in a kernel that it *calls* from
+another file, it would run the old code. This cache therefore has a folder named after the hash of all files
+with kernels and of their imports. In it a kernel is found by its module's name, not by its path: clones,
+wheels and installed copies of the same sources share compiled code.
 """
 
 from __future__ import annotations
 
 import ctypes
+import fcntl
+import os
+import re
+import shutil
 import sys
+import time
 from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
 from typing import Any, TypeVar, cast
+from uuid import uuid4
 
+import llvmlite
 import numba
+import numpy as np
+from numba.core import caching
 from numba.core.ccallback import CFunc
 from numba.core.event import Event, Listener, register
 from numba.core.registry import CPUDispatcher
 from numba.core.sigutils import normalize_signature
 from numba.extending import overload
 
-from rx90_common.kernels import announcement
-from rx90_common.kernels.code_cache import KernelCache
+from rx90_common.base.share import importers_of, module_file, sources_hash, with_imports
+from rx90_common.kernels import compilation_begins
+
+_UNUSED_S = 28 * 24 * 3600.0  # after which the folder of other sources is removed
+_FOLDER = re.compile(r"[0-9a-f]{16}")
+_LONGEST_S = 120.0  # wait for another process, after which this one compiles itself
+_LOOK_S = 0.02
+
+
+class CompileLock:
+    """The turn to compile one kernel, held by at most one process. It ends with the process, however that ends.
+
+    Args:
+        file: of the lock, there while a process compiles.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self._descriptor: int | None = None
+
+    def take(self) -> None:
+        """Wait until no other process compiles this kernel; without delay where no lock can be made."""
+        if self._descriptor is not None:  # the kernel is compiled again, for arguments that are literals
+            return
+        try:
+            descriptor = os.open(self._file, os.O_CREAT | os.O_RDWR, 0o666)
+        except OSError:
+            return
+        try:
+            self._wait(descriptor)
+        except BaseException:  # Ctrl-C
+            os.close(descriptor)
+            raise
+        self._descriptor = descriptor
+
+    def _wait(self, descriptor: int) -> None:
+        end = time.monotonic() + _LONGEST_S
+        while time.monotonic() < end:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                compilation_begins()
+                time.sleep(_LOOK_S)
+            except OSError:  # a file system without locks
+                return
+            else:
+                return
+
+    def release(self) -> None:
+        """Let others have it; who waits looks for the code first."""
+        if self._descriptor is None:
+            return
+        with suppress(OSError):
+            self._file.unlink()
+        os.close(self._descriptor)
+        self._descriptor = None
+
+
+def _kernels_hash() -> str:
+    files = with_imports(importers_of("rx90_common.kernels"))
+    # Environments with the same sources share the folder: all that decides on their code counts, but for the
+    # processor, which numba's index names.
+    svml = getattr(numba.config, "USING_SVML", False)
+    versions = (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:2], svml)
+    return sources_hash(files, " ".join(map(str, versions)))
+
+
+def cache_directory() -> Path:
+    """Return the folder for compiled kernels of exactly these sources (NUMBA_CACHE_DIR wins)."""
+    base = os.environ.get("NUMBA_CACHE_DIR")
+    root = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    return root / "rx90_emulator" / _kernels_hash()
+
+
+# numba makes its settings at import, so its type stubs do not know them. Kernels outside of this project are found
+# there by path and contents, as numba does it, and compiled again after a change in ours that they may call.
+setattr(numba.config, "CACHE_DIR", str(cache_directory()))  # noqa: B010
+
+
+@cache
+def prepare(folder: Path) -> None:
+    """Make the folder, or note that it is in use; with a new one, remove those not used for four weeks.
+
+    Raises:
+        OSError: if it cannot be made.
+    """
+    if folder.is_dir():
+        with suppress(OSError):
+            os.utime(folder)
+        return
+    folder.mkdir(parents=True)
+    for other in folder.parent.iterdir():
+        with suppress(OSError):  # another process may remove it, too
+            if _FOLDER.fullmatch(other.name) and time.time() - other.stat().st_mtime > _UNUSED_S:
+                shutil.rmtree(other, ignore_errors=True)
+
+
+class _Locator(caching._CacheLocator):
+    """The place of a kernel of this project: its module's name; numba adds the function's."""
+
+    def __init__(self, function: Callable[..., Any], file: str) -> None:
+        self._py_file = file  # numba names it in warnings
+        self._line = function.__code__.co_firstlineno
+        self._folder = Path(numba.config.CACHE_DIR) / function.__module__  # type: ignore[attr-defined]
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _Locator | None:
+        """Return the place, None for functions of others and where nothing can be written: numba has its own then."""
+        module = module_file(py_func.__module__)
+        if module is None or not Path(py_file).exists() or not module.samefile(py_file):
+            return None
+        locator = cls(py_func, py_file)
+        try:
+            prepare(locator._folder.parent)
+            locator.ensure_cache_path()  # type: ignore[no-untyped-call]  # numba has no types there
+        except OSError:
+            return None
+        return locator
+
+    def get_cache_path(self) -> str:
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        # The folder's name was made when the program began: a file that is edited before it is imported differs.
+        return _file_hash(self._py_file)
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+@cache
+def _file_hash(file: str) -> str:
+    return sources_hash([Path(file)])
+
+
+class _Implementation(caching.CompileResultCacheImpl):
+    _locator_classes = [_Locator, *caching.CompileResultCacheImpl._locator_classes]  # noqa: RUF012 - as numba has it
+
+
+class _CodeFiles(caching.IndexDataCacheFile):
+    """numba's files, written beside and renamed, with names that no two processes choose.
+
+    numba numbers the files of a function. Two processes that compile it at once for other arguments would both write
+    number one, and the index could name the code of the other; here one of both is compiled again later.
+    """
+
+    def _data_name(self, number: int) -> str:  # noqa: ARG002 - numba's interface
+        return f"{Path(self._index_name).stem}.{uuid4().hex[:12]}.nbc"
+
+
+class KernelCache(caching.FunctionCache):
+    """The compiled code of one kernel on disk."""
+
+    _impl_class = _Implementation
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)  # type: ignore[no-untyped-call]  # numba has no types there
+        place = self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp()
+        self._cache_file = _CodeFiles(*place)  # type: ignore[no-untyped-call]  # numba has no types there
+        self._turn = CompileLock(Path(self._cache_path) / f"{self._impl.filename_base}.lock")
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the code, waiting for another process that compiles it; with None this process must compile."""
+        found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]  # numba has no types there
+        if found is None:
+            self._turn.take()
+            found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]  # as above
+        if found is not None:
+            self._turn.release()
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Store compiled code, if the disk has room: it runs without being stored, too."""
+        try:
+            with suppress(OSError):
+                super().save_overload(sig, data)  # type: ignore[no-untyped-call]  # numba has no types there
+        finally:
+            self._turn.release()
+
+    def give_up(self) -> None:
+        """End the turn of a kernel that could not be compiled."""
+        self._turn.release()
+
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _compiler: Any = numba.njit  # numba's type stubs do not know the options for wrappers
@@ -29,7 +227,7 @@ class _Watch(Listener):
     """Announces the compilation of kernels; loading them from disk raises no such event."""
 
     def on_start(self, event: Event) -> None:  # noqa: ARG002 - the interface of Listener
-        announcement.compilation_begins()
+        compilation_begins()
 
     def on_end(self, event: Event) -> None:
         cache = event.data["dispatcher"]._cache

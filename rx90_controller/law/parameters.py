@@ -11,18 +11,17 @@ from typing import Annotated, Any, Final
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.declared import Declared
 from rx90_common.base.entries import PER_JOINT, REQUIRED, Number, Numbers, Switch
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, located
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import Rates
-from rx90_common.base.section import Section
 from rx90_common.description.coupling import ArmSize, gear_field
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction.element import ALPHA_BOUNDS
-from rx90_common.kernels.elementary_arrays import exponential_less_one_of, powers
+from rx90_common.kernels.elementary import exponential_less_one_of, powers
 from rx90_controller.law.model import FRICTION, INVERSE_DYNAMICS, MODEL, ModelFiles, model_dtype
 from rx90_controller.trajectory import JointLimits
 
@@ -277,8 +276,6 @@ def read_controller(root: Section, model: ModelFiles | None = None) -> CS7BParam
     content = CONTROLLER.read(root)
     model = model or ModelFiles.of(root)
     if "model" in root or any(content["feed_forward"][name] for name in MODEL_PARTS):
-        try:
+        with located(plain(root.file)):
             _ = model.constants  # read once
-        except ConfigError as error:
-            raise ConfigError(f"{plain(root.file)}: {error}") from error
     return CS7BParameters.of_file(content, model=model)

@@ -11,11 +11,10 @@ from typing import ClassVar, NamedTuple, Protocol
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.entries import LEFT_OUT, ListOf, Number, Numbers, Text
-from rx90_common.base.errors import LineError
+from rx90_common.base.errors import LineError, located
 from rx90_common.base.groups import Group
-from rx90_common.base.section import Section
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_common.description.kinematics import PathError, Pose, path_error
 from rx90_common.description.robot_files import RobotFiles
@@ -165,8 +164,61 @@ class TrapezoidalProfile:
         return np.minimum(self.peak_speed, np.sqrt(2.0 * self.acceleration * np.maximum(to_end, 0.0)))
 
 
+class TipTask(Protocol):
+    """The task of the tool centre point: a line, or any other path."""
+
+    what: ClassVar[str]
+
+    @property
+    def length(self) -> float: ...  # noqa: D102 - as LineTask's, all of them
+    @property
+    def rest_before(self) -> float: ...  # noqa: D102
+    @property
+    def rest_after(self) -> float: ...  # noqa: D102
+    @property
+    def speed(self) -> float: ...  # noqa: D102
+    @property
+    def acceleration(self) -> float: ...  # noqa: D102
+    @property
+    def branch(self) -> Branch: ...  # noqa: D102
+    @property
+    def singularity_margin(self) -> float: ...  # noqa: D102
+    @property
+    def start_posture(self) -> tuple[float, ...] | None: ...  # noqa: D102
+    def profile(self) -> Profile: ...  # noqa: D102
+    def corners(self) -> tuple[float, ...]: ...  # noqa: D102
+    def places(self, step: float, least: int) -> Array: ...  # noqa: D102
+    def poses(self, distance: Array) -> Pose: ...  # noqa: D102
+    def twists(self, distance: Array) -> tuple[Array, Array]: ...  # noqa: D102
+    def error(self, tip: Array, near: Array | None = None) -> PathError: ...  # noqa: D102
+
+    def notes(self) -> list[str]:
+        """Return additional lines of text for a person; a straight line has none."""
+        return []
+
+    @property
+    def counted(self) -> tuple[float, float]:
+        """Return the part of its trajectory that counts for the path error, s: the motion, until the arm has settled.
+
+        The rest before does not count: the controller may still be taking up the weight of the arm.
+        """
+        return self.rest_before, self.rest_before + self.profile().duration + min(SETTLING, self.rest_after)
+
+    def check_rests(self) -> None:
+        """Check rests and singularity margin.
+
+        Raises:
+            LineError: naming the value and what is accepted.
+        """
+        rests = (("rest_before", 0.0, LONGEST_REST, " s"), ("rest_after", 0.0, LONGEST_REST, " s"))
+        for name, low, high, unit in (*rests, ("singularity_margin", *MARGIN_RANGE, "")):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise LineError(f"{name} is {value:g}{unit}; accepted: a number in [{low:g}, {high:g}]")
+
+
 @dataclass(frozen=True)
-class LineTask:
+class LineTask(TipTask):
     """A straight line of the tool centre point in the base frame.
 
     Attributes:
@@ -219,7 +271,7 @@ class LineTask:
                 f"the line takes {duration:g} s at speed {self.speed:g} m/s and acceleration "
                 f"{self.acceleration:g} m/s^2; accepted: up to {LONGEST_MOTION:g} s"
             )
-        check_rests(self)
+        self.check_rests()
 
     @property
     def length(self) -> float:
@@ -261,68 +313,6 @@ class LineTask:
         """Return how far positions (n, 3) m of the tool centre point are from the line."""
         return path_error(tip, np.array(self.start), np.array(self.end))
 
-    def notes(self) -> list[str]:
-        """Return additional lines of text for a person; a straight line has none."""
-        return []
-
-    @property
-    def counted(self) -> tuple[float, float]:
-        """Return the part of its trajectory that counts for the path error, s; see `counted_motion`."""
-        return counted_motion(self)
-
-
-class TipTask(Protocol):
-    """The task of the tool centre point: a line, or any other path."""
-
-    what: ClassVar[str]
-
-    @property
-    def length(self) -> float: ...  # noqa: D102 - as LineTask's, all of them
-    @property
-    def rest_before(self) -> float: ...  # noqa: D102
-    @property
-    def rest_after(self) -> float: ...  # noqa: D102
-    @property
-    def speed(self) -> float: ...  # noqa: D102
-    @property
-    def acceleration(self) -> float: ...  # noqa: D102
-    @property
-    def branch(self) -> Branch: ...  # noqa: D102
-    @property
-    def singularity_margin(self) -> float: ...  # noqa: D102
-    @property
-    def start_posture(self) -> tuple[float, ...] | None: ...  # noqa: D102
-    @property
-    def counted(self) -> tuple[float, float]: ...  # noqa: D102
-    def notes(self) -> list[str]: ...  # noqa: D102
-    def profile(self) -> Profile: ...  # noqa: D102
-    def corners(self) -> tuple[float, ...]: ...  # noqa: D102
-    def places(self, step: float, least: int) -> Array: ...  # noqa: D102
-    def poses(self, distance: Array) -> Pose: ...  # noqa: D102
-    def twists(self, distance: Array) -> tuple[Array, Array]: ...  # noqa: D102
-    def error(self, tip: Array, near: Array | None = None) -> PathError: ...  # noqa: D102
-
-
-def check_rests(task: TipTask) -> None:
-    """Check rests and singularity margin.
-
-    Raises:
-        LineError: naming the value and what is accepted.
-    """
-    rests = (("rest_before", 0.0, LONGEST_REST, " s"), ("rest_after", 0.0, LONGEST_REST, " s"))
-    for name, low, high, unit in (*rests, ("singularity_margin", *MARGIN_RANGE, "")):
-        value = getattr(task, name)
-        if not low <= value <= high:
-            raise LineError(f"{name} is {value:g}{unit}; accepted: a number in [{low:g}, {high:g}]")
-
-
-def counted_motion(task: TipTask) -> tuple[float, float]:
-    """Return the part of a trajectory that counts for the path error, s: the path's motion, until the arm has settled.
-
-    The rest before does not count: the controller may still be taking up the weight of the arm.
-    """
-    return task.rest_before, task.rest_before + task.profile().duration + min(SETTLING, task.rest_after)
-
 
 def load_task(name: Path | str | None = None, *, robot: Path | str | None = None) -> LineTask:
     """Read a task file.
@@ -347,15 +337,13 @@ def task_of(file: Path, root: Section) -> LineTask:
     start_rpy = line.pop("tool_rpy_degrees")
     end_rpy = line.pop("end_tool_rpy_degrees", start_rpy)
     posture = content.get("posture", {})
-    try:
+    with located(file, LineError):
         return LineTask(
             **line,
             start_rpy=radians(start_rpy),
             end_rpy=radians(end_rpy),
             branch=Branch(**posture),
         )
-    except LineError as error:
-        raise LineError(f"{file}: {error}") from error
 
 
 def radians(degrees: tuple[float, ...]) -> tuple[float, ...]:

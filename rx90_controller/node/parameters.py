@@ -13,13 +13,12 @@ from typing import Any, Final
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.declared import option
 from rx90_common.base.entries import Numbers
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
 from rx90_common.base.quoting import quoted
-from rx90_common.base.section import Section
 from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.parameters import Effective, declare, declare_options
 from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS

@@ -23,8 +23,7 @@ from rx90_controller.lines.task import (
     TOOL_DOWN,
     USUAL_ACCELERATION,
     USUAL_SPEED,
-    check_rests,
-    counted_motion,
+    TipTask,
 )
 from rx90_controller.paths.curve import Curve, Piece, arc_about, arc_through, line, spline
 from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
@@ -89,7 +88,7 @@ class Segment:
 
 
 @dataclass(frozen=True)
-class Path:
+class Path(TipTask):
     """A path of the tool centre point in the base frame, a task as `LineTask` is one.
 
     Attributes:
@@ -150,7 +149,7 @@ class Path:
         for name, value in values:
             if not value > 0.0 or (math.isinf(value) and name != "jerk"):
                 raise LineError(f"{name} is {value:g}; accepted: a number > 0")
-        check_rests(self)
+        self.check_rests()
         if not _SHORTEST_PATH <= self.length <= LONGEST_LINE:
             accepted = f"{_SHORTEST_PATH:g} to {LONGEST_LINE:g} m"
             raise LineError(f"the path's length is {self.length:g} m; accepted: {accepted}")
@@ -316,11 +315,6 @@ class Path:
         inner = [f"{at:.3f}" for at in self.stops[1:-1]]
         stops = [f"stops     {len(inner)}, at {', '.join(inner[:6])}{', ...' * (len(inner) > 6)} m"] if inner else []
         return [*stops, *(f"lowered   {remark}" for remark in self.remarks)]
-
-    @property
-    def counted(self) -> tuple[float, float]:
-        """Return the part of its trajectory that counts for the path error, s; see `counted_motion`."""
-        return counted_motion(self)
 
     def within_limits(
         self, names: Sequence[str], distance: Array, slope: Array, bend: Array, velocity: Array, most: Array

@@ -151,8 +151,7 @@ def _path(name: str, setup: Setup) -> CorrectablePath:
     from rx90_common.base.config import load_yaml
     from rx90_emulator.correction.path import TrajectoryPath
     from rx90_emulator.loop.line import plan_path
-    from rx90_emulator.loop.path_file import load_motion
-    from rx90_emulator.loop.trajectory_file import load_trajectory
+    from rx90_emulator.loop.path_file import load_motion, load_trajectory
 
     file = Path(name)
     if file.is_file() and "joint_names" in load_yaml(file, first=True):
@@ -248,7 +247,7 @@ def _precompensate(options: argparse.Namespace) -> None:
     from rx90_common.process.files import write_text
     from rx90_controller.trajectory.points import message_content
     from rx90_emulator.correction.file import load_correction
-    from rx90_emulator.correction.precompensation import CUTOFF, precompensate
+    from rx90_emulator.correction.learning import CUTOFF, precompensate
     from rx90_emulator.loop.setup import Setup
 
     setup = Setup.load(RobotFiles.of_options(options))

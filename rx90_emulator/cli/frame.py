@@ -16,7 +16,7 @@ from typing import Any, cast
 from rx90_common.base.errors import DISK_ERRORS, FAILED, INTERRUPTED, REFUSED, Rx90Error, Rx90Warning
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.base.requirements import missing_module
-from rx90_common.kernels.announcement import announce_compilation
+from rx90_common.kernels import announce_compilation
 from rx90_common.process.children import end_with_parent
 from rx90_common.process.files import check_output
 from rx90_common.process.interrupts import (

@@ -10,7 +10,7 @@ from rx90_common.base.quoting import one_line
 from rx90_emulator.cli.options import POSITIVE, add_robot_arguments, check_apart, check_needs, new_folder
 
 if TYPE_CHECKING:
-    from rx90_emulator.loop.computed_torque import ComputedTorque
+    from rx90_emulator.loop.own_controller import ComputedTorque
 
 _TIMEOUT = 30.0  # s
 _EPILOG = """\
@@ -50,7 +50,7 @@ def main(options: argparse.Namespace) -> None:
     import numpy as np
 
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.loop.computed_torque import ComputedTorque
+    from rx90_emulator.loop.own_controller import ComputedTorque
     from rx90_emulator.loop.setup import Setup
 
     setup = Setup.load(RobotFiles.of_options(options))
@@ -79,7 +79,7 @@ def _drive(controller: ComputedTorque, names: tuple[str, ...], options: argparse
     from rx90_common.base.errors import ExchangeError
     from rx90_common.exchange.client_node import client_node
     from rx90_common.exchange.topics import MEASURED_JOINT_STATES
-    from rx90_sim.node.effort_controller import EffortController
+    from rx90_sim.node.simulation_client import EffortController
 
     timeout = options.timeout or _TIMEOUT
     with client_node("own_controller", timeout, lambda text: print(text, flush=True), options.ros_args) as client:

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, located
 from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import Rates
 from rx90_emulator.cli.options import (
@@ -136,9 +136,8 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
     from rx90_controller.lines.task import SETTLING, load_task
     from rx90_emulator.loop import closed_loop
     from rx90_emulator.loop.line import LineRun, followed_accuracy, run_path
-    from rx90_emulator.loop.path_file import load_path
+    from rx90_emulator.loop.path_file import load_path, load_trajectory
     from rx90_emulator.loop.recorded_run import read_run, replay
-    from rx90_emulator.loop.trajectory_file import load_trajectory
 
     begin, start = options.start_time or 0.0, options.initial_position
     simulate: Callable[..., RunResult]
@@ -203,10 +202,8 @@ def _run_hours(setup: Setup, options: argparse.Namespace) -> None:
     from rx90_emulator.loop.working_day import ThermalRun
 
     day = ThermalRun(setup, load_task(RobotFiles.of_options(options).required("task")))
-    try:
+    with located(f"--hours {options.hours:g}"):
         total = day.whole_cycles(3600.0 * options.hours)
-    except ConfigError as error:
-        raise ConfigError(f"--hours {options.hours:g}: {error}") from error
     try:
         with progress_bar("cycles") as progress:
             while day.advance(total):

@@ -10,11 +10,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rx90_common.base.config import load_yaml, yaml_lines
+from rx90_common.base.config import ABOUT, load_yaml, yaml_lines
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import listed, one_line, plain, quoted
-from rx90_common.base.section import ABOUT
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind

@@ -22,8 +22,7 @@ from rx90_emulator.conformance.quantities import CHECK_LIMITS, CheckLimits
 from rx90_emulator.correction.file import CORRECTION, load_correction
 from rx90_emulator.identification.excitation.problem import PAYLOADS, read_payloads
 from rx90_emulator.identification.experiments.plan import EXPERIMENTS, POSES, Poses, read_index
-from rx90_emulator.loop.path_file import PATH, load_path
-from rx90_emulator.loop.trajectory_file import TRAJECTORY, load_trajectory
+from rx90_emulator.loop.path_file import PATH, TRAJECTORY, load_path, load_trajectory
 from rx90_emulator.sweep.plan import PLAN, load_sweep_plan
 from rx90_emulator.sweep.sweep import Sweep
 

@@ -14,12 +14,11 @@ from types import SimpleNamespace
 from typing import Any
 
 from friction_bench.node.bench_node import declare_bench_parameters
-from rx90_common.base.config import load_yaml, yaml_lines, yaml_value
+from rx90_common.base.config import Section, load_yaml, yaml_lines, yaml_value
 from rx90_common.base.entries import PER_JOINT, Entry, Integer, JsonSchema, Number, Numbers, Switch, Text
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.rates import Rates
-from rx90_common.base.section import Section
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.exchange.endpoints import PREFIX

@@ -8,11 +8,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rx90_common.base.config import load_yaml, yaml_lines
+from rx90_common.base.config import ABOUT, load_yaml, yaml_lines
 from rx90_common.base.entries import LEFT_OUT, Entry
 from rx90_common.base.groups import Either, Entries, Group, Variants
 from rx90_common.base.quoting import one_line
-from rx90_common.base.section import ABOUT
 from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import FILES, NO_TOOL, RobotFiles
 from rx90_common.friction.element import SIGNS

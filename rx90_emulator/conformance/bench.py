@@ -19,9 +19,8 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import DivergenceError, ExchangeError
-from rx90_common.base.stamps import cdr_stamp_ns
 from rx90_common.exchange import lifecycle
-from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.cdr import JointStateCodec, cdr_stamp_ns
 from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.endpoints import LATCHED_QOS, STATE_QOS, TRAJECTORY_QOS, wait_until_received
 from rx90_common.exchange.ros_start import controller_topic

@@ -15,8 +15,9 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import BagError, ConfigError, check_type, write_error
 from rx90_common.base.quoting import listed, plain, quoted
-from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay, viscous_torque
+from rx90_common.friction.element import stribeck_decay, viscous_torque
 from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_common.process.files import atomic_files
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Panel, Plot
 from rx90_emulator.configuration.origins import aligned

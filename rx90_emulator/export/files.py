@@ -18,8 +18,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
-from rx90_common.friction.curves import LINEAR_SPEED
 from rx90_common.friction.element import FRICTION_UNITS
+from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_emulator.export.fit import FrictionFit
 from rx90_emulator.export.targets import BAM_ACTUATOR, Target
 from rx90_emulator.loop.setup import Arm, Setup

@@ -14,9 +14,9 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
-from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay
-from rx90_common.friction.element import SIGNS, FrictionElement
+from rx90_common.friction.element import SIGNS, FrictionElement, stribeck_decay
 from rx90_common.friction.parts.load import LoadPart
+from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_emulator.export.targets import Target
 
 POINTS = 400

@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import ConfigError, warn_caller
+from rx90_common.base.errors import ConfigError, located, warn_caller
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.robot import MOUNT_LINK, load_robot
@@ -88,13 +88,11 @@ def _rigid(
 ) -> FrictionElement:  # fmt: skip
     """Return an element without bristles; load: factor of the load torque, and its additional part at rest."""
     tau_s, c0 = tau_c + rise, (tau_c + rise) / DEFLECTION
-    try:
+    with located(plain(path)):
         part = None if load is None else LoadPart(load[0], load[0], load[1], load[1])
         return FrictionElement(
             tau_c, tau_c, tau_s, tau_s, omega_s, delta, c0, _DAMPING_TIME * c0, c2, omega_d=_FADING, load=part
         )
-    except ConfigError as error:
-        raise ConfigError(f"{plain(path)}: {error}") from error
 
 
 def _file(elements: Mapping[str, FrictionElement], source: str) -> FrictionFile:
@@ -150,10 +148,8 @@ def import_arm(path: Path | str) -> dict[str, str]:
     names = robot.joint_names
     springs = mjcf.springs(names)
     turns, tendons = mjcf.turns(names)
-    try:
+    with located(f"{plain(path)}: its tendons"):
         turning = Coupling(turns)
-    except ConfigError as error:
-        raise ConfigError(f"{plain(path)}: its tendons: {error}") from error
     motors = [tendons.get(i, name) for i, name in enumerate(names)]
     unread = [name for i, name in enumerate(names) if i in tendons and mjcf.own(name, "armature")]
     if unread:

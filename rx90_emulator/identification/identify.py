@@ -33,6 +33,7 @@ from rx90_emulator.identification.estimates import (
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.experiments.plan import IdentificationBags, read_emulated, read_index
 from rx90_emulator.identification.options import (
+    DEFAULT_ROBOT,
     NO_TOLERANCES,
     SLIDING_PARTS,
     GivenTolerances,
@@ -51,7 +52,6 @@ _RATES = {"sliding": 250.0, "presliding": None, "excitation": 1000.0, "validatio
 the motion of an arm has no content near 1 kHz."""
 _MAX_TRAVEL_SHARE = 2.0  # of a joint's range: no offset of the zero explains more travel
 _MAX_SHARED = 0.02  # of a validation's travel: two runs of a noiseless engine may begin with the same samples
-_DEFAULT_ROBOT = RobotOptions()
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +141,7 @@ def shown_parameters(result: FrictionIdentification) -> tuple[str, ...]:
 
 def identify_friction(
     bags: IdentificationBags | Path | str,
-    robot: RobotOptions = _DEFAULT_ROBOT,
+    robot: RobotOptions = DEFAULT_ROBOT,
     tolerances: GivenTolerances = NO_TOLERANCES,
     progress: Callable[[str], None] = lambda _: None,
     *,
@@ -202,7 +202,7 @@ def identify_friction(
 def check_friction(
     friction: FrictionFile | Path | str,
     bags: Sequence[Path | str],
-    robot: RobotOptions = _DEFAULT_ROBOT,
+    robot: RobotOptions = DEFAULT_ROBOT,
     tolerances: GivenTolerances = NO_TOLERANCES,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Validation, ...]:

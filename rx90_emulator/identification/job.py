@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 from tqdm import tqdm
 
 from rx90_common.base.errors import IdentificationError, check_place, check_replaced, write_error
-from rx90_common.base.sources import versions
+from rx90_common.base.share import versions
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, MODEL_FILES, RobotFiles
 from rx90_common.process.files import write_all, write_text
@@ -53,14 +53,12 @@ _BAR = "{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
 @contextmanager
 def steps(total: int) -> Iterator[Callable[[str], None]]:
     """Show a progress bar of `total` steps; yield the function to call with the name of each step before it."""
-    with ExitStack() as shown:
-        bars: list[tqdm[Any]] = []
+    # It appears with the first step: what is refused before needs none.
+    with tqdm(total=total, bar_format=_BAR, disable=None, file=sys.stderr, delay=1e-9, mininterval=0.0) as bar:
 
         def step(text: str) -> None:
-            if not bars:  # not earlier: what is refused before the first step needs no bar
-                bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, disable=None, file=sys.stderr)))
-            bars[0].set_description_str(text)
-            bars[0].update()
+            bar.set_description_str(text, refresh=False)
+            bar.update()
 
         yield step
 
@@ -119,9 +117,8 @@ def run_identification(
     output: Path,
     report: Path | None = None,
     *,
-    bristle_kinds: bool = False,
-    model: Sequence[str] | None = None,
     force: bool = False,
+    **how: Any,
 ) -> bool:
     """Identify with a progress bar, write the files, print a summary, and return whether all validation bags agree.
 
@@ -133,10 +130,10 @@ def run_identification(
     _checked_targets(output, report, force=force)
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
     total = sum(map(len, vars(chosen).values())) + 2 + len(chosen.validation)
-    if bristle_kinds:
+    if how.get("bristle_kinds"):
         total += kind_steps(RecordedRobot.load(robot, chosen.sliding).arm)
     with steps(total) as step:
-        result = identify_friction(chosen, robot, tolerances, step, bristle_kinds=bristle_kinds, model=model)
+        result = identify_friction(chosen, robot, tolerances, step, **how)
     files = write_identification(result, output, report, force=force)
     print(f"{identification_summary(result)}\nfriction file: {files[0]}\nreport: {files[1]}")
     return result.confirmed
@@ -161,11 +158,11 @@ def run_check(
     check_targets(report, force=force)
     with steps(2 * len(bags)) as step:
         checks = check_friction(friction, bags, robot, tolerances, step)
+    lines = [check_summary(checks)]
     if report is not None:
         write_text(report, check_page(checks, friction))
-    print(check_summary(checks))
-    if report is not None:
-        print(f"report: {report}")
+        lines.append(f"report: {report}")
+    print("\n".join(lines))
     return all(check.passed for check in checks)
 
 
@@ -263,7 +260,7 @@ def write_measured(result: MeasuredComparison, setup: Setup, page: Path | str, *
     page = Path(page)
     check_targets(page, force=force)
     files = () if setup.files is None else tuple(setup.files.text(role) for role in MODEL_FILES)
-    write_text(page, measured_page(result, files, datetime.now(timezone.utc)))
+    write_text(page, measured_page(result, files))
     return page
 
 

@@ -12,10 +12,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, TypeAlias, get_type_hints
 
+from rx90_common.base.config import Section
 from rx90_common.base.entries import Entry, Integer, Number, Text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import quoted
-from rx90_common.base.section import Section
 
 COULOMB_VISCOUS = "coulomb-viscous"
 SLIDING_PARTS = ("viscous-exponent", "stribeck-rise")
@@ -84,6 +84,9 @@ class RobotOptions:
     record_time: bool = False
     zero: Sequence[float] | None = None
     signals: Path | str | None = None
+
+
+DEFAULT_ROBOT = RobotOptions()
 
 
 @dataclass(frozen=True)

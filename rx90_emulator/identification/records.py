@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,12 +143,29 @@ class JointRecord:
         return replace(self, names=tuple(names), position=position, velocity=velocity, torque=torque)
 
     @property
+    def period(self) -> float:
+        """Return the usual time between two samples, s; 0 for a single one."""
+        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
+
+    @property
     def bag(self) -> BagSource:
         """Return the bag with the figures of its reading."""
         duration = float(self.time[-1] - self.time[0])
         return BagSource(
             self.source, self.sha256, duration, self.missing, self.outliers, float(self.time[0]), self.unit
         )
+
+
+def block_means(values: NDArray[Any], size: int) -> Array:
+    """Return the means of so many rows each, shape (m, ...) to (m // size, ...); white noise stays white."""
+    count = len(values) // size
+    return np.asarray(values[: count * size].reshape(count, size, *values.shape[1:]).mean(axis=1))
+
+
+def stretches(there: Mask) -> list[tuple[int, int]]:
+    """Return begin and end (exclusive) of each stretch of samples that meet a condition, shape (m,)."""
+    edges = np.flatnonzero(np.diff(there, prepend=False, append=False))
+    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
 def in_unit(text: str, unit: str) -> str:
@@ -251,15 +268,16 @@ def read_record(
     content = Content.of(fields["position"], fields["effort"])
     joints = layout.joint_side({name: values[:, :own] for name, values in fields.items()})
     together = {name: np.hstack([values, fields[name][:, own:]]) for name, values in joints.items()}
-    columns = time, together["position"], together["velocity"], together["effort"]
     size = 1 if rate is None or len(time) < 2 else round((len(time) - 1) / (time[-1] - time[0]) / rate)
-    if size > 1:
-        count = len(time) // size
-        columns = tuple(v[: count * size].reshape(count, size, *v.shape[1:]).mean(axis=1) for v in columns)
+    columns = time, together["position"], together["velocity"], together["effort"]
+    time, position, velocity, torque = (block_means(values, max(size, 1)) for values in columns)
     outliers = len(series.stamp_ns) - len(good)
     names, kind = (*layout.names, *layout.followed), "A" if unit == "A" and layout.torque_constant is None else "Nm"
     missing = _missing(series.time)
-    return JointRecord(names, *columns, path, digest(path), missing, outliers, no_velocity, content=content, unit=kind)
+    return JointRecord(
+        names, time, position, velocity, torque, path, digest(path), missing, outliers, no_velocity,
+        content=content, unit=kind,
+    )  # fmt: skip
 
 
 def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:

@@ -27,14 +27,13 @@ from rx90_common.exchange.topics import MOTOR_STATES, motor_names
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile, refuse_parts
 from rx90_emulator.identification.arm import RigidArm, movable_joints
-from rx90_emulator.identification.options import MeasuredLayout, RobotOptions
+from rx90_emulator.identification.options import DEFAULT_ROBOT, MeasuredLayout, RobotOptions
 from rx90_emulator.loop.setup import Setup
 
 JOINT_STATES = "joint_states"
 MessageOptions: TypeAlias = RobotOptions | MeasuredLayout
 Options = TypeVar("Options", RobotOptions, MeasuredLayout)
 NO_OPTIONS: Final = MeasuredLayout()
-_DEFAULT_OPTIONS = RobotOptions()
 _ONE_EACH = ("names", "gear", "torque_constant", "zero", "rotor_inertia", "spring")
 
 
@@ -270,7 +269,7 @@ class RecordedRobot:
 
     arm: RigidArm
     setup: Setup | None = None
-    options: RobotOptions = _DEFAULT_OPTIONS
+    options: RobotOptions = DEFAULT_ROBOT
     fallback: tuple[FrictionElement, ...] | None = None
     fallback_name: str | None = None
     mapping: LogMapping | None = None

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from itertools import pairwise, product
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from scipy.linalg import pinvh
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.records import JointRecord, block_means
 
 _QUARTERS = (-0.5 * math.pi, 0.5 * math.pi, math.pi)  # rad, between zeros of URDF and encoder that count differently
 _MIN_GAIN = 0.02  # minimal share of a joint's unexplained torque that a changed zero must explain
@@ -100,14 +100,6 @@ class ZeroCheck:
             f"{self.of} {self.before:.1%} -> {self.after:.1%}), or the model lacks a payload or a spring: "
             f"try --zero {' '.join(f'{value:.6g}' for value in better)}{unidentified}"
         )
-
-
-def encoder_error(shift: Array) -> Array:
-    """Return the errors of zeros, within half a turn, if the true angles exceed the assumed ones by `shift`, rad.
-
-    The zero is subtracted from the recorded angles, so the zero of such a joint is too large by the same angle.
-    """
-    return np.array([math.remainder(-value, 2.0 * math.pi) if value else 0.0 for value in shift.tolist()])
 
 
 ResidualPower = Mapping[str, Array]
@@ -202,7 +194,9 @@ def check_of(
     if shift.any() and f"{both[0]:.1%}" == f"{both[1]:.1%}":  # little of the arm's torque, but not of one joint's
         joint = int(np.argmin(pair[1] / np.maximum(pair[0], 1e-300)))
         both, of = pair[:, joint] * math.sqrt(float(torque.sum() / torque[joint])), f" of {check.names[joint]}{fit}"
-    return replace(check, error=encoder_error(shift), before=float(both[0]), after=float(both[1]), of=of)
+    # Zeros are subtracted from the recorded angles: that of a joint whose angle is too small by the shift is too large.
+    error = np.array([math.remainder(-value, 2.0 * math.pi) if value else 0.0 for value in shift.tolist()])
+    return replace(check, error=error, before=float(both[0]), after=float(both[1]), of=of)
 
 
 def _gain(before: ResidualPower, after: ResidualPower) -> tuple[float, str]:
@@ -252,20 +246,19 @@ class Instants:
 
 def record_instants(record: JointRecord, arm: RigidArm) -> Instants:
     """Return means over short times of a run of any motion, by the arm of the same joints."""
-    size = max(1, round(_MEAN_S / float(np.median(np.diff(record.time)))))
-    count = len(record.time) // size
-
-    def mean(values: NDArray[Any]) -> Array:
-        return np.asarray(values[: count * size].reshape(count, size, -1).mean(axis=1))
-
-    time, velocity, inputs = mean(record.time)[:, 0], mean(record.velocity), record.velocity @ arm.element_matrix.T
+    size = max(1, round(_MEAN_S / record.period))
+    time, position, velocity, torque = (
+        block_means(values, size) for values in (record.time, record.position, record.velocity, record.torque)
+    )
     # Every sample of a mean has to slide, all of them in one direction.
-    slides = (mean(1.0 * (np.abs(inputs) > _SLIDING_SPEED)) == 1.0) & (np.abs(mean(np.sign(inputs))) == 1.0)
+    inputs = record.velocity @ arm.element_matrix.T
+    fast, same_sign = block_means(np.abs(inputs) > _SLIDING_SPEED, size), block_means(np.sign(inputs), size)
+    slides = (fast == 1.0) & (np.abs(same_sign) == 1.0)
     return Instants(
-        position=mean(record.position),
+        position=position,
         velocity=velocity,
         acceleration=np.gradient(velocity, time, axis=0),
-        torque=mean(record.torque),
+        torque=torque,
         sliding=slides,
         plateau=np.floor((time - time[0]) / _CLUSTER_S).astype(np.int64),
     )

@@ -13,8 +13,7 @@ from rx90_common.base.errors import SupervisionError, check_type
 from rx90_common.description.coupling import to_joint, to_joint_torque
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import load, size, store
-from rx90_controller.law.cs7b import CS7B
-from rx90_controller.law.loops import position_loop, velocity_loop
+from rx90_controller.law.cs7b import CS7B, position_loop, velocity_loop
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.result import FastSeries, MotionCommand, RunResult, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.declared import Declared, declarations
 from rx90_common.base.entries import Integer, ListOf, Number, Other, Rows, Switch
-from rx90_common.base.errors import ConfigError, check_type
+from rx90_common.base.errors import ConfigError, check_type, located
 from rx90_common.base.quoting import quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
@@ -229,10 +229,8 @@ def with_parameters(setup: Setup, values: Mapping[str, Value]) -> Setup:
     leaves: dict[Leaf, Value] = {}
     for path, value in values.items():
         for place in catalogue.places(path):
-            try:
+            with located(quoted(path)):
                 leaves.update(dict.fromkeys(place.leaves, place.check(value)))
-            except ConfigError as error:
-                raise ConfigError(f"{quoted(path)}: {error}") from error
     return _changed(setup, _tree(leaves))
 
 
@@ -279,11 +277,8 @@ def _replaced(where: str, holder: Any, tree: Mapping[str, Any]) -> Any:
     """Return a dataclass with changed values of its own, and of the dataclasses in it, such as parts of an element."""
     if not tree:
         return holder
-    try:
+    with located(where):
         return replace(holder, **_fields(holder, tree, where))
-    except ConfigError as error:
-        named = str(error).startswith(f"{where}: ")
-        raise error if named else ConfigError(f"{where}: {error}") from error
 
 
 def _fields(holder: object, tree: Mapping[str, Any], where: str = "") -> dict[str, Any]:

@@ -1,19 +1,26 @@
-"""Path files: lines, arcs and splines in YAML, or the file of another program that the path is read from."""
+"""Files of motions: paths of the tool and trajectories of the joints.
+
+A path is lines, arcs and splines in YAML, or the file of another program that it is read from. A trajectory is the YAML
+of a JointTrajectory, as `rx90_line --output` and `ros2 topic echo` write it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path as FilePath
+from types import SimpleNamespace
 from typing import Any
 
-from rx90_common.base.config import load_yaml
-from rx90_common.base.entries import LEFT_OUT, ListOf, Number, Numbers, Text
-from rx90_common.base.errors import LineError
+from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.entries import LEFT_OUT, Integer, ListOf, Number, Numbers, Text, Texts
+from rx90_common.base.errors import ConfigError, LineError, located
 from rx90_common.base.groups import Group
-from rx90_common.base.section import Section
 from rx90_common.base.share import resolve_config
 from rx90_common.description.branch import Branch
 from rx90_controller.lines.task import TASK, LineTask, radians, task_of
 from rx90_controller.paths.path import ORIENTATIONS, Path, Segment
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory.points import points_from_message
 from rx90_emulator.loop.drawing import UNITS, Drawing
 
 _point = Numbers("", "m", count=3)
@@ -128,7 +135,7 @@ def _path(file: FilePath, root: Section) -> Path:
     drawn = values.pop("file", None)
     start, segments = values.pop("start", None), values.pop("segments", ())
     values["start_rpy"] = radians(values.pop("tool_rpy_degrees"))
-    try:
+    with located(file, LineError):
         if drawn is not None:
             if start is not None:
                 raise LineError("a start beside a file, which has its own; accepted: one of them")
@@ -137,8 +144,6 @@ def _path(file: FilePath, root: Section) -> Path:
         else:
             parts = tuple(_segment(one) for one in segments)
         return Path(start, parts, **values, branch=Branch(**content.get("posture", {})))
-    except LineError as error:
-        raise LineError(f"{file}: {error}") from error
 
 
 def _segment(content: dict[str, Any]) -> Segment:
@@ -154,3 +159,68 @@ def _segment(content: dict[str, Any]) -> Segment:
         return Segment((arc["via"], arc["end"]), "arc", **motion)
     about = {key: arc[key] for key in ("center", "normal") if key in arc}
     return Segment((arc["end"],), "arc", **about, **motion)
+
+
+_ACCEPTED = "the YAML of a trajectory_msgs/JointTrajectory"
+_TIME = {
+    "sec": Integer("Whole seconds.", "s", low=-(2**31), high=2**31 - 1, default=0),
+    "nanosec": Integer("The rest.", "ns", low=0, high=2**32 - 1, default=0),
+}
+_OF_JOINTS = {
+    name: ListOf(about, unit, item=Number(""), accepted="a list of numbers", default=())
+    for name, about, unit in (
+        ("positions", "Of each joint.", "rad"),
+        ("velocities", "Of each joint; may be left out.", "rad/s"),
+        ("accelerations", "Of each joint, with velocities; may be left out.", "rad/s^2"),
+        ("effort", "None: the controller follows positions.", "Nm"),
+    )
+}
+TRAJECTORY = Group(
+    "A trajectory_msgs/JointTrajectory; the header is not looked at.",
+    keys={
+        "joint_names": Texts("The robot's joints, in any order."),
+        "points": ListOf(
+            "Points in the order of their times.",
+            item=Group(
+                "A point.",
+                keys={
+                    **_OF_JOINTS,
+                    "time_from_start": Group("Its time.", keys=_TIME, known=False),
+                },
+                known=False,
+            ),
+            accepted="a list of points",
+        ),
+    },
+    known=False,
+)
+"""What a trajectory file holds."""
+
+
+def load_trajectory(name: FilePath | str, robot_joints: Sequence[str]) -> TrajectoryPoints:
+    """Read the points of a trajectory, joints in any order.
+
+    The header is not looked at: when the trajectory starts is for the run to say.
+
+    Raises:
+        ConfigError: naming file and reason, for a file that cannot be read or is no trajectory.
+        TrajectoryError: naming file, joint, index of the point and reason.
+    """
+    file = FilePath(name)
+    # `ros2 topic echo` ends each message with a line of dashes.
+    root = load_yaml(file, _ACCEPTED, first=True)
+    try:
+        content = TRAJECTORY.read(root)
+    except ConfigError as error:
+        raise ConfigError(f"{error}, as {_ACCEPTED} has") from error
+    points = [
+        SimpleNamespace(
+            time_from_start=SimpleNamespace(**{key: point["time_from_start"][key] for key in _TIME}),
+            **{name: list(point[name] or ()) for name in _OF_JOINTS},
+        )
+        for point in content["points"]
+    ]
+    with located(file):
+        return points_from_message(
+            robot_joints, SimpleNamespace(joint_names=list(content["joint_names"]), points=points)
+        )

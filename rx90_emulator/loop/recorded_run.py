@@ -13,7 +13,7 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.recorded import check_robot, read_changes, read_trajectories, read_values
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import BagError, TrajectoryError, check_type
+from rx90_common.base.errors import BagError, check_type, located
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.topics import SEED, TEMPERATURE_RATE
@@ -88,10 +88,8 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
             raise BagError(f"{plain(bag)}: its {name} is {quoted(values[name])}; accepted: a whole number")
     commands = []
     for one in read_trajectories(bag):
-        try:
+        with located(plain(bag)):
             points = points_from_message(setup.robot.joint_names, one.message) if one.message.points else None
-        except TrajectoryError as error:
-            raise TrajectoryError(f"{plain(bag)}: {error}") from error
         commands.append(MotionCommand(setup.rates.start_tick(one.start_ns / NANOSECONDS), points))
     return RecordedRun(
         commands=tuple(commands),

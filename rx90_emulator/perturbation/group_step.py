@@ -17,12 +17,18 @@ from rx90_common.base.arrays import Array, Record
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import FrictionSet
 from rx90_common.friction.bristle import bristle_step
-from rx90_common.friction.bristles.step import bristles_dtype, bristles_state_dtype, bristles_step
-from rx90_common.friction.compiled_elements import element_arrays, elements_dtype, load_elements
+from rx90_common.friction.compiled_elements import (
+    bristles_dtype,
+    bristles_state_dtype,
+    bristles_step,
+    element_arrays,
+    elements_dtype,
+    load_elements,
+)
 from rx90_common.friction.parts.bristles import fill_bristles
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, absolute, fma, load, select, store
-from rx90_controller.law.loops import position_servo, velocity_servo
+from rx90_controller.law.cs7b import position_servo, velocity_servo
 from rx90_controller.law.parameters import controller_dtype
 from rx90_sim.drives import observe, whole_steps
 
@@ -201,7 +207,7 @@ def _record(jacobian: Array, state: Any, first: int, row: int, series: Series, l
 
 @inlined
 def _position_loops(plant: Any, servos: Record, reference: Array, state: Any, lanes: int) -> None:
-    """Run PI and FF, and mark runs beyond a limit of the supervision, as `rx90_controller.law.loops`, or diverged."""
+    """Run PI and FF, and mark runs beyond a limit of the supervision, as `rx90_controller.law.cs7b`, or diverged."""
     for i in range(6):
         error, integrator, position_torque, feed_forward = position_servo(
             servos[i], lanes, reference[0, i], reference[1, i], reference[2, i], load(state.motor_position[i], lanes),

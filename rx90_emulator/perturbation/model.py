@@ -17,7 +17,7 @@ from rx90_common.description.coupling import to_motor
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.kinematics import forward, jacobian
 from rx90_common.description.robot import RobotModel
-from rx90_common.dynamics.manipulator import mass_and_bias
+from rx90_common.dynamics import mass_and_bias
 from rx90_common.friction import FrictionSet
 from rx90_common.friction.friction_file import refuse_parts
 from rx90_common.kernels.compiled import kernel

@@ -19,13 +19,12 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.entries import LEFT_OUT, Entry, Integer, ListOf, Number, Numbers, Other, Switch, Text
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Either, Entries, Group
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
-from rx90_common.base.section import Section
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import DESCRIPTIONS, FILES, MODEL_FILES, RobotFiles
 from rx90_emulator.loop.parameters import Value

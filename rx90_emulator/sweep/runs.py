@@ -10,7 +10,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from rx90_common.base.errors import ConfigError, SweepError
+from rx90_common.base.errors import ConfigError, SweepError, located
 from rx90_emulator.loop.parameters import SWITCH, Catalogue, Leaf, Value
 from rx90_emulator.sweep.plan import Block, SweepPlan, SweptParameter, Values
 
@@ -121,12 +121,10 @@ def _bind(block: Block, catalogue: Catalogue) -> Sequence[Column]:
     """Return the parameters of a block, the grid's first, with what they set; those that are drawn each apart."""
     columns: list[Column] = []
     for parameter in (*block.grid, *block.random):
-        try:
+        with located(f"block '{block.name}', parameter '{parameter.name}'"):
             places = [place for path in parameter.paths for place in catalogue.places(path)]
             each = [replace(parameter, name=place.path, paths=(place.path,), each=False) for place in places]
             columns += [_column(one, catalogue) for one in (each if parameter.each else [parameter])]
-        except ConfigError as error:
-            raise ConfigError(f"block '{block.name}', parameter '{parameter.name}': {error}") from error
     owner: dict[Leaf, Column] = {}
     for column in columns:
         for leaf in column.leaves:

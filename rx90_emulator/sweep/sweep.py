@@ -17,7 +17,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, SweepError
-from rx90_common.base.sources import ROOT, sources_hash, versions, with_imports
+from rx90_common.base.share import ROOT, sources_hash, versions, with_imports
 from rx90_common.description.kinematics import forward, tip_position
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import provenance_of

@@ -17,9 +17,9 @@ from rx90_common.base.quoting import quoted
 from rx90_common.description.kinematics import tip_position
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_common.friction.element import FRICTION_PARAMETERS, FRICTION_UNITS
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.friction.tracing import prescribed_torque
 from rx90_common.process.files import write_text
 from rx90_common.report.plot import COLOURS, GREY
 from rx90_controller.lines.plan import Approach, ApproachedLine, LinePlan, approached, check_plan, plan_line

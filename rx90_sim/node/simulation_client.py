@@ -1,15 +1,23 @@
-"""A client of the simulation node's services pause, step and reset that follows its time."""
+"""Other programs at a simulation node: a client of its services and time, and a controller that answers its states."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.base.stamps import message_time_ns
+from rx90_common.exchange.cdr import message_time_ns
 from rx90_common.exchange.client_node import ClientNode, ServiceRequest, spoken
+from rx90_common.exchange.topics import JOINT_COMMANDS, MEASURED_JOINT_STATES
 
 _NAME = "rx90_sim"
 
@@ -62,3 +70,49 @@ def reset_request(node: str) -> ServiceRequest:
 
 def _request(kind: Any, service: str, request: Any) -> ServiceRequest:
     return ServiceRequest(kind, service, request, spoken(service))
+
+
+_DEPTH = 10
+
+
+class EffortController:
+    """Answers each message on `measured_joint_states` with one on `joint_commands` that bears the same stamp.
+
+    Plain rclpy, as a controller for a real arm would be written.
+
+    Args:
+        node: owner of publisher and subscription.
+        controller: takes measured joint positions rad, velocities rad/s, both of shape (n,), and time s; returns
+            efforts at the joints, Nm, shape (n,), or None for no torque and closed brakes.
+        names: of the joints, in the order in which the controller has them.
+
+    Attributes:
+        time: of the newest states, s; None before the first.
+    """
+
+    def __init__(
+        self, node: Node, controller: Callable[[Array, Array, float], ArrayLike | None], names: tuple[str, ...]
+    ):
+        self._controller, self._names = controller, names
+        self._received: list[str] = []
+        self._order = np.arange(len(names))
+        self.time: float | None = None
+        self._commands = node.create_publisher(JointState, JOINT_COMMANDS, _DEPTH)
+        self._states = node.create_subscription(JointState, MEASURED_JOINT_STATES, self._answer, _DEPTH)
+
+    def _answer(self, states: Any) -> None:
+        if states.name != self._received:
+            if sorted(states.name) != sorted(self._names):
+                found = ", ".join(states.name)
+                raise ExchangeError(f"{self._states.topic_name} has {found}; accepted: {', '.join(self._names)}")
+            self._received = list(states.name)
+            self._order = np.array([self._received.index(name) for name in self._names])
+        stamp = states.header.stamp
+        self.time = stamp.sec + stamp.nanosec * 1e-9
+        position, velocity = np.array(states.position)[self._order], np.array(states.velocity)[self._order]
+        effort = self._controller(position, velocity, self.time)
+        command = JointState(name=self._names)
+        command.header.stamp = stamp
+        if effort is not None:
+            command.effort = np.asarray(effort, dtype=np.float64).tolist()
+        self._commands.publish(command)

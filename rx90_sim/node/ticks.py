@@ -18,12 +18,10 @@ from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.lockstep import LockstepSimulation
 from rx90_common.exchange.pacing import OnceLog, Pacer, ThrottledLog
 from rx90_common.exchange.topics import COMMAND_INTERFACES, JOINT_INTERFACE, LOCK_STEP, motor_names
-from rx90_sim.joint_interface import JointInterface
-from rx90_sim.node.held_command import HeldCommand, NewestCommand
-from rx90_sim.node.joint_commands import CommandWatch, JointCommands
+from rx90_sim.node.held_command import CommandWatch, HeldCommand, JointCommands, NewestCommand
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.publications import Publications
-from rx90_sim.plant import Plant
+from rx90_sim.plant import JointInterface, Plant
 
 _WAIT_SLICE = 0.1  # s
 _MATCH_ATTEMPTS = 100  # of 50 ms

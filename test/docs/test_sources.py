@@ -18,7 +18,7 @@ from markdown_it import MarkdownIt
 
 from friction_bench.rig.rig_file import load_rig
 from rx90_common.base.rates import Rates
-from rx90_common.base.sources import PACKAGES
+from rx90_common.base.share import PACKAGES
 from rx90_common.report.page import render_page
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -172,28 +172,8 @@ def test_two_rigs_beside_each_other_know_nothing_of_each_other(make: Callable[..
         turning.until(turning.rests)
 
 
-def test_ramp_runs_and_stops_by_service(session: Session) -> None:
-    """Arm, ramp and stop work over services; states carry the firmware's 20 ms; a stop ends the torque."""
-    assert not session.call("run_ramp").success
-    session.ramp(lambda: session.states[-1].effort[0] > 0.01)
-    assert session.call("stop").success
-    session.until(lambda: not session.stage_on)
-    session.heard(len(session.states) + 4)
-    assert all(len(s.position) == len(s.velocity) == len(s.effort) == 1 for s in session.states)
-
-
-def test_fault_stands_on_diagnostics_until_cleared(session: Session) -> None:
-    """A frozen node loses the torque; afterwards the fault is on /diagnostics, and clear and arm work."""
-    session.insist("arm")
-    session.lose_the_host(signal.SIGSTOP)
-    session.until(lambda: not session.stage_on)
-    session.pty.patient = True
-    session.process.send_signal(signal.SIGCONT)
-    session.fault_is_latched_until_cleared()
-
-
-def test_parameters_that_are_no_torque_are_refused_in_one_line(session: Session) -> None:
-    """NaN, infinity and a text as slope or end torque are refused by parameter or by service; the node lives on."""
+def refuse_what_is_no_torque(session: Session) -> None:
+    """Set slope and end torque to what is none; where the parameter takes it, the ramp is refused."""
     setter = session.node.create_client(SetParameters, f"{session.name}/set_parameters")
     session.until(setter.service_is_ready)
     for value in (
@@ -214,7 +194,32 @@ def test_parameters_that_are_no_torque_are_refused_in_one_line(session: Session)
             default = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=0.05)
             back = setter.call_async(SetParameters.Request(parameters=[Parameter(name=name, value=default)]))
             session.until(back.done)
-    session.insist("arm", "run_ramp")
+
+
+def test_services_and_parameters_move_the_rig_and_a_frozen_node_does_not(session: Session) -> None:
+    """Arm, ramp and stop work over services; states carry the firmware's 20 ms; a stop ends the torque.
+
+    NaN, infinity and a text as slope or end torque are refused by parameter or by service; the node lives on. Frozen,
+    it loses the torque; afterwards the fault is on /diagnostics, and clear and arm work. Ctrl-C ends it with 0 and the
+    rig disarmed, by a stop: its watchdog would wait for ever.
+    """
+    assert not session.call("run_ramp").success
+    session.ramp(lambda: session.states[-1].effort[0] > 0.01)
+    assert session.call("stop").success
+    session.until(lambda: not session.stage_on)
+    session.heard(len(session.states) + 4)
+    assert all(len(s.position) == len(s.velocity) == len(s.effort) == 1 for s in session.states)
+    refuse_what_is_no_torque(session)
+    session.insist("arm")
+    session.lose_the_host(signal.SIGSTOP)
+    session.until(lambda: not session.stage_on)
+    session.pty.patient = True
+    session.process.send_signal(signal.SIGCONT)
+    session.fault_is_latched_until_cleared()
+    assert session.stage_on
+    session.process.send_signal(signal.SIGINT)
+    assert session.process.wait(TIMEOUT) == 0
+    session.until(lambda: not session.stage_on)
     assert "Traceback" not in session.log.read_text()
 
 
@@ -227,13 +232,3 @@ def test_node_that_is_killed_loses_the_torque_and_can_be_started_again(session: 
     session.process.wait()
     session.start()
     session.fault_is_latched_until_cleared()
-
-
-def test_interrupt_leaves_the_rig_without_torque(session: Session) -> None:
-    """Ctrl-C ends the node with 0 and the rig disarmed, by a stop: its watchdog would wait for ever."""
-    session.insist("arm")
-    assert session.stage_on
-    session.process.send_signal(signal.SIGINT)
-    assert session.process.wait(TIMEOUT) == 0
-    session.until(lambda: not session.stage_on)
-    assert "Traceback" not in session.log.read_text()

@@ -12,7 +12,7 @@ from servo_rig import Rig
 
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.exchange.topics import CORRECTED
-from rx90_controller.law.loops import position_loop
+from rx90_controller.law.cs7b import position_loop
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.correction import (
     FADE,

@@ -18,13 +18,12 @@ from scipy.integrate import solve_ivp
 import rx90_emulator as rx
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.drives import Windings
-from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
-from rx90_common.friction.tracing import prescribed_torque
-from rx90_controller.law.cs7b import CS7B
-from rx90_controller.law.loops import law_reset, law_state_dtype, position_loop, velocity_loop
+from rx90_controller.law.cs7b import CS7B, law_reset, law_state_dtype, position_loop, velocity_loop
 from rx90_controller.law.model import ArmModel, ModelTemperatures
+from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.closed_loop import run_ticks
 from rx90_emulator.loop.result import empty_series
 from rx90_emulator.loop.setup import Setup

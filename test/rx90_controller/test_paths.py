@@ -29,9 +29,8 @@ from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.arms import robot_of_urdf
 from rx90_emulator.loop.line import followed_accuracy, path_accuracy, plan_path, run_path
-from rx90_emulator.loop.path_file import load_path
+from rx90_emulator.loop.path_file import load_path, load_trajectory
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.trajectory_file import load_trajectory
 
 Array = NDArray[np.float64]
 CENTER, RADIUS = np.array([0.6, 0.0, 0.2]), 0.05

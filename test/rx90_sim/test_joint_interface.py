@@ -11,8 +11,8 @@ from rx90_common.base.rates import Rates
 from rx90_common.exchange.pacing import OnceLog
 from rx90_emulator.loop.own_controller import run_controller
 from rx90_emulator.loop.setup import Setup, load_setup
-from rx90_sim.joint_interface import JointInterface
 from rx90_sim.node.parameters import SimulationParameters
+from rx90_sim.plant import JointInterface
 
 TURNS = {6: np.eye(6), 7: np.eye(7)}
 """Of motors for those of the joints: of the RX90B by its manual motor 6 turns with joint 5, too."""

@@ -10,9 +10,9 @@ from elastic_arms import SOFT, elastic
 from numpy.typing import NDArray
 
 from benchmarks.friction_parts import POSE, STEPS, THROUGH, convergence, loaded, snapshot, with_elements
-from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
+from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 

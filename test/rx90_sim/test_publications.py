@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rx90_common.base.rates import Rates
-from rx90_common.base.stamps import cdr_stamp_ns
+from rx90_common.exchange.cdr import cdr_stamp_ns
 from rx90_sim.node import publications
 
 TICKS = 400_000  # a hundred seconds of simulated time at 4 kHz

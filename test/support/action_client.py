@@ -9,13 +9,15 @@ import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from control_msgs.action import FollowJointTrajectory
 from processes import TIMEOUT
+from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 from ros_client import JOINTS, Client
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-Result = FollowJointTrajectory.Result
+BASE_RATE = 4000  # Hz
 
 
 def stamp(kind: Any, seconds: float) -> Any:
@@ -89,34 +91,45 @@ class Stepper:
 
     Args:
         client: to ask with.
-        step: what one step runs, s; the simulation's parameter step_ticks.
+        step: the shortest time to run, s.
     """
 
     def __init__(self, client: Client, step: float) -> None:
-        self._client, self._step = client, step
+        self._client, self._step, self._ticks, self._ran = client, step, 0, 0
+        self._parameters = client.node.create_client(SetParameters, "rx90_sim/set_parameters")
         self._steps = client.node.create_client(Trigger, "rx90_sim/step")
         self._pauses = client.node.create_client(SetBool, "rx90_sim/pause")
         self._resets = client.node.create_client(Trigger, "rx90_sim/reset")
         client.spin_until(self._steps.service_is_ready, "the simulation")
-        self.ran = 0.0
+
+    @property
+    def ran(self) -> float:
+        """Return how long time has run, s."""
+        return self._ran / BASE_RATE
 
     def run(self, seconds: float) -> None:
-        """Let time run."""
-        for _ in range(round(seconds / self._step)):
-            self._ask(self._steps, Trigger.Request())
-            self.ran += self._step
+        """Let time run so many whole steps, in one call."""
+        ticks = round(seconds / self._step) * round(self._step * BASE_RATE)
+        if ticks not in (0, self._ticks):
+            step_ticks = Parameter("step_ticks", value=ticks).to_parameter_msg()
+            (result,) = self._ask(self._parameters, SetParameters.Request(parameters=[step_ticks])).results
+            assert result.successful
+            self._ticks = ticks
+        if ticks:
+            assert self._ask(self._steps, Trigger.Request()).success
+        self._ran += ticks
 
     def pause(self, paused: bool) -> None:
         """Let time run by itself, or no more."""
-        self._ask(self._pauses, SetBool.Request(data=paused))
+        assert self._ask(self._pauses, SetBool.Request(data=paused)).success
 
     def reset(self) -> None:
         """Begin anew."""
-        self._ask(self._resets, Trigger.Request())
-        self.ran = 0.0
+        assert self._ask(self._resets, Trigger.Request()).success
+        self._ran = 0
 
     def until(self, done: Future, most: float = 10.0) -> Any:
-        """Let time run until a future is done; return what it brings."""
+        """Let time run, step by step, until a future is done; return what it brings."""
         end = self.ran + most
         while not done.done():
             assert self.ran < end, f"nothing within {most:g} s"
@@ -124,7 +137,7 @@ class Stepper:
             self._client._executor.spin_once(timeout_sec=0.0)
         return done.result()
 
-    def _ask(self, service: Any, request: Any) -> None:
+    def _ask(self, service: Any, request: Any) -> Any:
         answer = service.call_async(request)
         self._client.spin_until(answer.done, service.srv_name)
-        assert answer.result().success
+        return answer.result()

@@ -10,8 +10,8 @@ import numpy as np
 
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import FILES, shipped_robots
-from rx90_emulator.configuration.kinds import KINDS
 from rx90_emulator.configuration.nodes import NODE_FILE
+from rx90_emulator.configuration.origins import KINDS
 
 EVERY_KIND = (*KINDS, NODE_FILE)
 

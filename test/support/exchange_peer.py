@@ -141,7 +141,7 @@ def _record(ticks: int, nap: float) -> None:
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
 
-    from rx90_common.base.stamps import cdr_stamp_ns
+    from rx90_common.exchange.cdr import cdr_stamp_ns
     from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
 
     node = rclpy.create_node("recorder")

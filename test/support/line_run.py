@@ -44,13 +44,13 @@ TASK = """
 line:
   provenance: assumed
   source: a short line for the tests
-  start: [0.6, -0.03, 0.2]
-  end: [0.6, 0.03, 0.2]
+  start: [0.6, -0.02, 0.2]
+  end: [0.6, 0.02, 0.2]
   speed: 0.2
   acceleration: 2.0
   tool_rpy_degrees: [0.0, 180.0, 0.0]
-  rest_before: 0.1
-  rest_after: 0.1
+  rest_before: 0.05
+  rest_after: 0.05
 """
 
 

@@ -18,6 +18,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
@@ -28,6 +29,7 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_sim.node.simulation_client import SimulationClient
 
 JOINTS = [f"joint_{i}" for i in range(1, 7)]
+_AT_ONCE = 500
 
 
 @contextmanager
@@ -41,6 +43,28 @@ def own_node(name: str, domain: int) -> Iterator[Node]:
     context.try_shutdown()
 
 
+class _Executor(SingleThreadedExecutor):
+    """Takes many messages at once: rclpy's wait, between two of them, costs more than ten.
+
+    Attributes:
+        listening: subscriptions, each with the list of its messages.
+    """
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context=context)
+        self.listening: list[tuple[Any, list[Any]]] = []
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Execute a callback; take what else has come."""
+        super().spin_once(timeout_sec)
+        for subscription, heard in self.listening:
+            for _ in range(_AT_ONCE):
+                taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+                if taken is None:
+                    break
+                heard.append(taken[0])
+
+
 class Client:
     """A node that calls services and keeps what it hears."""
 
@@ -48,7 +72,7 @@ class Client:
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node("test_client", namespace=namespace, context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor = _Executor(self._context)
         self._executor.add_node(self.node)
         self.asking = ClientNode(self.node, self._executor, TIMEOUT, lambda _: None, lambda: None)
         self.simulation = SimulationClient(self.asking)
@@ -59,10 +83,13 @@ class Client:
         self.node.destroy_node()
         self._context.try_shutdown()
 
-    def listen(self, topic: str, kind: type = JointState, depth: int = 1000) -> list[Any]:
+    def listen(
+        self, topic: str, kind: type = JointState, depth: int | QoSProfile = 1000, raw: bool = False
+    ) -> list[Any]:
         """Return a list that grows with the messages of a topic; with a depth of 1, those there is time for."""
         heard: list[Any] = []
-        self.node.create_subscription(kind, topic, heard.append, depth)
+        subscription = self.node.create_subscription(kind, topic, heard.append, depth, raw=raw)
+        self._executor.listening.append((subscription, heard))
         return heard
 
     def known_to(self, *nodes: str) -> None:

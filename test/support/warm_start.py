@@ -14,6 +14,7 @@ frame (cli/test_nodes.py). A new test of an import, of the first second or of Py
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import importlib
@@ -44,12 +45,20 @@ MODULES = (
     "geometry_msgs.msg",
     "lifecycle_msgs.srv",
     "rcl_interfaces.srv",
+    "rosgraph_msgs.msg",
+    "rosidl_generator_py",
     "sensor_msgs.msg",
     "std_msgs.msg",
     "std_srvs.srv",
     "trajectory_msgs.msg",
+    "type_description_interfaces.srv",
 )
 """What the processes of the tests import most. Not rclpy: it starts threads, and a fork would leave them behind."""
+_BUILT = (
+    "action_msgs.srv", "control_msgs.action", "control_msgs.msg", "control_msgs.srv",
+    "controller_manager_msgs.msg", "controller_manager_msgs.srv",
+)  # fmt: skip
+"""So are these, where they are there."""
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 _LONGEST = 1 << 20
 
@@ -203,6 +212,9 @@ if __name__ == "__main__":
     for name in sys.argv[2:]:
         importlib.import_module(name)
     if MODULES[0] in sys.modules:
+        for name in _BUILT:
+            with contextlib.suppress(ImportError):
+                importlib.import_module(name)
         _load_kernels()
     assert len(list(Path("/proc/self/task").iterdir())) == 1, "a thread would be missing in each fork"
     gc.freeze()  # or the first collection in each process would copy all that the imports have made

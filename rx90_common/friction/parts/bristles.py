@@ -1,6 +1,6 @@
 """The kinds of bristles: accepted contents of `bristles` in a friction file, and limits of c1 for passivity.
 
-Their equations stand with their compiled steps in rx90_common/friction/bristles/.
+Their equations stand with their compiled steps in elasto_plastic.py and maxwell_slip.py of rx90_common/friction/.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rx90_common.base.entries import LEFT_OUT, ListOf, Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Variants
 from rx90_common.base.quoting import counted
-from rx90_common.friction.bristles.maxwell_slip import MAX_BLOCKS
+from rx90_common.friction.maxwell_slip import MAX_BLOCKS
 from rx90_common.friction.parts.part import FrictionPart
 
 LUGRE_PASSIVITY: Final = 4.0

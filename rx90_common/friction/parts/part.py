@@ -12,6 +12,8 @@ from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, ListOf, Number, 
 
 MIN_SPEED: Final = 1e-9
 """Least Stribeck and fading velocity, rad/s: rest for all practical purposes, while 1 / v is still a number."""
+LINEAR_SPEED: Final = 1e-3
+"""The speed, rad/s, below which the viscous part is linear whatever its exponent: motion this slow is presliding."""
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import counted
 from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.kernels.compiled import inlined
-from rx90_common.kernels.elementary import sine_cosine
-from rx90_common.kernels.elementary_arrays import sines_cosines
+from rx90_common.kernels.elementary import sine_cosine, sines_cosines
 from rx90_common.kernels.lanes import Lanes, fma, load
 
 ANGLES = ("joint", "motor")

@@ -29,8 +29,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.kernels.compiled import inlined
-from rx90_common.kernels.elementary import GOLDEN, mixed, nearly_normal
-from rx90_common.kernels.elementary_arrays import exponential_less_one_of
+from rx90_common.kernels.elementary import GOLDEN, exponential_less_one_of, mixed, nearly_normal
 
 BOUND = 4.0
 """Largest |w| in deviations."""

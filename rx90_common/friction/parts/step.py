@@ -10,15 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.friction.bristles.step import (
+from rx90_common.friction.compiled_elements import (
     bristles_dtype,
     bristles_energy,
     bristles_state_dtype,
     bristles_step,
     bristles_torque,
+    load_elements,
     reset_bristles,
+    with_present,
 )
-from rx90_common.friction.compiled_elements import load_elements, with_present
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.bristles import fill_bristles
 from rx90_common.friction.parts.load import fill_load, load_dtype, load_torques

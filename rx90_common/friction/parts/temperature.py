@@ -43,8 +43,7 @@ from rx90_common.base.entries import Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.kernels.compiled import inlined
-from rx90_common.kernels.elementary import exponential_less_one
-from rx90_common.kernels.elementary_arrays import exponential_less_one_of
+from rx90_common.kernels.elementary import exponential_less_one, exponential_less_one_of
 from rx90_common.kernels.lanes import Lanes, fma, load, select, store
 
 LOWEST, HIGHEST = -50.0, 200.0

@@ -18,8 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
@@ -41,29 +40,8 @@ _ACCEPTED_RATIO, _ACCEPTED_SE = 1.1, 2.0  # over the least error; standard error
 _SINGULAR = 1e-10  # relative: directions that the remaining rows do not determine stay 0
 
 
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    """Bandwidths, their equations, and their prediction of the torque of the narrowest candidate, computed on demand.
-
-    Attributes:
-        bandwidths: of both filters.
-        problem: the equations.
-        compared: equations of the narrowest candidate.
-    """
-
-    bandwidths: Bandwidths
-    problem: ExcitationProblem
-    compared: ExcitationProblem
-
-    @cached_property
-    def residual(self) -> Array:
-        """Return residuals of the compared rows, each by the parameters fitted without its block, Nm, shape (r,)."""
-        return _left_out(self.problem, self.compared)
-
-    @property
-    def share(self) -> float:
-        """Return the RMS of these residuals over the RMS torque."""
-        return float(np.linalg.norm(self.residual) / np.linalg.norm(self.compared.torque))
+_Candidate = tuple[Bandwidths, ExcitationProblem]
+"""Bandwidths of both filters, and their equations."""
 
 
 def choose_bandwidths(
@@ -85,49 +63,51 @@ def choose_bandwidths(
         bandwidths = Bandwidths(given, given / 3.0)
         return bandwidths, equations(records, bandwidths)
     widest, silent = Bandwidths.of(records), next(filter(None, (record.no_velocity for record in records)), "")
-    candidates, number = _compared(widest, records, equations)
-    compared = candidates[-1].problem
+    candidates, residuals, number = _compared(widest, records, equations)
+    compared = candidates[-1][1]
     if all(run.reference is not None for run in compared.runs):
         # Velocities of emulated drives' observers predict low frequencies better, but bias rotor inertias by up to 2 %.
         silent = "the set-points in the bags tell more than they"
-    best, reason = candidates[number], widest.reason
+    (chosen, problem), reason = candidates[number], widest.reason
     if len(candidates) > 1:
-        figures = ", ".join(f"{100.0 * one.share:.3g} % with {one.bandwidths.position:.3g} Hz" for one in candidates)
-        below, position = compared.runs[0].bandwidths.torque, best.bandwidths.position
+        size = np.linalg.norm(compared.torque)
+        figures = ", ".join(
+            f"{100.0 * float(np.linalg.norm(residual) / size):.3g} % with {bandwidths.position:.3g} Hz"
+            for (bandwidths, _), residual in zip(candidates, residuals, strict=True)
+        )
         reason += (
-            f"; the torque below {below:.3g} Hz of times that were left out is predicted to {figures}: the positions "
-            f"get {position:.3g} Hz"
+            f"; the torque below {compared.runs[0].bandwidths.torque:.3g} Hz of times that were left out is predicted "
+            f"to {figures}: the positions get {chosen.position:.3g} Hz"
         )
     if silent:
         reason += f"; velocities are differences of positions, for {silent}"
     else:
-        better, velocity = _recorded_velocity(records, equations, candidates[-1], compared)
+        own = residuals[-1] if residuals else _left_out(compared, compared)
+        better, velocity = _recorded_velocity(records, equations, compared, own)
         reason += f"; {velocity}"
         if better:
-            recorded = best.bandwidths._replace(recorded_velocity=True)
-            best = replace(best, bandwidths=recorded, problem=equations(records, recorded))
-    chosen = best.bandwidths._replace(reason=reason)
-    return chosen, replace(best.problem, runs=tuple(replace(run, bandwidths=chosen) for run in best.problem.runs))
+            chosen = chosen._replace(recorded_velocity=True)
+            problem = equations(records, chosen)
+    chosen = chosen._replace(reason=reason)
+    return chosen, replace(problem, runs=tuple(replace(run, bandwidths=chosen) for run in problem.runs))
 
 
 def _recorded_velocity(
-    records: Sequence[JointRecord], equations: Equations, first: _Candidate, compared: ExcitationProblem
+    records: Sequence[JointRecord], equations: Equations, compared: ExcitationProblem, residual: Array
 ) -> tuple[bool, str]:
     """Return whether recorded velocities predict better than differences of positions, and both results in words.
 
     Both predict the same torques below the narrowest bandwidth, each from its own motion; a noisy motion predicts
     worse.
     """
-    recorded = compared.runs[0].bandwidths._replace(recorded_velocity=True)
-    twin = equations(records, recorded)
-    second = _Candidate(recorded, twin, twin).residual
+    twin = equations(records, compared.runs[0].bandwidths._replace(recorded_velocity=True))
     first_key, second_key = (
         (one.run * len(one.arm.names) + one.joint) * max(len(run.rows) for run in compared.runs) + one.place
         for one in (compared, twin)
     )
     # An element may stop in one motion and not in the other.
     _, rows, its = np.intersect1d(first_key, second_key, assume_unique=True, return_indices=True)
-    pair = first.residual[rows], second[its]
+    pair = residual[rows], _left_out(twin, twin)[its]
     better = _best(pair, compared, rows) == 1
     size = float(np.linalg.norm(compared.torque[rows]))
     differences, velocities = (100.0 * float(np.linalg.norm(one)) / size for one in pair)
@@ -135,16 +115,19 @@ def _recorded_velocity(
     return better, f"{text}{differences:.3g} %: {'the former' if better else 'differences'} are used"
 
 
-def _compared(widest: Bandwidths, records: Sequence[JointRecord], equations: Equations) -> tuple[list[_Candidate], int]:
-    """Return the candidates, the widest first, and the number of the best; the last has ten times the motion's band.
+def _compared(
+    widest: Bandwidths, records: Sequence[JointRecord], equations: Equations
+) -> tuple[list[_Candidate], list[Array], int]:
+    """Return the candidates, the widest first, their residuals, Nm, shape (r,), and the number of the best.
 
-    Bandwidths in between are tried where the narrowest predicts clearly better than the widest.
+    The last one has ten times the motion's band; its r rows are compared. Bandwidths in between are tried where it
+    predicts clearly better than the widest.
     """
     ratio = max(widest.position / least_bandwidth(records), 1.0)
     count = min(_NARROWER, math.floor(math.log(ratio, _MIN_RATIO) + 1e-9))
     narrower = [widest.position * ratio ** (-step / count) for step in range(1, count + 1)]
 
-    def at(position: float) -> tuple[Bandwidths, ExcitationProblem] | None:
+    def at(position: float) -> _Candidate | None:
         bandwidths = Bandwidths(position, min(widest.torque, position / 3.0))
         try:
             problem = equations(records, bandwidths)
@@ -155,13 +138,15 @@ def _compared(widest: Bandwidths, records: Sequence[JointRecord], equations: Equ
     first = last = (widest, equations(records, widest))
     while narrower and first is last:
         last = at(narrower.pop()) or first
-    found = [_Candidate(*one, last[1]) for one in ((first,) if first is last else (first, last))]
-    best = _best([one.residual for one in found], last[1]) if len(found) > 1 else 0
-    between = [_Candidate(*one, last[1]) for one in map(at, narrower if best else ()) if one is not None]
-    if between:
-        found[1:1] = between
-        best = _best([one.residual for one in found], last[1])
-    return found, best
+    if first is last:
+        return [first], [], 0
+    found = [first, last]
+    residuals = [_left_out(problem, last[1]) for _, problem in found]
+    best = _best(residuals, last[1])
+    if between := list(filter(None, map(at, narrower if best else ()))):
+        found[1:1], residuals[1:1] = between, [_left_out(problem, last[1]) for _, problem in between]
+        best = _best(residuals, last[1])
+    return found, residuals, best
 
 
 def _best(residuals: Sequence[Array], compared: ExcitationProblem, rows: Index | slice = slice(None)) -> int:

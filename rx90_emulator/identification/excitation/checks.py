@@ -25,10 +25,8 @@ from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.fit import nonnegative, solve, time_blocks
 from rx90_emulator.identification.excitation.law import COULOMB, VISCOUS, ElementShape, joint_columns
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.options import RobotOptions
+from rx90_emulator.identification.options import DEFAULT_ROBOT, RobotOptions
 from rx90_emulator.identification.zeros import ROUNDS, SMALLEST, ResidualPower, ZeroCheck, find_zeros, is_error
-
-_NO_OPTIONS = RobotOptions()
 
 
 def coulomb_viscous(problem: ExcitationProblem) -> Array:
@@ -71,7 +69,7 @@ _SHORT_ERROR, _SHORT_REMAINDER = 0.1, 1.0 / 3.0  # of short runs: share of the t
 _CLEAR_SE = 3.0  # standard errors by which a sign, or a zero, must explain more
 
 
-def check_signs(problem: ExcitationProblem, options: RobotOptions = _NO_OPTIONS) -> None:
+def check_signs(problem: ExcitationProblem, options: RobotOptions = DEFAULT_ROBOT) -> None:
     """Refuse runs in which torques or motions of motors clearly have the wrong sign; not by very short ones.
 
     Args:
@@ -157,11 +155,6 @@ class _Signed:
     def sigma(self) -> Array:
         """Return the standard deviation of each row, that of its joint's residuals, Nm, shape (s,)."""
         return self._by_joint(self.residual(self._by_joint(self.torque)))
-
-    @property
-    def deficit(self) -> float:
-        """Return minus the logarithm of the likelihood, but for a constant."""
-        return float(np.log(self.sigma).sum())
 
     def _by_joint(self, values: Array) -> Array:
         count = np.maximum(np.bincount(self.joint), 1)
@@ -254,7 +247,10 @@ class _Search:
         for _ in motors:
             there = {one.motor for one in wrong}
             tried = [(*wrong, WrongSign(k, *how)) for k in motors if k not in there for how in _SIGN_ERRORS]
-            best, other = min(((one, self._signed(one)) for one in tried), key=lambda pair: pair[1].deficit)
+            # The most likely one: minus the logarithm of the likelihood, but for a constant.
+            best, other = min(
+                ((one, self._signed(one)) for one in tried), key=lambda pair: float(np.log(pair[1].sigma).sum())
+            )
             # The joint itself must improve as well: a small gain on another, quiet joint would weigh as much.
             own = self._problem.arm.coupling[best[-1].motor, other.joint] != 0.0
             error_now, error_with = (float(np.linalg.norm(one.residual(other.sigma)[own])) for one in (now, other))

@@ -33,7 +33,7 @@ from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import fma, load, store
-from rx90_emulator.identification.records import BagSource, JointRecord
+from rx90_emulator.identification.records import BagSource, JointRecord, block_means, stretches
 
 _FILTER_ORDER = 4  # of the Butterworth filter, in each direction
 _STOPBAND_DB = 60.0  # dB, of the parallel filter beyond twice its bandwidth
@@ -173,24 +173,12 @@ def _spectrum(record: JointRecord, values: Array, degree: int, window: str) -> t
     return frequency, power, np.flatnonzero(np.diff(band, prepend=-1))
 
 
-class TorqueStamps(NamedTuple):
-    """Motion at the instants at which the torque was recorded, if these are not a run's even times, and the resampling.
-
-    A torque step at a reversal is resampled to a value between both levels, in one sample near it. The columns of the
-    model must be resampled in the same way: from the velocity at the stamps.
-
-    Attributes:
-        velocity: of the joints at s stamps, rad/s, shape (s, n).
-        resampling: linear interpolation from the stamps to the run's samples, sparse, shape (m, s).
-    """
-
-    velocity: Array
-    resampling: csr_array
-
-
 @dataclass(frozen=True, eq=False)
 class FilteredRun:
     """One run at its full, even rate, without the ends that the filters distort.
+
+    A torque step at a reversal is resampled to a value between both levels, in one sample near it. The columns of the
+    model must be resampled in the same way: from the velocity at the s stamps of the torque.
 
     Attributes:
         source: the bag.
@@ -200,9 +188,10 @@ class FilteredRun:
         velocity: rad/s, derivative of the filtered position, shape (m, n).
         acceleration: rad/s^2, its second derivative, shape (m, n).
         torque: as recorded, at the joints, Nm, shape (m, n).
+        torque_velocity: velocity where the torque was recorded, rad/s, shape (s, n).
         reference: position set-points, rad, shape (m, n); None where none were recorded.
         bandwidths: of both filters.
-        stamps: where the torque was recorded; None if that is at `time`.
+        resampling: linear interpolation from the stamps to `time`, sparse, shape (m, s); None if they are the same.
         shocks: begin and end of the times whose torque is not used, s.
     """
 
@@ -213,9 +202,10 @@ class FilteredRun:
     velocity: Array
     acceleration: Array
     torque: Array
+    torque_velocity: Array
     reference: Array | None
     bandwidths: Bandwidths
-    stamps: TorqueStamps | None = None
+    resampling: csr_array | None = None
     shocks: tuple[tuple[float, float], ...] = ()
 
     @cached_property
@@ -247,16 +237,11 @@ class FilteredRun:
         inside = [(time > begin - margin) & (time < end + margin) for begin, end in self.shocks]
         return np.asarray(~np.any([np.zeros(len(time), dtype=np.bool_), *inside], axis=0))
 
-    @property
-    def torque_velocity(self) -> Array:
-        """Return the joints' velocities where the torque was recorded, rad/s, shape (s, n)."""
-        return self.velocity if self.stamps is None else self.stamps.velocity
-
     def evened(self, values: Array) -> Array:
         """Resample values from where the torque was recorded, (s, ...), to the run's samples, (m, ...)."""
-        if self.stamps is None:
+        if self.resampling is None:
             return values
-        even = self.stamps.resampling @ values.reshape(len(values), -1)
+        even = self.resampling @ values.reshape(len(values), -1)
         return np.asarray(even).reshape(len(even), *values.shape[1:])
 
     def parallel(self, values: Array) -> Array:
@@ -327,27 +312,29 @@ def _filtered(
 
     position, order = smoothed(record.position), int(not bandwidths.recorded_velocity)
     curve = make_interp_spline(count, position if order else smoothed(record.velocity), k=5)
-    at_torque, ours = None, np.full(len(time), fill_value=True)
+    ours = np.full(len(time), fill_value=True)
     for begin, end in record.shocks:
         ours &= (time < begin) | (time > end)
-    stamps, torque = time[ours] - torque_lead, record.torque[piece][ours]
+    stamps, torque, samples = time[ours] - torque_lead, record.torque[piece][ours], even[inner]
+    velocity, resampling = np.asarray(curve(count[inner], order)), None
+    torque_velocity = velocity
     if not _is_even(stamps, even):
-        samples = even[inner]
         first, last = np.searchsorted(stamps, samples[0], "right") - 1, np.searchsorted(stamps, samples[-1]) + 1
         around = stamps[max(int(first), 0) : last]
         resampling = BSpline.design_matrix(samples, np.pad(around, 1, "edge"), 1, extrapolate=True)
-        at_torque = TorqueStamps(np.asarray(curve(around - even[0], order)), resampling)
+        torque_velocity = np.asarray(curve(around - even[0], order))
     return FilteredRun(
         source=record.bag,
         names=record.names,
-        time=even[inner],
+        time=samples,
         position=position[inner],
-        velocity=np.asarray(curve(count[inner], order)),
+        velocity=velocity,
         acceleration=np.asarray(curve(count[inner], order + 1)),
         torque=_resampled(stamps, torque, even, 1)[inner],
+        torque_velocity=torque_velocity,
         reference=None if reference is None else _resampled(*_bridged(time, reference[piece]), even, 5)[inner],
         bandwidths=bandwidths,
-        stamps=at_torque,
+        resampling=resampling,
         shocks=record.shocks,
     )
 
@@ -499,14 +486,10 @@ def without_shocks(record: JointRecord, elements: Array) -> tuple[JointRecord, t
     """
     rate = (len(record.time) - 1) / max(float(record.time[-1] - record.time[0]), 1e-9)
     size = max(1, round(rate / _SHOCK_RATE))
-    count = len(record.time) // size
+    time, velocity, torque = (block_means(values, size) for values in (record.time, record.velocity, record.torque))
     width = round(_SHOCK_WINDOW * rate / size) // 2 * 2 + 1
-    if width < 5 or count <= width:  # a pulse would be one sample or none
+    if width < 5 or len(time) <= width:  # a pulse would be one sample or none
         return record, ()
-    time, velocity, torque = (
-        values[: count * size].reshape(count, size, -1).mean(axis=1)
-        for values in (record.time, record.velocity, record.torque)
-    )
     distance = np.abs(torque - median_filter(torque, size=(width, 1), mode="nearest"))
     reverses = _near_rest(velocity @ elements.T, width) @ (elements != 0.0)
     low, high = np.percentile(torque, (1.0, 99.0), axis=0)
@@ -521,7 +504,7 @@ def without_shocks(record: JointRecord, elements: Array) -> tuple[JointRecord, t
     texts, half = [], 0.5 * size / rate
     for start, stop in stretches(np.asarray(far.any(axis=1))):
         joint = int(np.argmax(np.where(far[start:stop], distance[start:stop], 0.0).max(axis=0)))
-        begin, end = float(time[start, 0]) - half - _SHOCK_MARGIN, float(time[stop - 1, 0]) + half + _SHOCK_MARGIN
+        begin, end = float(time[start]) - half - _SHOCK_MARGIN, float(time[stop - 1]) + half + _SHOCK_MARGIN
         if found and begin <= found[-1][1]:
             found[-1] = (found[-1][0], end)
             continue
@@ -535,12 +518,6 @@ def without_shocks(record: JointRecord, elements: Array) -> tuple[JointRecord, t
     what = f"{len(found)} shock{'s' * (len(found) > 1)}"
     text = f"{record.source.name}: {what} of the torque left out, {removed:.0f} ms with margins: {shown}"
     return replace(record, shocks=tuple(found)), (text,)
-
-
-def stretches(there: Mask) -> list[tuple[int, int]]:
-    """Return begin and end (exclusive) of each stretch of samples that meet a condition, shape (m,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]).astype(np.int8)))
-    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
 def _near_rest(velocity: Array, width: int) -> Mask:

@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -229,8 +230,6 @@ def bounded_covariance(covariance: Array, sizes: Sequence[tuple[float, float]], 
     """
     count = len(covariance) - len(sizes)
     between = covariance[count:, count:]
-    if not np.isfinite(between).all():
-        return np.asarray(covariance[:count, :count])
     slope = covariance[:count, count:] @ np.linalg.pinv(between)
     factor = np.array([
         np.sqrt(truncnorm(-value / deviation, (most - value) / deviation, value, deviation).moment(2)) / deviation
@@ -277,8 +276,10 @@ def blur_shifts(weighted: WeightedProblem, fit: SeparableFit, columns: Array) ->
 
 def _smoothed(run: FilteredRun, blur: Callable[[Array, FilteredRun], Array]) -> FilteredRun:
     """Return a run with smoothed positions and velocities, and with velocities at the stamps smoothed alike."""
-    stamps = None if run.stamps is None else run.stamps._replace(velocity=blur(run.stamps.velocity, run))
-    return replace(run, position=blur(run.position, run), velocity=blur(run.velocity, run), stamps=stamps)
+    blurred: dict[str, Any] = {
+        name: blur(getattr(run, name), run) for name in ("position", "velocity", "torque_velocity")
+    }
+    return replace(run, **blurred)
 
 
 def _every_second(values: Array, _: FilteredRun) -> Array:

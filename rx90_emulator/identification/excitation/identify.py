@@ -11,8 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +26,7 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
 from rx90_emulator.identification.excitation.bodies import make_consistent, written_arm
 from rx90_emulator.identification.excitation.checks import ROWS_PER_PARAMETER, check_signs, check_zeros
-from rx90_emulator.identification.excitation.choice import stages
+from rx90_emulator.identification.excitation.choice import select_parts, stages
 from rx90_emulator.identification.excitation.filtering import Bandwidths, recording_notes, without_shocks
 from rx90_emulator.identification.excitation.friction import (
     ALL_PARTS,
@@ -56,7 +58,7 @@ from rx90_emulator.identification.excitation.result import (
     trends,
 )
 from rx90_emulator.identification.identify import check_given_once, read_records, with_friction
-from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions, model_parts
+from rx90_emulator.identification.options import DEFAULT_ROBOT, ExcitationTolerances, RobotOptions, model_parts
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import BagLayout, RecordedRobot
 from rx90_emulator.identification.validation.prediction import (
@@ -68,13 +70,12 @@ from rx90_emulator.identification.validation.prediction import (
 from rx90_emulator.identification.validation.verdict import run_torques
 
 _NO_PAYLOADS: Mapping[str, Payload] = MappingProxyType({})
-_DEFAULT_ROBOT = RobotOptions()
 _DEFAULT_TOLERANCES = ExcitationTolerances()
 
 
 def identify_excitation(
     bags: Sequence[Path | str],
-    robot: RobotOptions = _DEFAULT_ROBOT,
+    robot: RobotOptions = DEFAULT_ROBOT,
     validation: Sequence[Path | str] = (),
     tolerances: ExcitationTolerances = _DEFAULT_TOLERANCES,
     *,
@@ -144,17 +145,17 @@ def identify_excitation(
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
     gains: DriveGains | None = None
     loads: LoadParts | None = None
+    tried: dict[str, Any] = {"parts": parts, "progress": progress, "fixed": fixed}
     if load_part:
         progress("load parts")
-        loads = identify_load_parts(problem, parts, progress, fixed=fixed)
+        loads = identify_load_parts(problem, partial(select_parts, **tried))
     elif np.any(problem.payload):
         progress("drive gains")
-        gains = identify_gains(problem, parts, progress, fixed=fixed)
-    changes = [one.applied for one in (gains, loads) if one is not None]
-    for change in changes:
-        problem = change(problem)
+        gains = identify_gains(problem, partial(identify_friction_parts, **tried))
+    change = next((one.applied for one in (gains, loads) if one is not None), lambda unchanged: unchanged)
+    problem = change(problem)
     progress("friction")
-    friction = identify_friction_parts(problem, parts, known, progress, fixed=fixed)
+    friction = identify_friction_parts(problem, prior=known, **tried)
     progress("instrumental variables")
     closed_loop, friction = check_closed_loop(problem, friction, known)
     remarks = [closed_loop.remark, *([] if loads is None else [loads.remark(problem.arm.element_names)])]
@@ -166,9 +167,7 @@ def identify_excitation(
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
-        other = equations([record], validation_bandwidths(record, bandwidths))
-        for change in changes:
-            other = change(other)
+        other = change(equations([record], validation_bandwidths(record, bandwidths)))
         identified = predicted_torque(friction, other)
         with_bodies = identified + other.regressor @ consistency.inertias.shift
         by_files = written_torque(other, written, [one.element for one in elements])
@@ -308,7 +307,7 @@ def regressor(arm: RigidArm, position: ArrayLike, velocity: ArrayLike, accelerat
 
 
 def excitation_problem(
-    bags: Sequence[Path | str], robot: RobotOptions = _DEFAULT_ROBOT, bandwidths: Bandwidths | None = None
+    bags: Sequence[Path | str], robot: RobotOptions = DEFAULT_ROBOT, bandwidths: Bandwidths | None = None
 ) -> ExcitationProblem:
     """Return the equations of recorded runs, the first step of `identify_excitation`: filtered torque, regressor, rows.
 
@@ -341,7 +340,7 @@ def predict_torque(
     velocity: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
     *,
-    robot: RobotOptions = _DEFAULT_ROBOT,
+    robot: RobotOptions = DEFAULT_ROBOT,
 ) -> Array:
     """Return the drive torque at the joints along a motion, by a friction file and an arm's description.
 

@@ -44,14 +44,9 @@ from rx90_common.base.quoting import listed
 from rx90_common.friction.parts.load import DIRECTIONS, LARGEST_COEFFICIENT, LoadPart
 from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.excitation.checks import coulomb_viscous
-from rx90_emulator.identification.excitation.choice import Scored, TimeBlocks, select_parts
+from rx90_emulator.identification.excitation.choice import Scored, Selection, TimeBlocks
 from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, fit_shapes, solve
-from rx90_emulator.identification.excitation.friction import (
-    WITHOUT_BRISTLES,
-    identify_friction_parts,
-    linear_columns,
-)
-from rx90_emulator.identification.excitation.law import Part
+from rx90_emulator.identification.excitation.friction import FrictionSelection, linear_columns
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 PLAUSIBLE = (0.75, 1.33)
@@ -127,27 +122,20 @@ def _bodies(problem: ExcitationProblem, wanted: str) -> list[tuple[float, ...] |
 
 
 def identify_gains(
-    problem: ExcitationProblem,
-    parts: Sequence[Part] = WITHOUT_BRISTLES,
-    progress: Callable[[str], None] = lambda _: None,
-    *,
-    fixed: bool = False,
+    problem: ExcitationProblem, identified: Callable[[ExcitationProblem], FrictionSelection]
 ) -> DriveGains:
     """Identify drive gains: first with Coulomb and viscous friction, then with the parts that are selected with these.
 
     Args:
         problem: with known payloads in some runs.
-        parts: of the friction, to try.
-        progress: as in `identify_friction_parts`.
-        fixed: as there.
+        identified: `identify_friction_parts` with the parts to try.
 
     Raises:
         IdentificationError: if the payloads determine no gain.
     """
     rough = drive_gains(problem, coulomb_viscous(problem))
     scaled = rough.applied(problem)
-    friction = identify_friction_parts(scaled, parts, progress=progress, fixed=fixed)
-    return drive_gains(scaled, linear_columns(friction, scaled)[1]).after(rough.factor)
+    return drive_gains(scaled, linear_columns(identified(scaled), scaled)[1]).after(rough.factor)
 
 
 def drive_gains(problem: ExcitationProblem, friction: Array) -> DriveGains:
@@ -331,20 +319,12 @@ def load_columns(problem: ExcitationProblem, transmitted: list[Array]) -> Array:
     return problem.element_rows(along)
 
 
-def identify_load_parts(
-    problem: ExcitationProblem,
-    parts: Sequence[Part],
-    progress: Callable[[str], None] = lambda _: None,
-    *,
-    fixed: bool = False,
-) -> LoadParts:
+def identify_load_parts(problem: ExcitationProblem, select: Callable[[ExcitationProblem], Selection]) -> LoadParts:
     """Identify the load parts of all elements, together with everything else.
 
     Args:
         problem: of runs with at least two different known payloads; to carry none counts as one of them.
-        parts: of the friction, to try in addition.
-        progress: as in `select_parts`.
-        fixed: as there.
+        select: `select_parts` with the parts of the friction to try in addition.
 
     Raises:
         IdentificationError: for runs that all carry the same payload.
@@ -360,7 +340,7 @@ def identify_load_parts(
         whole = solve(problem, np.hstack([regressor, columns, friction])).value
         base, rough[moving] = whole[:b], whole[b : b + _WIDTH * len(moving)].reshape(-1, _WIDTH)
     first = LoadParts(rough, (), np.zeros((0, 0)), base, np.zeros(len(names)), ("",) * len(names))
-    selected = select_parts(first.applied(problem), parts, progress, fixed=fixed)
+    selected = select(first.applied(problem))
     time = TimeBlocks.of(problem, selected.weighted.linearised(selected.fit)[0])
 
     def fitted(kept: Sequence[int], columns: Array) -> tuple[WeightedProblem, SeparableFit]:

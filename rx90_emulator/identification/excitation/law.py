@@ -147,7 +147,7 @@ def viscous(shape: ElementShape, speeds: Speeds) -> tuple[Array, Array]:
 def coulomb(shape: ElementShape, speeds: Speeds) -> tuple[Array, dict[str, Array]]:
     """Return sign(v) h(v) and its derivatives by the parameters of a Stribeck part, where there is one, each (m,).
 
-    The curve is that of `rx90_common.friction.curves`, here from the logarithm of the speed, computed only once.
+    The curve is that of `rx90_common.friction.element`, here from the logarithm of the speed, computed only once.
     """
     sign = np.sign(speeds.velocity)
     if Part.STRIBECK not in shape.parts:

@@ -36,7 +36,8 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import listed, quoted
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.filtering import SLOW_SHARE, SLOW_SPEED, FilteredRun, stretches
+from rx90_emulator.identification.excitation.filtering import SLOW_SHARE, SLOW_SPEED, FilteredRun
+from rx90_emulator.identification.records import stretches
 
 PAYLOADS = Entries(
     "What was fixed to the last link in each loaded run, by name or path of the bag.",
@@ -464,8 +465,8 @@ class ExcitationProblem:
         Columns of the result (its regressor, friction along its runs) are instruments for the original.
         """
         runs = tuple(
-            replace(run, position=position, velocity=velocity, acceleration=acceleration, stamps=None)
-            for run, (position, velocity, acceleration) in zip(self.runs, motions, strict=True)
+            replace(run, position=q, velocity=v, acceleration=a, torque_velocity=v, resampling=None)
+            for run, (q, v, a) in zip(self.runs, motions, strict=True)
         )
         other = replace(self, runs=runs, payloads=(None,) * len(runs))
         return replace(other, regressor=other.through(np.eye(len(self.arm.names)))[0])

@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import linregress
 from scipy.stats import t as student
 
 from rx90_common.base.arrays import Array, Index
@@ -394,13 +395,9 @@ def trends(runs: Sequence[RunTorques], block: float) -> tuple[Trend, ...]:
             continue
         opposing = joint.residual * np.sign(joint.velocity)
         means, times = (np.bincount(number, values)[filled] / count[filled] for values in (opposing, joint.time))
-        means, times = means - opposing.mean(), times - times.mean()
-        slope = float(times @ means / (times @ times))
-        free = len(filled) - 2
-        deviation = math.sqrt(float(np.sum((means - means.mean() - slope * times) ** 2)) / free / (times @ times))
-        span = float(joint.time[-1] - joint.time[0])
-        if abs(slope) > deviation * student.ppf(1.0 - 0.5 * _TREND_LEVEL / len(tests), free):
-            found.append(Trend(run.source.path.name, name, slope * span, deviation * span))
+        line, span = linregress(times, means), float(joint.time[-1] - joint.time[0])
+        if line.pvalue < _TREND_LEVEL / len(tests):
+            found.append(Trend(run.source.path.name, name, float(line.slope) * span, float(line.stderr) * span))
     return tuple(found)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import pinocchio as pin
@@ -32,15 +32,6 @@ FULL_SPEED_TIME: Final = 0.5
 _SOURCE = "nothing is known of it: chosen in proportion to the arm's inertia and to the efforts of its URDF"
 
 
-class _Inertia(NamedTuple):
-    """Inertias of the motors, seen through their gears, kg m^2, shape (n,) each."""
-
-    mean: Array  # over poses, the other joints at rest
-    nominal: Array  # used by the controller
-    least: Array  # in any pose, the other joints free
-    most: float  # largest ratio of `nominal` to the inertia in a motion of several motors
-
-
 def assumed_files(
     robot: RobotModel,
     model: Any,
@@ -60,9 +51,9 @@ def assumed_files(
             give the same torques at the joints.
         acceleration: of the joints in the recorded motions, rad/s^2, shape (n,), or 0.
     """
-    inertia, n = _inertia(robot, model, turning, rotors), len(rotors)
+    (mean, nominal, least, most), n = _inertias(robot, model, turning, rotors), len(rotors)
     effort = np.abs(turning.joint_turns.T) @ robot.max_effort
-    kv = min(_HIGHEST_KV, _FASTEST / inertia.most)
+    kv = min(_HIGHEST_KV, _FASTEST / most)
     gear, constant = (
         np.array(known[key].value if key in known else [usual] * n)
         for key, usual in ((("transmission", "gear"), _GEAR), (("motor", "torque_constant"), _TORQUE_CONSTANT))
@@ -70,12 +61,11 @@ def assumed_files(
     current = effort / np.abs(gear * constant)
     # A light link could reach thousands of rad/s^2: the accelerations of plans and recorded motions are enough.
     fastest = np.maximum(robot.max_velocity / FULL_SPEED_TIME, acceleration)
-    fastest = np.minimum(fastest, 0.5 * effort / inertia.mean)
+    fastest = np.minimum(fastest, 0.5 * effort / mean)
 
     def held(frequency: float) -> dict[str, list[float]]:
         pole = 2.0 * math.pi * frequency
-        damping = 2.0 * _HALF_CRITICAL * pole * inertia.least
-        return {"stiffness": _six(pole * pole * inertia.least), "damping": _six(damping)}
+        return {"stiffness": _six(pole * pole * least), "damping": _six(2.0 * _HALF_CRITICAL * pole * least)}
 
     drives: dict[str, dict[str, Any]] = {
         "transmission": {
@@ -90,7 +80,7 @@ def assumed_files(
     }  # fmt: skip
     controller: dict[str, dict[str, Any]] = {
         "servo": {
-            "inertia": _six(inertia.nominal), "kp": _six(np.full(n, kv / 4.0)), "kv": _six(np.full(n, kv)),
+            "inertia": _six(nominal), "kp": _six(np.full(n, kv / 4.0)), "kv": _six(np.full(n, kv)),
             "ki": _six(np.full(n, kv**3 / 80.0)),
             "integrator_limit": _six(effort),
         },
@@ -135,7 +125,12 @@ def _six(values: Array) -> list[float]:
     return [float(f"{value:.6g}") for value in values]
 
 
-def _inertia(robot: RobotModel, model: Any, turning: Coupling, rotors: Array) -> _Inertia:
+def _inertias(robot: RobotModel, model: Any, turning: Coupling, rotors: Array) -> tuple[Array, Array, Array, float]:
+    """Return inertias of the motors, seen through their gears, kg m^2, shape (n,) each.
+
+    Mean over poses with the other joints at rest, that for the controller, and the least in any pose with the other
+    joints free; and the largest ratio of that for the controller to the inertia in a motion of several motors.
+    """
     data, back = model.createData(), turning.joint_turns
     with_held, free, masses = [], [], []
     for share in np.random.default_rng(0).uniform(size=(_POSES, len(rotors))):
@@ -148,4 +143,4 @@ def _inertia(robot: RobotModel, model: Any, turning: Coupling, rotors: Array) ->
     nominal = np.sqrt(mean * least)
     root = np.sqrt(nominal)
     most = max(float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(mass) * root)[-1]) for mass in masses)
-    return _Inertia(mean, nominal, least, most)
+    return mean, nominal, least, most

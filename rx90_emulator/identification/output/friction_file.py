@@ -41,9 +41,9 @@ _NONE: Mapping[str, Any] = MappingProxyType({})
 _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
 
 
-def friction_text(result: FrictionIdentification, now: datetime | None = None) -> str:
-    """Return the text of the file of an identification from sweeps; arguments and errors as in `elements_text`."""
-    return elements_text(result.arm.element_names, result.elements, result.fallback_name, now, result)
+def friction_text(result: FrictionIdentification) -> str:
+    """Return the text of the file of an identification from sweeps; errors as in `elements_text`."""
+    return elements_text(result.arm.element_names, result.elements, result.fallback_name, result=result)
 
 
 def elements_text(

@@ -19,8 +19,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Mark, Panel, Plot, Scale
-from rx90_emulator.identification.excitation.result import ExcitationIdentification, misfits
-from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
+from rx90_emulator.identification.excitation.result import ExcitationIdentification
+from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.output import summary
 from rx90_emulator.identification.output.robot_files import torque_constants
 from rx90_emulator.identification.presliding.bristle_motion import MAX_MOTIONS_ALONE, MAX_MOTIONS_OF_BAG
@@ -39,7 +39,7 @@ _DRAWN_SHARE = 20  # one of so many parts of a micro-oscillation is drawn: more 
 _ACROSS = 2  # columns of plots with a panel for each joint
 
 
-def _render(template: str, date: datetime | None, unit: str = "Nm", **values: Any) -> str:
+def _render(template: str, date: datetime | None = None, unit: str = "Nm", **values: Any) -> str:
     """Return a page on torques in a unit; templates can use the functions of `summary`, and `values`."""
     day = (date or datetime.now(timezone.utc)).strftime("%Y-%m-%d %H:%M UTC")
     return render_page(
@@ -99,24 +99,23 @@ def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, Plot]]:
     return found
 
 
-def check_page(checks: Sequence[Validation], friction_file: str, now: datetime | None = None) -> str:
+def check_page(checks: Sequence[Validation], friction_file: str) -> str:
     """Return the text of the page on the comparison of a friction file with bags.
 
     Args:
         checks: one for each bag.
         friction_file: name of the file.
-        now: date of the comparison; by default the present.
     """
-    return _render("friction_check.html.j2", now, checks[0].unit, checks=_checks(checks), friction_file=friction_file)
+    unit = checks[0].unit
+    return _render("friction_check.html.j2", unit=unit, checks=_checks(checks), friction_file=friction_file)
 
 
-def measured_page(result: MeasuredComparison, files: tuple[str, ...], date: datetime) -> str:
+def measured_page(result: MeasuredComparison, files: tuple[str, ...]) -> str:
     """Return the text of the page on a measured run.
 
     Args:
         result: of the comparison.
         files: that the robot was read from.
-        date: of the comparison.
     """
     time, torque = result.time - result.time[0], result.agreement
     shown = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
@@ -133,7 +132,6 @@ def measured_page(result: MeasuredComparison, files: tuple[str, ...], date: date
         )
     return _render(
         "measured.html.j2",
-        date,
         result=result,
         files=files,
         torques=Plot(torques, height=1.7, share_x=True),
@@ -141,13 +139,12 @@ def measured_page(result: MeasuredComparison, files: tuple[str, ...], date: date
     )
 
 
-def report_page(result: FrictionIdentification, friction_file: str, now: datetime | None = None) -> str:
+def report_page(result: FrictionIdentification, friction_file: str) -> str:
     """Return the text of the page on an identification from sweeps and micro-oscillations.
 
     Args:
         result: the identification.
         friction_file: name of the file with the values.
-        now: date of the identification; by default the present.
     """
     names, sliding, presliding = result.arm.element_names, result.sliding, result.presliding
     named = dict(zip(names, result.elements, strict=True))
@@ -157,15 +154,12 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
     loops = {joint: loop for joint, loop in presliding.loops.items() if joint not in own_bristles}
     return _render(
         "identification.html.j2",
-        now,
         result=result,
         named=named,
         identified=[(name, named[name]) for name in result.identified_elements],
         others=[name for name in names if name not in result.identified_elements],
         assumed=[(summary.which(lacking), reason) for reason, lacking in result.unidentifiable.items()],
-        parameters=shown_parameters(result),
         units=FRICTION_UNITS,
-        fallback=result.fallback_name,
         fading=[(name, one.element.omega_d) for name, one in named.items() if math.isfinite(one.element.omega_d)],
         shared=names[len(result.arm.names) :],
         checks=_checks(result.validations),
@@ -278,16 +272,11 @@ def excitation_page(
         versions=", ".join(f"{name} {number}" for name, number in versions.items()),
         friction=list(zip(result.problem.arm.element_names, rows, strict=True)),
         shown=list(units.items()),
-        lacking=summary.lacking(result),
         runs=[*(("fitted", run) for run in result.torques), *(("not used", run) for run in checked)],
         drawn=[(run, _run_plot(run)) for run in (checked[:2] or [longest])],
         curves=_friction_plot(result),
         spectra=_spectra_plot(checked or result.torques),
         by_speed=_speed_plot(result),
-        misfits=misfits(result.speeds),
-        closed_loop=result.instruments.remark,
-        bodies_warnings=summary.bodies_warnings(result),
-        other="least squares" if result.instruments.biased else "instruments",
         gains=list(zip(gains, gains.values(), constants or [""] * len(gains), strict=True)),
         by_time=_time_plot(result.torques, friction.blocks.length),
         correlation=Plot([Heat(names, correlation)], height=7.0),

@@ -20,10 +20,9 @@ import numpy as np
 import pinocchio as pin
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import check_numbers, load_yaml, without_schema_line, yaml_text
+from rx90_common.base.config import ABOUT, check_numbers, load_yaml, without_schema_line, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import listed, plain
-from rx90_common.base.section import ABOUT
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
@@ -81,11 +80,11 @@ def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -
 
     Args:
         urdf: a well-formed description.
-        bodies: by links, the pseudo-inertia in the frame of the link, shape (4, 4), or None for no <inertial>.
+        bodies: by its links, the pseudo-inertia in the frame of the link, shape (4, 4), or None for no <inertial>.
         remark: a comment to put before the first element.
 
     Raises:
-        IdentificationError: for an unknown link, and for a body that no link can be.
+        IdentificationError: for a body that no link can be.
     """
     data, parser = urdf.encode("utf-8"), expat.ParserCreate("utf-8")
     first: list[int] = []  # where elements inside the root begin
@@ -112,8 +111,6 @@ def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -
     parser.Parse(data, True)
     edits = [(first[0], first[0], f"<!-- {remark.strip().replace('--', '- -')} -->\n  ")]
     for link, pseudo in bodies.items():
-        if link not in links:
-            raise IdentificationError(f"no link {plain(link)} in the URDF; accepted: {', '.join(links)}")
         at, text = links[link], "" if pseudo is None else _inertial(link, pseudo)
         if link in inertials:
             edits.append((*inertials[link], text))

@@ -23,13 +23,12 @@ from scipy.sparse.csgraph import connected_components
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import decay
-from rx90_common.friction.bristles.step import bristles_dtype
-from rx90_common.friction.compiled_elements import element_arrays
+from rx90_common.friction.compiled_elements import BRISTLE_STATE_DTYPE, bristles_dtype, element_arrays, follow_bristles
 from rx90_common.friction.parts.bristles import MAX_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
-from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE, follow_bristles
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMotion, band_spectrum, block_means
+from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMotion, band_spectrum
+from rx90_emulator.identification.records import block_means
 
 MAX_COMPARED_S: Final = 2.0
 """Longest compared part of a micro-motion, s: it contains some six of its slowest waves."""
@@ -143,13 +142,14 @@ class ElementTrace:
     def of(cls, element: FrictionElement, speed: Array, step: float, steps: int = BLOCK) -> ElementTrace:
         """Return the trace of an element, c0 and c1 of which are not used, at input velocities in a record's steps."""
         plain = replace(element.without_parts(), c1=1.0, c2=0.0)
-        block_speed = speed[: len(speed) // BLOCK * BLOCK].reshape(-1, BLOCK // steps).mean(axis=1)
-        return cls(plain, block_speed, block_means(element.viscous_torque(speed)), step * BLOCK / steps, steps)
+        viscous = block_means(element.viscous_torque(speed), BLOCK)
+        block_speed = block_means(speed[: len(viscous) * BLOCK], BLOCK // steps)
+        return cls(plain, block_speed, viscous, step * BLOCK / steps, steps)
 
     @property
     def position(self) -> Array:
         """Return the position relative to the beginning of the motion, rad, block means, shape (b,)."""
-        return np.asarray((np.cumsum(self.speed) * self.step).reshape(-1, self.steps).mean(axis=1))
+        return block_means(np.cumsum(self.speed) * self.step, self.steps)
 
     @cached_property
     def spectra(self) -> Callable[[BristlesPart | None, float, float], Array]:
@@ -184,7 +184,7 @@ class ElementTrace:
             follow_bristles(element, constants, state, self.speed, steps, torque, deflection)
             found[:, 0], found[:, 1] = torque, np.diff(deflection, prepend=first) / self.step
         found[:, 1] *= self._fading
-        return np.asarray(found.reshape(-1, self.steps, 2).mean(axis=1))
+        return block_means(found, self.steps)
 
     @cached_property
     def _constants(self) -> NDArray[Any]:
@@ -243,7 +243,7 @@ class KindMotion:
             torques.append(np.zeros_like(torques[0]))
             torques[-1][:, j] = scale[j, i] * acceleration[:, i]
             torques[-1][:, i] = scale[j, i] * acceleration[:, j]
-        measured = block_means(np.stack(torques, axis=2))
+        measured = block_means(np.stack(torques, axis=2), BLOCK)
         measured[:, :, 0] -= np.column_stack([trace.viscous for trace in traces]) @ inputs
         spectrum, frequency = band_spectrum(measured.reshape(len(measured), -1), motion.step)
         spectrum = spectrum.reshape(-1, *measured.shape[1:])

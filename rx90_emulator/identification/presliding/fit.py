@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.curves import LINEAR_SPEED
+from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
     LARGEST_DEVIATION,
@@ -37,11 +37,10 @@ from rx90_emulator.identification.presliding.micro_motion import (
     BLOCK,
     MicroMotion,
     band_spectrum,
-    block_means,
     find_micro_motions,
     most_informative,
 )
-from rx90_emulator.identification.records import BagSource, JointRecord
+from rx90_emulator.identification.records import BagSource, JointRecord, block_means
 
 _START_SD = 0.3  # prior standard deviation of a start deflection, in units of that of steady sliding
 _PASSES, _MAX_EVALUATIONS = 3, 30  # passes, each with the noise found in the previous one; evaluations in each pass
@@ -177,7 +176,8 @@ def identify_presliding(
         estimates |= zip(group.elements, fit.estimates(arm, spread), strict=True)
         for place, joint in enumerate(group.joints):
             index = int(np.argmax([motion.position[:, place].std() for motion in chosen]))
-            position, measured = (block_means(of)[:, place] for of in (chosen[index].position, chosen[index].friction))
+            both = chosen[index].position, chosen[index].friction
+            position, measured = (block_means(values, BLOCK)[:, place] for values in both)
             torques = {"measured": measured, "simulated": fit.model.friction(fit.x, index)[:, place]}
             loops[arm.names[joint]] = position - position.mean(), torques
         moved.append(MovedGroup.of(group, own, elements, fit.values[:, 0]))
@@ -371,8 +371,10 @@ def _first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequenc
     matrix, torque = [], []
     for motion in motions:
         deflection = np.cumsum(motion.velocity, axis=0) * motion.step @ inputs.T
-        rest = band_spectrum(block_means(motion.friction), motion.step)[0]
-        columns = band_spectrum(block_means(np.hstack([deflection, motion.velocity @ inputs.T])), motion.step)[0]
+        rest, columns = (
+            band_spectrum(block_means(values, BLOCK), motion.step)[0]
+            for values in (motion.friction, np.hstack([deflection, motion.velocity @ inputs.T]))
+        )
         for own, column in zip(inputs.T, rest.T, strict=True):
             matrix.append(columns * np.tile(own, 2))
             torque.append(column)

@@ -15,7 +15,7 @@ from scipy.signal.windows import tukey
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.records import JointRecord, spikes
+from rx90_emulator.identification.records import JointRecord, block_means, spikes, stretches
 
 BLOCK = 8
 """Steps of the simulation in one block mean."""
@@ -38,12 +38,6 @@ _MAX_GAP_S, _MAX_GAP_SAMPLES = 3e-3, 2.5  # longest gap that is interpolated: s 
 _TRANSIENT_S = 0.01  # s on both sides of a gap that its transient reaches through the low-pass
 _SPIKE_BLOCK_S = 1.0  # s, over which spikes are compared with the range: in a small motion small spikes show
 _POSE_STEP = 1e-4  # rad, of differences of the weight
-
-
-def block_means(values: Array) -> Array:
-    """Return means of BLOCK rows, shape (m, ...) to (m // BLOCK, ...); white noise stays white."""
-    length = len(values) // BLOCK * BLOCK
-    return np.asarray(values[:length].reshape(-1, BLOCK, *values.shape[1:]).mean(axis=1))
 
 
 @lru_cache(maxsize=16)
@@ -147,8 +141,7 @@ def find_micro_motions(
     velocity[2:-2] = (8.0 * (position[3:-1] - position[1:-3]) - (position[4:] - position[:-4])) / (12.0 * step)
     active, unit, found = _active(position, step) & known[:, None], np.eye(len(arm.names)), []
     for joints in map(list, groups):
-        edges = np.flatnonzero(np.diff(active[:, joints].any(axis=1), prepend=False, append=False))
-        for first, last in edges.reshape(-1, 2).tolist():
+        for first, last in stretches(np.asarray(active[:, joints].any(axis=1))):
             if last - first < round(_MIN_MOTION_S / step):
                 continue
             part = slice(first, min(last, first + round(_MAX_MOTION_S / step)))
@@ -203,7 +196,7 @@ def most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[
 
 def _on_grid(record: JointRecord, torque_delay: float) -> tuple[float, Array, Array, Array, Mask]:
     """Return step, times, positions and torques on equal steps, and which are not affected by a gap."""
-    step = float(np.median(np.diff(record.time))) if len(record.time) > 1 else np.inf
+    step = record.period or np.inf
     if 1.0 / step < LOWEST_RATE:
         raise IdentificationError(
             f"{record.source}: {1.0 / step:.4g} samples per second; accepted: {LOWEST_RATE:g} or more for the "
@@ -225,13 +218,10 @@ def _on_grid(record: JointRecord, torque_delay: float) -> tuple[float, Array, Ar
     )
     # The torque is averaged over the simulation's steps; it acts until its stamp.
     factor = max(1, int(_MIN_STEP_S / step + 1e-6))
-    count = (len(time) - 1) // factor
-    last = 1 + factor * count
-    mean, whole = torque.copy(), known.copy()
-    mean[factor:last:factor] = torque[1:last].reshape(count, factor, -1).mean(axis=1)
-    whole[factor:last:factor] = known[1:last].reshape(count, factor).all(axis=1)
-    chosen = slice(0, last, factor)
-    return step * factor, time[chosen], position[chosen], mean[chosen], whole[chosen]
+    chosen = slice(0, 1 + (len(time) - 1) // factor * factor, factor)
+    mean = np.concatenate([torque[:1], block_means(torque[1:], factor)])
+    whole = np.append(known[0], block_means(known[1:], factor) == 1.0)
+    return step * factor, time[chosen], position[chosen], mean, whole
 
 
 def _active(position: Array, step: float) -> Mask:

@@ -20,7 +20,7 @@ from scipy.special import fdtrc
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.kernels.compiled import kernel
-from rx90_emulator.identification.records import BagSource, JointRecord
+from rx90_emulator.identification.records import BagSource, JointRecord, block_means, stretches
 from rx90_emulator.identification.zeros import Instants
 
 USED = "used"
@@ -170,12 +170,11 @@ def _plateaus(record: JointRecord, elements: Array) -> tuple[Array, list[tuple[N
     cut: list[tuple[NDArray[np.int64], Mask]] = []
     if len(record.time) < 2:
         return state, cut
-    period = float(np.median(np.diff(record.time)))
     top = np.percentile(np.abs(record.velocity), 99.0, axis=0)
     for seconds, fastest in _SCALES:
-        size = max(_BIN_SAMPLES, round(seconds / period))
-        for begin, end in _runs(state != REASONS.index(USED)):
-            for rows in _steady_stretches(record, slice(begin, end), period, size, top):
+        size = max(_BIN_SAMPLES, round(seconds / record.period))
+        for begin, end in stretches(state != REASONS.index(USED)):
+            for rows in _steady_stretches(record, slice(begin, end), size, top):
                 duration, travel = _travel(record, elements, rows)
                 if travel.max() > fastest * duration:
                     continue
@@ -196,11 +195,6 @@ def _plateaus(record: JointRecord, elements: Array) -> tuple[Array, list[tuple[N
     return state, cut
 
 
-def _runs(mask: Mask) -> list[list[int]]:
-    """Return first index and end of each run of true values."""
-    return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2).tolist()
-
-
 def _travel(record: JointRecord, elements: Array, rows: slice) -> tuple[float, Array]:
     """Return duration, s, and the elements' travel, rad: over time more precise than the drives' mean velocities."""
     first, last = rows.start, rows.stop - 1
@@ -209,20 +203,19 @@ def _travel(record: JointRecord, elements: Array, rows: slice) -> tuple[float, A
     )
 
 
-def _steady_stretches(record: JointRecord, rows: slice, period: float, size: int, fastest: Array) -> list[slice]:
+def _steady_stretches(record: JointRecord, rows: slice, size: int, fastest: Array) -> list[slice]:
     """Return the samples of each stretch of a part of a record in which every joint keeps its velocity.
 
     Args:
         record: whose samples these are.
         rows: of the record.
-        period: between two samples, s.
         size: samples in a bin.
         fastest: velocity of each joint in the whole record, rad/s, shape (n,).
     """
-    time, count = record.time[rows], (rows.stop - rows.start) // size
+    time, velocity, period = record.time[rows], block_means(record.velocity[rows], size), record.period
+    count = len(velocity)
     if count < _MIN_BINS:
         return []
-    velocity = record.velocity[rows][: count * size].reshape(count, size, -1).mean(axis=1)
     first = np.arange(count) * size
     gap = time[np.minimum(first + size, len(time) - 1)] - time[first] > 2.0 * size * period
     # Noise from third differences, whose variance is 20 times that of a velocity: an acceleration, and its change,
@@ -303,8 +296,8 @@ def _accelerates(record: JointRecord, rows: slice, size: int, moving: Mask) -> b
     A parabola through the velocities changes by more than 0.3 %, and is significant (F test that accounts for the first
     autocorrelation of the residuals).
     """
-    count = (rows.stop - rows.start) // size
-    velocity = record.velocity[rows.start : rows.start + count * size].reshape(count, size, -1).mean(axis=1)
+    velocity = block_means(record.velocity[rows], size)
+    count = len(velocity)
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), 3))[0]
     fitted = basis @ (basis.T @ velocity)
     residual, mean = velocity - fitted, velocity.mean(axis=0)
@@ -387,17 +380,16 @@ def _block_means(record: JointRecord, rows: NDArray[np.int64]) -> tuple[dict[str
 
 def _account(record: JointRecord, elements: Array, state: Array, velocities: Sequence[Array]) -> BagUse:
     """Return the account of a record, from the state of its samples and its plateaus' velocities (b, n_el)."""
-    period = float(np.median(np.diff(record.time))) if len(record.time) > 1 else 0.0
     speeds = np.zeros((len(elements), 2))
     for e in range(len(elements)):
         own_speeds = [abs(float(v[:, e].mean())) for v in velocities if v[:, e].any()]
         if own_speeds:
             speeds[e] = min(own_speeds), max(own_speeds)
-    seconds = {why: float(np.sum(state == k)) * period for k, why in enumerate(REASONS)}
+    seconds = {why: float(np.sum(state == k)) * record.period for k, why in enumerate(REASONS)}
     used = seconds.pop(USED)
     listed = sorted(((why, s) for why, s in seconds.items() if s >= _LISTED_S), key=lambda pair: -pair[1])
     unused = [np.zeros((0, len(elements)))]
-    for begin, end in _runs(~np.isin(state, [REASONS.index(why) for why in (USED, AT_REST, SETTLES)])):
+    for begin, end in stretches(~np.isin(state, [REASONS.index(why) for why in (USED, AT_REST, SETTLES)])):
         lasted, travel = _travel(record, elements, slice(begin, end))
         if lasted >= _UNUSED_S and travel.max() > _REST_TRAVEL:
             unused.append(np.where(travel > _REST_TRAVEL, travel / lasted, 0.0)[None])

@@ -27,8 +27,8 @@ from scipy.optimize import least_squares, lsq_linear
 from scipy.sparse import csr_array, diags
 
 from rx90_common.base.arrays import Array, Mask
-from rx90_common.friction.curves import LINEAR_SPEED, stribeck_decay_slopes, viscous_torque
-from rx90_common.friction.element import ALPHA_BOUNDS
+from rx90_common.friction.element import ALPHA_BOUNDS, stribeck_decay_slopes, viscous_torque
+from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import SLIDING, VISCOUS_EXPONENT
 from rx90_emulator.identification.sliding.plateaus import Blocks

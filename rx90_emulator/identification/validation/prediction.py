@@ -22,7 +22,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionElement, FrictionSet
-from rx90_common.friction.tracing import prescribed_torque
+from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record, without_shocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, Payload
@@ -171,7 +171,7 @@ def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Ban
     """
     if chosen is None:
         return Bandwidths.of([record])
-    highest = _MAX_BANDWIDTH_OVER_RATE / float(np.median(np.diff(record.time)))
+    highest = _MAX_BANDWIDTH_OVER_RATE / record.period
     if chosen.position <= highest:
         return chosen
     reason = f"{chosen.reason}; no more than {_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"

@@ -6,12 +6,12 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rx90_common.bags.batch import MessageBatch
 from rx90_common.bags.ordering import Arrived, Dated, LogOrder, TimeSource
-from rx90_common.base.stamps import cdr_stamp_ns
+from rx90_common.exchange.cdr import cdr_stamp_ns
 
 MS = 1_000_000
 LIST_OF_ONE = b"\x00\x01\x00\x00\x01\x00\x00\x00"  # encapsulation and length
@@ -56,6 +56,7 @@ def run(order: LogOrder, arrivals: list[tuple[int, TimeSource, bytes]], every: i
     return released + entries(order.release_all())
 
 
+@settings(max_examples=40)
 @given(st.data())
 def test_order_does_not_depend_on_the_interleaving(data: Any) -> None:
     """However three topics arrive interleaved within 0.4 s, they are released sorted by stamp, then topic."""
@@ -64,6 +65,24 @@ def test_order_does_not_depend_on_the_interleaving(data: Any) -> None:
     arrivals = sorted(sent, key=lambda m: m[0] + delays[m[1]] * MS)
     released = run(LogOrder(), [(t, TimeSource.CLOCK, message(s)) for s, t in arrivals], data.draw(st.integers(1, 50)))
     assert [(e.log_ns, e.topic) for e in released] == sent
+
+
+def test_a_latched_message_sent_before_the_clock_began_has_the_first_time() -> None:
+    """It may arrive late, unless messages have been released; one that is sent later has the time of its sending."""
+    order = LogOrder()
+    for stamp in range(0, 1000, 50):
+        add(order, 0, TimeSource.CLOCK, [message(stamp * MS)], (5000 + stamp) * MS)
+    add(order, 1, TimeSource.NEWEST, [b"sent before"], 4990 * MS)
+    add(order, 2, TimeSource.NEWEST, [b"sent later"], 6000 * MS)
+    assert not entries(order.release(7000 * MS))
+    released = entries(order.release(8000 * MS))
+    add(order, 1, TimeSource.NEWEST, [b"after a release"], 4990 * MS)
+    released += entries(order.release_all())
+    assert [(e.log_ns, e.cdr) for e in released if e.topic] == [
+        (0, b"sent before"),
+        (950 * MS, b"after a release"),
+        (950 * MS, b"sent later"),
+    ]
 
 
 def test_a_topic_that_is_sent_again_late_is_in_its_place() -> None:

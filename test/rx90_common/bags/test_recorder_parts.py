@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import threading
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -22,7 +20,6 @@ from rx90_common.bags.batch import MessageBatch
 from rx90_common.bags.ordering import Arrived, TimeSource
 from rx90_common.bags.recorder import recording
 from rx90_common.bags.recorder.stream import SequenceCounter, Stream, Streams
-from rx90_common.base.errors import BagWriteError
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.endpoints import TICK_QOS
 
@@ -77,41 +74,6 @@ def test_a_publisher_that_goes_on_is_read_up_to_the_end_that_was_asked_for(
     read = [message for each in reader.collect() for message in each.messages]
     assert read[:SENT_BEFORE] == [b"%d" % number for number in range(1, SENT_BEFORE + 1)]
     assert len(read) == publisher.taken > SENT_BEFORE
-
-
-class Deadlock(Publisher):
-    """A stream whose middleware gives one message and does not return from the next call."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.reached, self.freed = threading.Event(), threading.Event()
-
-    def take(self) -> Arrived:
-        """Return a message; then stand still until the test is over."""
-        if self.taken:
-            self.reached.set()
-            self.freed.wait()
-        return super().take()
-
-
-def test_a_reader_that_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who waits for the end learns where it stands, in one line, after all that it had read; nothing comes twice."""
-    monkeypatch.setattr(recording, "_MAX_END_S", 0.01)
-    stream: Any = Deadlock()
-    reader = recording.MessageReader()
-    reader.add(stream)
-    reader.start()
-    assert stream.reached.wait(LONG)
-    for _ in range(2):
-        reader.finish()
-    read = [message for each in reader.collect() for message in each.messages]
-    assert read == [b"1"]
-    stream.freed.set()
-    reader.join(LONG)
-    assert isinstance(reader.error, BagWriteError)
-    assert re.match(r".*did not end within 0\.01 s \(it is in .*\.py:\d+\)", str(reader.error))
-    assert not reader.collect()
-    assert "\n" not in str(reader.error)
 
 
 def count(counter: SequenceCounter, *numbers: int) -> SequenceCounter:

@@ -34,7 +34,7 @@ from rx90_common.bags.writing import (
     write_joint_states,
 )
 from rx90_common.base.errors import FAILED, REFUSED, BagError, BagWriteError
-from rx90_common.base.stamps import cdr_stamp_ns
+from rx90_common.exchange.cdr import cdr_stamp_ns
 from rx90_emulator.cli.frame import run
 
 

@@ -8,10 +8,9 @@ from typing import Any
 
 import pytest
 
-from rx90_common.base.config import load_yaml, yaml_text
+from rx90_common.base.config import PROVENANCE, Section, load_yaml, yaml_text
 from rx90_common.base.entries import Entry, Number, Numbers, Text
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.section import PROVENANCE, Section
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 from pathlib import Path
 
@@ -21,10 +20,7 @@ def test_the_source_tree_is_its_own_share_folder() -> None:
 
 def test_an_installed_package_finds_the_environment_s_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Away from a source tree the data folder is share/rx90_emulator under the environment's prefix."""
-    module = tmp_path / "site-packages" / "rx90_common" / "base" / "share.py"
-    module.parent.mkdir(parents=True)
-    shutil.copy(share.__file__, module)
-    monkeypatch.setattr(share, "__file__", str(module))
+    monkeypatch.setattr(share, "ROOT", tmp_path / "site-packages")
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     with pytest.raises(ConfigError, match="data folder of rx90_emulator was not found"):

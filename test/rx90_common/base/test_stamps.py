@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rx90_common.base.stamps import LITTLE_ENDIAN, cdr_stamp_ns, cdr_stamps_ns, message_time_ns
+from rx90_common.exchange.cdr import LITTLE_ENDIAN, cdr_stamp_ns, cdr_stamps_ns, message_time_ns
 
 LAST = (1 << 31) * 10**9 - 1
 

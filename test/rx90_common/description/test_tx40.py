@@ -10,7 +10,7 @@ import pytest
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.kinematics import forward
-from rx90_common.description.rigid_torque import rigid_torque
+from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.setup import Setup
 
 # BIRDy's TX40.m: modified Denavit-Hartenberg parameters, masses, first moments, and inertias Ixx, Ixy, Ixz, Iyy, Iyz,

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.description.robot import load_robot
-from rx90_common.dynamics import body_dtype, manipulator_record
-from rx90_common.dynamics.manipulator import inverse_dynamics, mass_and_bias
+from rx90_common.dynamics import body_dtype, inverse_dynamics, manipulator_record, mass_and_bias
+from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]

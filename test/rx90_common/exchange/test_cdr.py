@@ -61,6 +61,7 @@ def assert_same(decoded, stamp_ns, arrays):
             assert got.tobytes() == np.asarray(expected, float).tobytes()
 
 
+@settings(max_examples=60)
 @given(messages())
 def test_encoding_equals_the_one_of_rosbags(message):
     """Every message is byte for byte what an independent CDR serialiser with zero padding writes."""

@@ -165,6 +165,7 @@ def test_a_robot_folder_s_missing_file_is_named_once(client: Client, tmp_path: P
     assert (files.urdf, files.drives, files.tool) == (tmp_path / "robot.urdf", tmp_path / "drives.yaml", None)
 
 
+@pytest.mark.usefixtures("warm")
 def test_a_lock_goes_with_the_process_that_holds_it() -> None:
     """A topic held by another process is refused with its process id, and free as soon as that was killed."""
     topic = f"/test_{os.getpid()}/motor_states"

@@ -42,7 +42,7 @@ def assert_quiet(*running: ChildProcess) -> None:
 
 def test_numbers_are_those_of_one_process_with_a_slow_recorder_on_a_busy_machine(start: Start) -> None:
     """Lock-step between processes gives the numbers of a plain loop, and a recorder that lags gets every tick."""
-    ticks = 2000
+    ticks = 1500
     recorder = start("record", ticks, 0.3)
     recorder.wait_for("recorder up")
     controller = start("control", 2)

@@ -143,7 +143,7 @@ lifecycle.spin(lambda: [Stuck()], [])
 
 
 @pytest.mark.ros
-@pytest.mark.usefixtures("ros_domain")
+@pytest.mark.usefixtures("ros_domain", "warm")
 def test_a_node_that_does_not_end_is_cut_off() -> None:
     """Where shutdown hangs, the process ends with a line and exit code 3."""
     done = subprocess.run([sys.executable, "-c", STUCK], capture_output=True, text=True, timeout=60, check=False)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step, friction_torque
-from rx90_common.friction.bristles.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.friction.compiled_elements import element_arrays, load_elements, one_element
+from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.kernels.lanes import load, store
 from rx90_emulator.loop.setup import Setup
 

@@ -18,10 +18,9 @@ from hypothesis import strategies as st
 from refusals import refusal_by
 from schema_faults import validator
 
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import PROVENANCE, load_yaml
 from rx90_common.base.entries import REQUIRED
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.section import PROVENANCE
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, FrictionSet, load_friction

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
-from rx90_common.friction.tracing import prescribed_torque
 
 PLAIN = FrictionElement(25.0, 25.0, 28.0, 28.0, 0.05, 1.0, 1e5, 100.0, 14.0)
 

@@ -15,14 +15,13 @@ import numba
 import pytest
 from processes import TIMEOUT, files_up_to, wait_until
 
-from rx90_common.base.sources import PACKAGES, ROOT, importers_of, with_imports
-from rx90_common.kernels import code_cache
+from rx90_common.base.share import PACKAGES, ROOT, importers_of, with_imports
+from rx90_common.kernels import compiled
 from rx90_common.kernels.compiled import kernel
-from rx90_common.kernels.elementary import exponential
-from rx90_common.kernels.elementary_arrays import exponential_of
+from rx90_common.kernels.elementary import exponential, exponential_of
 
 ANNOUNCED = r"program: compiling the numerical kernels, .*\n"
-ANNOUNCE = "from rx90_common.kernels.announcement import announce_compilation\nannounce_compilation('program')\n"
+ANNOUNCE = "from rx90_common.kernels import announce_compilation\nannounce_compilation('program')\n"
 SLOW_KERNEL = """
 import os, pathlib, time
 import numba
@@ -103,7 +102,7 @@ def test_copies_of_the_same_sources_share_compiled_code(tmp_path: Path) -> None:
     That holds for kernels and for the codec, whose functions are compiled when it is imported. A program says once that
     it compiles, whatever else is in the cache; with its kernels there, nothing.
     """
-    kernels = "from rx90_common.kernels.elementary_arrays import {0}\nprint({0}(0.0))\n"
+    kernels = "from rx90_common.kernels.elementary import {0}\nprint({0}(0.0))\n"
     exponential, other = kernels.format("exponential_of"), kernels.format("exponential_less_one_of")
     codec = "from rx90_common.exchange import arrivals, cdr\nprint('imported', file=sys.stderr)\n"
     one, two = copy_sources(tmp_path / "one"), copy_sources(tmp_path / "two")
@@ -124,7 +123,7 @@ def test_copies_of_the_same_sources_share_compiled_code(tmp_path: Path) -> None:
 
 def test_code_of_two_processes_at_once_is_not_mixed_up(tmp_path: Path) -> None:
     """Where two processes save code of a function for two signatures at once, none finds the other's as its own."""
-    first, second, reader = (code_cache._CodeFiles(str(tmp_path), "function", "stamp") for _ in range(3))
+    first, second, reader = (compiled._CodeFiles(str(tmp_path), "function", "stamp") for _ in range(3))
     # The second one, which has seen the index empty as well, saves between the first one's index and its code.
     save_code = first._save_data
     second._load_index = dict
@@ -192,9 +191,9 @@ def test_kernels_run_where_nothing_can_be_kept(tmp_path: Path, monkeypatch: pyte
 
     ours: Any = exponential_of
     place = ours.py_func, ours.py_func.__code__.co_filename
-    assert code_cache._Locator.from_function(*place) is not None
+    assert compiled._Locator.from_function(*place) is not None
     monkeypatch.setattr(numba.config, "CACHE_DIR", f"{os.devnull}/cache")
-    assert code_cache._Locator.from_function(*place) is None
+    assert compiled._Locator.from_function(*place) is None
 
 
 def test_code_of_sources_long_gone_is_removed(tmp_path: Path) -> None:
@@ -203,7 +202,7 @@ def test_code_of_sources_long_gone_is_removed(tmp_path: Path) -> None:
     for name, age in ages.items():
         (tmp_path / name / "module").mkdir(parents=True)
         os.utime(tmp_path / name, (0.0, time.time() - age * FOUR_WEEKS))
-    code_cache.prepare(tmp_path / "1123456789abcdef")  # is used
-    code_cache.prepare(tmp_path / "3123456789abcdef")
+    compiled.prepare(tmp_path / "1123456789abcdef")  # is used
+    compiled.prepare(tmp_path / "3123456789abcdef")
     left = {"1123456789abcdef", "2123456789abcdef", "3123456789abcdef", "others"}
     assert {folder.name for folder in tmp_path.iterdir()} == left

@@ -14,10 +14,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rx90_common.base.sources import ROOT
+from rx90_common.base.share import ROOT
 from rx90_common.kernels import elementary
-from rx90_common.kernels.elementary import arctangent, exponential, power, signed_power, sine_cosine
-from rx90_common.kernels.elementary_arrays import angles_of, exponential_less_one_of
+from rx90_common.kernels.elementary import (
+    angles_of,
+    arctangent,
+    exponential,
+    exponential_less_one_of,
+    power,
+    signed_power,
+    sine_cosine,
+)
 from rx90_common.kernels.lanes import load, store
 from rx90_common.process.children import TIMEOUT
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from mypy import api
 
-from rx90_common.base.sources import ROOT
+from rx90_common.base.share import ROOT
 
 PAGE = ROOT / "docs/explanation/kernels.md"
 

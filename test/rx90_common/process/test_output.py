@@ -32,6 +32,7 @@ sys.exit(frame.tool())
 """
 
 
+@pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize("name", TOOLS)
 def test_a_full_disk_is_one_line(name: str) -> None:
     """Output to a full device gives one line that says so and exit code 3."""
@@ -44,6 +45,7 @@ def test_a_full_disk_is_one_line(name: str) -> None:
     assert said == [f"{name}: standard output cannot be written: No space left on device"]
 
 
+@pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize("name", TOOLS)
 def test_a_reader_that_has_gone_is_a_quiet_end(name: str) -> None:
     """Output into a closed pipe gives nothing on standard error and the exit code of SIGPIPE."""

@@ -7,7 +7,7 @@ import re
 import pytest
 from jinja2 import UndefinedError
 
-from rx90_common.base.sources import PACKAGES, ROOT
+from rx90_common.base.share import PACKAGES, ROOT
 from rx90_common.report.page import render_page
 
 TEMPLATES = {

@@ -19,8 +19,7 @@ from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import EXECUTABLES, run
 from rx90_emulator.configuration.check import kind_of
-from rx90_emulator.configuration.kinds import KINDS
-from rx90_emulator.configuration.origins import setup_values
+from rx90_emulator.configuration.origins import KINDS, setup_values
 
 Captured = pytest.CaptureFixture[str]
 Show = Callable[..., dict[str, dict[str, object]]]

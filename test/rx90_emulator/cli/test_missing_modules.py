@@ -14,7 +14,7 @@ import pytest
 
 from rx90_common.base import requirements
 from rx90_common.base.requirements import SOURCES, is_ros, missing_module
-from rx90_common.base.sources import ROOT
+from rx90_common.base.share import ROOT
 from rx90_emulator.cli.frame import EXECUTABLES
 
 CALLS = {

@@ -20,7 +20,7 @@ from config_samples import EVERY_KIND, OWN, shipped, written
 from jsonschema import Draft202012Validator
 from schema_faults import schema_faults, validator
 
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.declared import Declared, declarations
 from rx90_common.base.entries import (
     MAX_JOINTS,
@@ -40,7 +40,6 @@ from rx90_common.base.entries import (
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.groups import Either, Entries, Group, Variants
 from rx90_common.base.quoting import quoted
-from rx90_common.base.section import Section
 from rx90_common.base.share import config_path
 from rx90_common.description.drives import Cogging, CurrentSensor, Elasticity, Windings
 from rx90_common.description.robot_files import RobotFiles

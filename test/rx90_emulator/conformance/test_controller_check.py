@@ -12,6 +12,7 @@ from processes import Processes, command, wait_until
 
 from rx90_common.base.errors import DONE, FAILED, INTERRUPTED, REFUSED, VERDICT_NO
 from rx90_emulator.cli.frame import run
+from rx90_emulator.conformance import battery, bench
 
 CS7B = command("rx90_controller")
 OWN = [sys.executable, str(Path(__file__).resolve().parents[2] / "support" / "user_servo.py")]
@@ -24,7 +25,6 @@ WEAK = """\
 def checked(folder: Path, *words: object) -> tuple[int, dict[str, Any]]:
     """Check a controller in this process; return the exit code and what the check has written."""
     code = run("rx90_controller_check", ["--output", str(folder), *map(str, words)])
-    assert "<h2>step</h2>" in (folder / "report.html").read_text(encoding="utf-8")
     return code, dict(json.loads((folder / "result.json").read_text(encoding="utf-8")))
 
 
@@ -33,17 +33,27 @@ def values_of(case: dict[str, Any]) -> dict[tuple[str, str], float]:
     return {(one["quantity"], one["joint"]): one["value"] for one in case["findings"]}
 
 
-@pytest.mark.usefixtures("processes")
-def test_the_cs7b_as_a_node_passes_with_the_numbers_of_the_closed_loop(tmp_path: Path) -> None:
-    """With commands lost and states sent twice, too, each number is that of the run without ROS, to the last bit."""
-    code, found = checked(tmp_path / "out", "--case", "step", "--case", "saturation", *CS7B)
+@pytest.fixture
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorten steps before and after their motion, and sweeps; commands are lost in a step, not in a line."""
+    for module in (battery, bench):
+        monkeypatch.setattr(module, "START", 0.2)
+    monkeypatch.setattr(battery, "SETTLED", 0.2)
+    monkeypatch.setattr(battery, "_SWEEP_PERIODS", 2)
+    monkeypatch.setattr(battery, "_line", lambda nominal, name, _about: battery._step(nominal, name))
+
+
+@pytest.mark.usefixtures("processes", "brief", "undrawn")
+def test_the_cs7b_as_a_node_has_the_numbers_of_the_closed_loop(tmp_path: Path) -> None:
+    """On a weaker arm, and with commands lost and states sent twice, each is that of the run without ROS to the bit."""
+    code, found = checked(tmp_path / "out", "--case", "saturation", "--case", "dropped", *CS7B)
     assert (code, found["passed"]) == (DONE, True)
     findings = [one for case in found["cases"] for one in case["findings"]]
     assert len(findings) > 50
     assert [one["value"] for one in findings] == [one["cs7b"] for one in findings]
 
 
-@pytest.mark.usefixtures("processes", "undrawn")
+@pytest.mark.usefixtures("processes", "brief")
 def test_bad_gains_do_not_pass_and_it_is_said_what_decided(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A parameter file with weak gains: exit code 1, and lines with case, quantity, joint, value and limit."""
     file = tmp_path / "weak.yaml"
@@ -53,37 +63,34 @@ def test_bad_gains_do_not_pass_and_it_is_said_what_decided(tmp_path: Path, capsy
     (beyond,) = [one for one in found["cases"][0]["findings"]
                  if (one["quantity"], one["joint"]) == ("tracking_error_rms", "joint_2")]  # fmt: skip
     assert beyond["value"] > beyond["limit"]
+    assert "<h2>step</h2>" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     said = [line for line in capsys.readouterr().err.splitlines() if "tracking_error_rms of joint_" in line]
     assert len(said) == 1
     assert said[0].startswith("rx90_controller_check: step: ")
     assert " rad; accepted: up to " in said[0]
 
 
-@pytest.mark.usefixtures("processes", "undrawn")
-def test_another_controller_gets_set_points_one_by_one_and_twice_the_same_run(tmp_path: Path) -> None:
-    """An rclpy node without trajectories follows set-points by their stamps, and a second check has the same bits."""
-    found = []
-    for name in ("first", "second"):
-        code, one = checked(tmp_path / name, "--case", "step", "--set-points", "set_points", *OWN, "motor")
+@pytest.mark.usefixtures("processes", "brief", "undrawn")
+def test_another_controller_follows_set_points_at_motors_or_joints_in_the_same_bits_each_time(tmp_path: Path) -> None:
+    """An rclpy node without trajectories follows set-points by their stamps: with torques of the motors at 4 kHz.
+
+    Or with torques at the joints at 1 kHz: each loop has margins then, beside those of the CS7B's motors. A second
+    check gives the same numbers.
+    """
+    runs = {}
+    for name, side, cases in (
+        ("motor", "motor", ["step"]), ("joint", "joint", ["step", "sweep"]), ("again", "joint", ["step"]),
+    ):  # fmt: skip
+        words = [word for case in cases for word in ("--case", case)]
+        interface = ["--command-interface", "joint"] if side == "joint" else []
+        code, found = checked(tmp_path / name, *words, "--set-points", "set_points", *interface, *OWN, side)
         assert code in (DONE, VERDICT_NO)
-        found.append(one["cases"])
-    assert found[0] == found[1]
-    values = values_of(found[0][0])
-    assert values["torque_off", "all"] == 0.0
-    assert 0.0 < values["tracking_error_peak", "joint_1"] < 5e-3  # of a way of 0.035 rad: it followed
-
-
-@pytest.mark.usefixtures("processes", "undrawn")
-def test_a_controller_of_the_joints_is_checked_at_its_rate(tmp_path: Path) -> None:
-    """Torques at the joints at 1 kHz: the arm follows, and each loop has margins, beside those of the CS7B's motors."""
-    words = ("--case", "step", "--case", "sweep", "--set-points", "set_points", "--command-interface", "joint")
-    code, found = checked(tmp_path / "out", *words, *OWN, "joint")
-    assert code in (DONE, VERDICT_NO)
-    step, sweep = found["cases"]
-    values = values_of(step)
-    assert values["torque_off", "all"] == 0.0
-    assert 0.0 < values["tracking_error_peak", "joint_1"] < 5e-3  # of a way of 0.035 rad
-    margins = [one for one in sweep["findings"] if one["quantity"] == "phase_margin"]
+        runs[name] = found["cases"]
+        values = values_of(found["cases"][0])
+        assert values["torque_off", "all"] == 0.0
+        assert 0.0 < values["tracking_error_peak", "joint_1"] < 5e-3  # of a way of 0.035 rad: it followed
+    assert runs["again"] == runs["joint"][:1]
+    margins = [one for one in runs["joint"][1]["findings"] if one["quantity"] == "phase_margin"]
     assert [one["joint"] for one in margins] == [f"joint_{i}" for i in range(1, 7)]
     assert all(30.0 < one["value"] < 100.0 and 30.0 < one["cs7b"] < 100.0 for one in margins)
 

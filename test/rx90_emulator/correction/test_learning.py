@@ -28,9 +28,9 @@ from rx90_emulator.correction.learning import (
     learn,
     run_corrected,
 )
+from rx90_emulator.correction.methods import best_change, gains, response
 from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.correction.recorded import joints_of_bag, laid_under, learn_from_record, tip_of_file
-from rx90_emulator.correction.response import best_change, gains, response
 from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.setup import Setup
 

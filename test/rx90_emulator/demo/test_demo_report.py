@@ -15,7 +15,7 @@ from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.demo.animation import Animation, animate
-from rx90_emulator.demo.report import SWITCHED_OFF, RunReport
+from rx90_emulator.demo.demonstration import SWITCHED_OFF, RunReport
 from rx90_emulator.loop.setup import Setup
 
 MODELS = Path(__file__).parents[3] / "docs" / "explanation" / "models.md"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rx90_common.base.errors import IdentificationError
-from rx90_common.dynamics.manipulator import mass_and_bias
+from rx90_common.dynamics import mass_and_bias
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.loop.setup import Setup
 

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from own_model import by_model, scaled, with_friction
 
 from rx90_common.description.coupling import RX_WRIST
-from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.temperature import TemperaturePart
-from rx90_common.friction.tracing import prescribed_torque
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.line import LineRun, run_line
 from rx90_emulator.loop.parameters import with_parameters

@@ -27,7 +27,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_controller.law.parameters import MODEL_PARTS
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
-from rx90_emulator.cell.composition import own_parameters
+from rx90_emulator.cell import own_parameters
 from rx90_emulator.loop.setup import Setup
 
 SHARE = 0.01
@@ -133,14 +133,6 @@ def test_services_and_the_end_in_free_running_time_are_those_of_two_processes(pr
         cell.signal(signal.SIGINT)
         assert cell.wait() == 0
         assert "Traceback" not in cell.output
-
-
-@pytest.mark.ros
-def test_another_robot_in_the_other_section_ends_it(processes: Processes) -> None:
-    """A robot, as a rate, that differs between the two nodes is one line with both values."""
-    done = processes.run("rx90_cell", "--ros-args", "-p", "rx90_controller:robot:=tx40")
-    assert done.returncode == 3
-    assert "rx90_cell: the robot is 'tx40' here and 'rx90b' in the simulation" in done.stderr
 
 
 def test_a_parameter_of_another_node_is_refused() -> None:

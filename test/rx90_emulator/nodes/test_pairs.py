@@ -21,11 +21,12 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from rx90_common.base.rates import NANOSECONDS, Rates
-from rx90_common.base.stamps import cdr_stamp_ns
+from rx90_common.exchange.cdr import cdr_stamp_ns
 from rx90_common.exchange.endpoints import LATCHED_QOS, TICK_QOS
 from rx90_common.exchange.topics import FREE_RUNNING, TimeMode, motor_names
 
 ROS_ARGS = ("--ros-args", "-r", "__ns:=/cell_1")
+SLOW_RATES = ("-p", "base_rate:=1000", "-p", "position_rate:=500")  # for time by the clock: fewer ticks to compute
 QOS = ("reliability:=best_effort", "durability:=transient_local", "depth:=5")
 
 
@@ -168,9 +169,17 @@ def test_time_runs_by_the_clock_with_pauses_and_without_a_controller(processes: 
     Time runs on without it, and the brakes open when it goes on.
     """
     simulation = processes.start(
-        "rx90_sim", "--ros-args", "-p", "time_mode:=free_running", "-p", "command_timeout:=0.05"
+        "rx90_sim",
+        "--ros-args",
+        *SLOW_RATES,
+        "-p",
+        "joint_state_rate:=100",
+        "-p",
+        "time_mode:=free_running",
+        "-p",
+        "command_timeout:=0.05",
     )
-    controller = processes.start("rx90_controller")
+    controller = processes.start("rx90_controller", "--ros-args", *SLOW_RATES)
     joints = client.listen("joint_states")
     reference = client.listen("rx90_controller/reference", depth=1)
     client.spin_until(lambda: bool(reference), "the controller to hold")

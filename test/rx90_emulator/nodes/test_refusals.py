@@ -1,9 +1,10 @@
-"""Bad parameters and a diverging state: one line, a non-zero exit, no traceback."""
+"""Bad parameters and a diverging state: one line, a non-zero exit, no traceback; in the tests' own process."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+import signal
+from collections.abc import Callable, Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -13,48 +14,69 @@ import rclpy
 from processes import Processes
 from rclpy.parameter import Parameter
 from ros_client import Client
+from std_msgs.msg import String
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import Rates
+from rx90_common.exchange.endpoints import LATCHED_QOS
+from rx90_common.exchange.topics import FREE_RUNNING, TimeMode
+from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.node.parameters import SimulationParameters, read_parameters
 
-TASK = "robots/rx90b/task.yaml"
+pytestmark = pytest.mark.ros
+Refused = Callable[..., str]
 
 
-def the_line(stderr: str) -> str:
-    """Return the only line, but for the one that says on a machine without compiled kernels that they are compiled."""
-    (line,) = (line for line in stderr.strip().splitlines() if "compiling the numerical kernels" not in line)
-    return line
+@pytest.fixture
+def refused(ros_domain: int, capsys: pytest.CaptureFixture[str]) -> Iterator[Refused]:  # noqa: ARG001 - its environment
+    """Return a function that runs a command in this process and returns its only line; one that runs on is ended."""
+    before = signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+
+    def line(code: int, name: str, *words: str) -> str:
+        signal.alarm(60)
+        assert run(name, words) == code
+        # On a machine without compiled kernels another one says that they are compiled.
+        (line,) = (line for line in capsys.readouterr().err.splitlines() if "compiling the numerical kern" not in line)
+        assert line.startswith(f"{name}: ")
+        return line
+
+    yield line
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
 
 
-@pytest.mark.ros
 @pytest.mark.parametrize(
-    ("name", "arguments", "accepted"),
+    ("name", "argument", "accepted"),
     [
-        ("rx90_sim", ["joint_state_rate:=333"], ["333", "4000"]),
-        ("rx90_sim", ["initial_position:=[0, 9, 0, 0, 0, 0]"], ["joint_2", "9"]),
-        ("rx90_sim", ["real_time_facto:=1.0"], ["real_time_facto is unknown", "real_time_factor", "step_ticks"]),
-        ("rx90_sim", ["qos_overrides./joint_states.publisher.depth:=0"], ["joint_states.publisher.depth is 0", "[1,"]),
+        ("rx90_sim", "joint_state_rate:=333", ["333", "4000"]),
+        ("rx90_sim", "initial_position:=[0, 9, 0, 0, 0, 0]", ["joint_2", "9"]),
+        ("rx90_sim", "real_time_facto:=1.0", ["real_time_facto is unknown", "real_time_factor", "step_ticks"]),
+        ("rx90_sim", "qos_overrides./joint_states.publisher.depth:=0", ["joint_states.publisher.depth is 0", "[1,"]),
         (
             "rx90_sim",
-            ["qos_overrides./motor_states.publisher.depth:=5"],
+            "qos_overrides./motor_states.publisher.depth:=5",
             ["motor_states.publisher.depth is unknown", "depth, reliability, durability of /clock.publisher"],
         ),
-        ("rx90_controller", ["controller:=nowhere.yaml"], ["nowhere.yaml"]),
-        ("rx90_controller", ["joints:=3"], ["parameter joints is 3", "joint_1, joint_2"]),
-        ("rx90_cell", ["paused:=true"], ["paused is unknown to rx90_controller", "-p rx90_sim:paused:="]),
+        ("rx90_controller", "controller:=nowhere.yaml", ["nowhere.yaml"]),
+        ("rx90_controller", "joints:=3", ["parameter joints is 3", "joint_1, joint_2"]),
+        ("rx90_cell", "paused:=true", ["paused is unknown to rx90_controller", "-p rx90_sim:paused:="]),
     ],
 )
-def test_a_bad_parameter_is_one_line(
-    processes: Processes, name: str, arguments: list[str], accepted: list[str]
-) -> None:
+def test_a_bad_parameter_is_one_line(refused: Refused, name: str, argument: str, accepted: list[str]) -> None:
     """The line names the program, the offending value and what is accepted; the exit code is 2."""
-    parameters = [word for argument in arguments for word in ("-p", argument)]
-    done = processes.run(name, "--ros-args", *parameters)
-    assert done.returncode == 2
-    line = the_line(done.stderr)
-    assert line.startswith(f"{name}: ")
+    line = refused(2, name, "--ros-args", "-p", argument)
     assert all(word in line for word in accepted), line
+
+
+def test_another_robot_or_rate_than_the_simulations_ends_a_controller(refused: Refused, client: Client) -> None:
+    """In one process or from another one: exit code 3 and one line with both values."""
+    line = refused(3, "rx90_cell", "--ros-args", "-p", "rx90_controller:robot:=tx40")
+    assert "the robot is 'tx40' here and 'rx90b' in the simulation" in line
+    mode = client.node.create_publisher(String, "time_mode", LATCHED_QOS)
+    mode.publish(String(data=TimeMode(FREE_RUNNING, Rates()).text))
+    line = refused(3, "rx90_controller", "--ros-args", "-p", "position_rate:=500")
+    assert "position_rate is 500 Hz here and 1000 Hz in the simulation" in line
 
 
 def _values() -> Iterator[tuple[str, Any, str]]:
@@ -71,7 +93,6 @@ def _values() -> Iterator[tuple[str, Any, str]]:
     yield "initial_position", [0.0, 0.0], "6, one for each joint, or one for all, rad"
 
 
-@pytest.mark.ros
 def test_what_a_declaration_does_not_accept_is_named(client: Client, shipped: Setup) -> None:
     """A value of another type, an empty one and one out of the range are refused with parameter, value and range.
 
@@ -80,15 +101,14 @@ def test_what_a_declaration_does_not_accept_is_named(client: Client, shipped: Se
     for number, (name, value, accepted) in enumerate(_values()):
         given = [Parameter(name, value=value)]
         node = rclpy.create_node(f"node_{number}", context=client.node.context, parameter_overrides=given)
-        with pytest.raises(ConfigError) as refused:
+        with pytest.raises(ConfigError) as caught:
             read_parameters(node).start(shipped.robot)
         node.destroy_node()
-        assert str(refused.value).startswith(f"parameter {name} ")
-        assert accepted in str(refused.value)
-        assert "is empty" in str(refused.value) or isinstance(value, list) or str(value) in str(refused.value)
+        assert str(caught.value).startswith(f"parameter {name} ")
+        assert accepted in str(caught.value)
+        assert "is empty" in str(caught.value) or isinstance(value, list) or str(value) in str(caught.value)
 
 
-@pytest.mark.ros
 @pytest.mark.parametrize(
     ("variable", "value", "accepted", "command"),
     [
@@ -98,45 +118,34 @@ def test_what_a_declaration_does_not_accept_is_named(client: Client, shipped: Se
     ],
 )
 def test_an_environment_that_cannot_be_is_one_line(
-    processes: Processes, monkeypatch: pytest.MonkeyPatch, variable: str, value: str, accepted: str, command: list[str]
+    refused: Refused, monkeypatch: pytest.MonkeyPatch, variable: str, value: str, accepted: str, command: list[str]
 ) -> None:
     """A DDS domain that has no ports, or a middleware that is not there, is named with what is accepted."""
     monkeypatch.setenv(variable, value)
-    done = processes.run(*command)
-    assert done.returncode == 2
-    line = the_line(done.stderr)
-    assert all(word in line for word in (command[0], variable, value, accepted)), line
+    line = refused(2, *command)
+    assert all(word in line for word in (variable, value, accepted)), line
     assert not Path("never_made").exists()
 
 
-@pytest.mark.ros
 def test_a_diverging_arm_ends_the_run_with_joint_and_tick(
-    processes: Processes, edited_yaml: Any, shipped_files: Any
+    refused: Refused, edited_yaml: Any, shipped_files: Any
 ) -> None:
     """A gain far too large for an amplifier without limits ends the run with one line, not with NaN."""
     drives: Path = edited_yaml(shipped_files.drives, ("motor", "peak_current"), [1e7] * 6)
     law: Path = edited_yaml(shipped_files.controller, ("servo", "kv"), [400.0] * 3 + [1.2e4] + [400.0] * 2)
     law = edited_yaml(law, ("supervision", "following_error"), [1.0] * 6)
     law = edited_yaml(law, ("supervision", "over_speed"), 10.0)
-    cell = processes.start(
-        "rx90_cell", "--ros-args", "-p", f"drives:={drives}", "-p", f"rx90_controller:controller:={law}",
-        "-p", "rx90_sim:real_time_factor:=0.0",
-    )  # fmt: skip
-    cell.wait_for(r"rx90_cell: the state of joint_\d diverged in tick \d+")
-    assert cell.wait() == 3
-    assert "Traceback" not in cell.output
+    parameters = (f"drives:={drives}", f"rx90_controller:controller:={law}", "rx90_sim:real_time_factor:=0.0")
+    line = refused(3, "rx90_cell", "--ros-args", *(word for given in parameters for word in ("-p", given)))
+    assert re.match(r"rx90_cell: the state of joint_\d diverged in tick \d+", line)
 
 
-@pytest.mark.ros
 def test_the_simulation_takes_the_steps_that_the_arm_needs_or_says_so(
-    processes: Processes, edited_yaml: Any, shipped_files: Any
+    refused: Refused, processes: Processes, edited_yaml: Any, shipped_files: Any
 ) -> None:
     """Stiff bristles: the log tells how many plant steps the node takes by itself; fewer asked for are one line."""
     file: Path = edited_yaml(shipped_files.friction, ("elements", "joint_6", "c0"), 5.0e5)
     told = ["--ros-args", "-p", f"friction:={file}"]
-    simulation = processes.start("rx90_sim", *told)
-    simulation.wait_for(r"ready: .*, [2-9] plant steps in a tick")
-    done = processes.run("rx90_sim", *told, "-p", "substeps:=2")
-    assert done.returncode == 2
-    line = the_line(done.stderr)
+    processes.start("rx90_sim", *told).wait_for(r"ready: .*, [2-9] plant steps in a tick")
+    line = refused(2, "rx90_sim", *told, "-p", "substeps:=2")
     assert re.search(r"friction\.joint_6\.c0 is 500000 Nm/rad, .*2 plant steps.*substeps [3-9]", line), line

@@ -1,6 +1,6 @@
 """An arm with all that is off in the shipped ones, in running nodes: the bits of the engine, of a reset, of a bag.
 
-One start of simulation and controller serves all: a run, a reset, the same run, and time that goes on.
+One start of both nodes serves all: a run, a reset, the same run, and time that goes on.
 """
 
 from __future__ import annotations
@@ -89,16 +89,15 @@ def run_nodes(processes: Processes, client: Client, setup: Setup, folder: Path) 
     """
     simulated = simulate_commands(setup, [MotionCommand(150, THERE)], POSE, DURATION, record_fast=True)
     write_bag(simulated, folder / "engine")
-    of_simulation = ("-p", "paused:=true", "-p", "real_time_factor:=0.0", "-p", f"step_ticks:={STEP}")
-    simulation = processes.start(
-        "rx90_sim", "--ros-args", "-p", f"drives:={folder / 'drives.yaml'}", *of_simulation,
-        *("-p", f"friction:={folder / 'friction.yaml'}", "-p", f"seed:={SEED}"),
-        *("-p", f"initial_position:={POSE.tolist()}", "-p", f"temperature_rate:={RATE}"),
-    )  # fmt: skip
-    controller = processes.start("rx90_controller", "--ros-args", "-p", f"drives:={folder / 'drives.yaml'}")
-    _record(processes, client, controller, folder / "first")
+    of_simulation = {
+        "paused": "true", "real_time_factor": 0.0, "step_ticks": STEP, "friction": folder / "friction.yaml",
+        "seed": SEED, "initial_position": POSE.tolist(), "temperature_rate": RATE,
+    }  # fmt: skip
+    words = [word for name, value in of_simulation.items() for word in ("-p", f"rx90_sim:{name}:={value}")]
+    cell = processes.start("rx90_cell", "--ros-args", "-p", f"drives:={folder / 'drives.yaml'}", *words)
+    _record(processes, client, cell, folder / "first")
     client.simulation.reset()
-    _record(processes, client, controller, folder / "second")
+    _record(processes, client, cell, folder / "second")
     heard = client.listen("/diagnostics", DiagnosticArray)
     assert client.set_parameters("rx90_sim", real_time_factor=0.05) == [""]
     client.simulation.pause(False)
@@ -109,10 +108,10 @@ def run_nodes(processes: Processes, client: Client, setup: Setup, folder: Path) 
 
     client.spin_until(lambda: any("motor" in one.message for one in warning()), "the warning")
     status = next(one for one in warning() if "motor" in one.message)
-    return simulation.output, status
+    return cell.output, status
 
 
-def _record(processes: Processes, client: Client, controller: ChildProcess, bag: Path) -> None:
+def _record(processes: Processes, client: Client, cell: ChildProcess, bag: Path) -> None:
     """Record a run that begins at time 0, of a trajectory that is sent in its midst."""
     recorder = processes.start("rx90_bag", "record", "--output", bag)
     recorder.wait_for("ready: all")
@@ -122,7 +121,7 @@ def _record(processes: Processes, client: Client, controller: ChildProcess, bag:
     sender = TrajectoryClient(client.asking, "rx90_controller")
     sender.wait_for_controller()
     sender.send(JOINTS, THERE, START)
-    controller.wait_for("trajectory accepted")  # it has come, but ticks and messages have a thread each
+    cell.wait_for("trajectory accepted")  # it has come, but ticks and messages have a thread each
     for _ in range(STEPS - 1):
         client.simulation.step()
     # The controller publishes after its command, with which the step is done.

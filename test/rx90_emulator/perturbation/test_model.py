@@ -17,11 +17,11 @@ from rx90_common.base.errors import ConfigError, DivergenceError, SupervisionErr
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import Cogging, CurrentSensor, Windings
 from rx90_common.description.kinematics import forward
-from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionSet
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
+from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.model import PerturbationModel, linearise, nominal_motion, nominal_torque

@@ -17,8 +17,8 @@ SHIM = Path(__file__).with_name("ucsim_poll.c")
 CRYSTAL_MHZ = 11.0592
 CLOCKS_PER_INSTRUCTION = 16.0
 """Rough mean for this firmware (12 clocks a cycle); the error of one slice is made up for in the next."""
-LISTEN_SLICES = 20
-"""The simulator may hold a byte of its own after the line to it has run empty."""
+BYTES_PER_MS = 1.92
+"""On the line; the simulator may hold bytes of its own after the line to it has run empty."""
 MARKER = "918273645"
 MARK = "expr 918273644+1"
 """The console echoes its input in the midst of its output: the echo must not look like the answer."""
@@ -71,7 +71,8 @@ class UcsimBoard:
         self._clock = 0
         self._dac = 0
         self._port3 = 0xFF
-        self._listen = 0
+        self._listen = 0.0
+        self._given: set[str] = set()
         self._console([])
 
     def _console(self, lines: list[str]) -> list[int]:
@@ -89,15 +90,16 @@ class UcsimBoard:
                 numbers.append(int(text))
         raise RuntimeError("the simulator ended by itself")
 
-    def _pending(self) -> int:
+    def _pending(self) -> bool:
         count = array.array("i", [0])
         fcntl.ioctl(self._to_rig, termios.FIONREAD, count)
-        return count[0]
+        return count[0] > 0
 
     def write(self, data: bytes) -> None:
         """Put bytes on the line to the board."""
         if data:
             os.write(self._to_rig, data)
+            self._listen = max(self._listen, 0.0) + len(data) / BYTES_PER_MS
 
     def read(self) -> bytes:
         """Return what the board has sent."""
@@ -111,13 +113,16 @@ class UcsimBoard:
         idle, edges = (self.levels, edges) if edges >= 0 else (self.levels & 0xF7, -edges)
         self._target += slice_us * CRYSTAL_MHZ
         steps = max(1, round((self._target - self._clock) / CLOCKS_PER_INSTRUCTION))
-        # The simulator looks for input every million instructions, unless told.
-        self._listen = LISTEN_SLICES if self._pending() else max(0, self._listen - 1)
-        lines = [
-            f"expr uart0_check_often={min(self._listen, 1)}",
+        # The simulator looks for input every million instructions, unless told; twice the time that the bytes take.
+        self._listen -= 0.5e-3 * slice_us
+        listens = self._listen > 0.0 or self._pending()
+        given = {
+            f"expr uart0_check_often={int(listens)}",
             f"set hw port[{self.adc_port}] {adc}",
             f"set hw port[3] {idle}",
-        ]
+        }
+        lines = sorted(given - self._given)
+        self._given = given
         for _ in range(edges):
             lines += [
                 f"step {max(1, steps // (edges + 1))}",
@@ -134,6 +139,7 @@ class UcsimBoard:
 
     def reset(self) -> None:
         """Pull the reset pin; uCsim's reset leaves the clock running."""
+        self._given = set()
         self._look(["reset"])
         self._target = float(self._clock)
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step
-from rx90_common.friction.bristles.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.friction.compiled_elements import element_arrays, one_element
+from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 
 Array = NDArray[np.float64]
 ELEMENT = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)

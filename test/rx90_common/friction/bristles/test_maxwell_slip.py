@@ -12,9 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristles.maxwell_slip import MAX_BLOCKS, maxwell_slip_step, maxwell_slip_torque
-from rx90_common.friction.bristles.step import bristles_dtype
-from rx90_common.friction.compiled_elements import element_arrays, one_element
+from rx90_common.friction.compiled_elements import bristles_dtype, element_arrays, one_element
+from rx90_common.friction.maxwell_slip import MAX_BLOCKS, maxwell_slip_step, maxwell_slip_torque
 from rx90_common.friction.parts.bristles import MaxwellSlip, fill_bristles
 
 ELEMENT = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)

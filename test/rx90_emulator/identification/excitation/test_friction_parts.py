@@ -280,7 +280,7 @@ def test_a_bristle_follows_its_differential_equation() -> None:
         frozenset({Part.STRIBECK, Part.BRISTLE, Part.DAMPING}), rise=rise, omega_s=omega_s, stiffness=stiffness
     )
     position = 0.6 / 9.0 * (1.0 - np.cos(9.0 * time))
-    motion = [values[:, None] for values in (position, speed(time), time, time)]
+    motion = [values[:, None] for values in (position, speed(time), time, time, speed(time))]
     run = FilteredRun(BagSource(Path("run"), "", 0.5, 0, 0), ("one",), time, *motion, None, Bandwidths(20.0, 10.0))
     columns = ElementMotion.of(run, np.ones(1)).columns(shape)
     u, inner = solved(stiffness), slice(10, -10)

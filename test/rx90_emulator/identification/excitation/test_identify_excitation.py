@@ -477,7 +477,7 @@ def test_noise_of_a_torque_is_that_of_the_filtered_one(steps: float) -> None:
     slow = (30.0 * np.sin(time) + steps * np.sign(np.cos(time)))[:, None]
     zero = np.zeros_like(slow)
     source = BagSource(Path("run"), "", 60.0, 0, 0)
-    run = FilteredRun(source, ("hinge",), time, zero, zero, zero, slow + noise, None, Bandwidths(10.0, 5.0))
+    run = FilteredRun(source, ("hinge",), time, zero, zero, zero, slow + noise, zero, None, Bandwidths(10.0, 5.0))
     filtered = fftconvolve(noise[:, 0], run.taps, mode="valid")
     assert torque_noise(run)[0] == pytest.approx(np.std(filtered), rel=0.1)
 

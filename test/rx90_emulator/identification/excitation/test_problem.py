@@ -78,7 +78,7 @@ def test_a_step_of_the_velocitys_sign_is_resampled_as_that_of_the_torque(jitter:
     assert np.ptp(np.diff(run.time)) < 1e-9
     assert np.abs(run.evened(np.sign(run.torque_velocity)) - run.torque).max() < 1e-9
     assert run.evened(run.torque_velocity) == pytest.approx(run.velocity, abs=2e-3)
-    assert (run.stamps is None) == (jitter == lead == 0.0)
+    assert (run.resampling is None) == (jitter == lead == 0.0)
 
 
 def test_bandwidths_follow_the_noise_of_the_positions() -> None:
@@ -258,7 +258,7 @@ def test_what_is_no_repetition_is_not_taken_for_one() -> None:
         time = np.arange(len(velocity)) / rate
         source = BagSource(Path("run"), "", float(time[-1]), 0, 0)
         bands = Bandwidths(25.0 * rate / 100.0, rate / 10.0)
-        return FilteredRun(source, ("a", "b"), time, *([size * velocity] * 4), None, bands)
+        return FilteredRun(source, ("a", "b"), time, *([size * velocity] * 5), None, bands)
 
     first, other = waves[:, :2], waves[:, 2:]
     given = [

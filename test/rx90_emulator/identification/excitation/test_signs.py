@@ -40,20 +40,10 @@ def turned_round(
     arm, runs = recorded
     signs = np.ones((2, len(arm.names)))
     signs[0, list(motion)] = signs[1, list(torque)] = -1.0
-    stamps = [
-        None if run.stamps is None else run.stamps._replace(velocity=run.stamps.velocity * signs[0]) for run in runs
-    ]
-    return ExcitationProblem.of(
-        arm,
-        [
-            replace(
-                run, position=run.position * signs[0], velocity=run.velocity * signs[0], stamps=one,
-                acceleration=run.acceleration * signs[0], torque=run.torque * signs[1],
-            )
-            for run, one in zip(runs, stamps, strict=True)
-        ],
-        payloads,
-    )  # fmt: skip
+    moved = ("position", "velocity", "torque_velocity", "acceleration")
+    turned = [{name: getattr(run, name) * signs[0] for name in moved} for run in runs]
+    turned_runs = [replace(run, torque=run.torque * signs[1], **own) for run, own in zip(runs, turned, strict=True)]
+    return ExcitationProblem.of(arm, turned_runs, payloads)
 
 
 @pytest.mark.parametrize(

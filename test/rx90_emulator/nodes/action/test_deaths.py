@@ -18,14 +18,14 @@ from ros_client import JOINTS, Client
 from sensor_msgs.msg import JointState
 
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.base.stamps import cdr_stamp_ns, message_time_ns
+from rx90_common.exchange.cdr import cdr_stamp_ns, message_time_ns
 from rx90_common.process.children import ChildProcess
 
 pytestmark = pytest.mark.ros
 
 PAGE = Path(__file__).parents[4] / "docs/howto/action.md"
 STEP = 0.01
-START, END = 0.3, 0.8
+START, END = 0.1, 0.6
 """When the first goal begins, and up to when both runs are compared, s of simulated time."""
 START_NS, END_NS = round(START * NANOSECONDS), round(END * NANOSECONDS)
 TOLD = 8

@@ -1,1 +1,0 @@
-"""Other bristles than LuGre's: elasto-plastic, and Maxwell slip."""

@@ -1,1 +1,0 @@
-"""Simulation and controller in one process: both nodes, their ticks exchanged in memory."""
