@@ -24,6 +24,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "rx90_emulator"
 EXECUTABLES = sorted(e.name for e in distribution(PACKAGE).entry_points if e.group == "console_scripts")
 NODES = ("rx90_sim", "rx90_controller")
+STARTED = (*NODES, "rx90_bag", "friction_ramp")
+"""Executables of each kind: node, verbs, options; the generated scripts differ by their names alone."""
 
 # Keys that rosdep resolves by apt on Ubuntu 24.04 (noble): rosdistro at 8468e88 of 2026-08-22, `ubuntu:` of
 # rosdep/python.yaml without a pip entry, and packages released for noble in jazzy/distribution.yaml. rosdep knows
@@ -122,8 +124,8 @@ def test_the_install_space_is_whole_and_needs_no_source_tree(
 ) -> None:
     """Modules, templates, config/ and launch/ are installed as they are, and the ament index names the package.
 
-    Its executables are those of the pip environment, and each answers --help with its usage and exit code 0. In a
-    sourced workspace modules and data come from the install space.
+    Its executables are those of the pip environment, each has its function, and --help gives usage and exit code 0. In
+    a sourced workspace modules and data come from the install space.
     """
     site = next((prefix / "lib").glob("python*/site-packages"))
     rooms = [path.parent for path in ROOT.glob("*/__init__.py") if path.parent.name not in {"test", "benchmarks"}]
@@ -137,7 +139,8 @@ def test_the_install_space_is_whole_and_needs_no_source_tree(
                 assert (target / source.relative_to(ROOT)).read_bytes() == source.read_bytes(), source
     assert (prefix / "share/ament_index/resource_index/packages" / PACKAGE).is_file()
     assert sorted(path.name for path in workspace.iterdir()) == sorted(TABLE) == EXECUTABLES
-    for name in EXECUTABLES:
+    assert all(callable(e.load()) for e in distribution(PACKAGE).entry_points if e.group == "console_scripts")
+    for name in STARTED:
         done = processes.run(str(workspace / name), "--help")
         assert (done.returncode, done.stderr) == (0, "")
         assert done.stdout.startswith(f"usage: {name}")

@@ -1,12 +1,14 @@
-"""Figures in README.md and docs/ are generated from the measurements, and from nothing else."""
+"""Figures of the pages: tables from what was measured, and the published curves over load and temperature."""
 
 from __future__ import annotations
 
 import json
 import re
 
+import numpy as np
 import pytest
 
+from benchmarks import published_friction as paper
 from benchmarks.figures import MEASURED, Range, add, as_text, pages, read, tables, with_figures
 from rx90_common.base.errors import ConfigError
 
@@ -60,3 +62,37 @@ def test_what_cannot_be_used_is_refused() -> None:
         add({}, {"sweep_1000_runs_s": [9.0]})  # type: ignore[dict-item]
     with pytest.raises(ConfigError, match="the table is 'speed'; accepted: main, path_error"):
         with_figures("<!-- figures: speed -->\n<!-- end of figures -->", {})
+
+
+RATIO, LARGEST = 242.73, 6310.98  # gear and largest torque, Nm, with which Yan, Li and Meng (2020) go to the joint
+
+
+def test_numbers_are_those_that_were_carried_to_the_joint() -> None:
+    """Times the largest torque, and over the gear, they give the joint-side values printed beside the originals."""
+    assert pytest.approx(196.27, abs=0.005) == paper.COULOMB * LARGEST
+    assert pytest.approx(-157.77, abs=0.005) == paper.STATIC * LARGEST
+    assert pytest.approx(10.1, abs=0.05) == paper.STATIC_TEMPERATURE * LARGEST
+    assert pytest.approx(0.038, abs=0.0005) == paper.SPEED_LOAD / RATIO
+    assert pytest.approx(-0.1022, abs=0.00005) == paper.SPEED / RATIO
+    assert pytest.approx(0.004, abs=0.0005) == paper.SPEED_TEMPERATURE / RATIO
+    assert pytest.approx(199.14, abs=0.005) == paper.VISCOUS * LARGEST * RATIO
+    assert pytest.approx(2022.06, abs=0.01) == paper.VISCOUS_TEMPERATURE * LARGEST * RATIO
+
+
+def test_an_element_repeats_load_and_temperature() -> None:
+    """For every load and temperature, each and together, the element's curve is the paper's."""
+    for load in paper.LOADS:
+        for temperature in paper.TEMPERATURES:
+            assert paper.error(load, temperature) < 1e-13
+
+
+def test_figures_of_the_page_are_those_of_the_model() -> None:
+    """What docs/ states follows from the equation, worked out here again at the limits of low and high speed."""
+    known = read(MEASURED)
+    for name, value in paper.trends().items():
+        assert known[name] == [pytest.approx(value, rel=1e-3, abs=1e-13)]
+    v, t = 200.0, np.array([30.0, 80.0])
+    viscous = (1.3e-4 + 1.32e-3 * np.exp(-t / 20.71)) * v
+    stribeck = (-0.025 + 0.0016 * t) * np.exp(-((v / (-24.81 + 0.98 * t)) ** 1.36))
+    cold, hot = 0.0311 + viscous + stribeck
+    assert known["published_friction_hot_fast"] == [pytest.approx(hot / cold, rel=1e-3)]

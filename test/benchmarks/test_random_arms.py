@@ -1,4 +1,4 @@
-"""The random arms that the identification from excitation runs is measured with."""
+"""The random arms that the identification from excitation runs is measured with, and logs that are poor."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.excitation_coverage import Truth, truth_of
 from benchmarks.excitation_runs import NOISE, NOTHING, Disturbances, FourierMotion, measured, write_run
+from benchmarks.poor_logs import CONDITIONS, experiment
 from benchmarks.random_arms import FrictionLaw, random_arm
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.records import read_record
@@ -75,3 +76,13 @@ def test_without_misfit_the_best_fitting_parameters_are_the_true_ones() -> None:
     assert exact.rise == pytest.approx(0.4, rel=1e-3)
     growth = truth(Disturbances(load=0.05)).coulomb / exact.coulomb - 1.0
     assert ((growth > 0.01) & (growth < 0.09)).all()
+
+
+@pytest.mark.parametrize("condition", CONDITIONS)
+def test_a_poor_log_gives_intervals_that_hold_and_no_wrong_verdict(condition: str) -> None:
+    """Of one arm nothing is refused but a negated torque, an unseen run is confirmed, and intervals hold."""
+    outcome = experiment((2, condition))
+    assert not outcome.wrong
+    assert (condition == "negated torque") == (not outcome.held)
+    if outcome.held:
+        assert np.mean(outcome.held) >= (0.75 if condition == "dead joint" else 0.85)

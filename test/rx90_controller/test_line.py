@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.interpolate import BPoly
 from scipy.spatial.transform import Rotation
 
@@ -18,7 +20,7 @@ from rx90_common.description.inverse import SphericalWristArm
 from rx90_common.description.kinematics import forward, path_error
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.plan import Approach, LinePlan, plan_line
-from rx90_controller.lines.task import LineTask, load_task
+from rx90_controller.lines.task import LineTask, TrapezoidalProfile, load_task
 from rx90_emulator.loop.setup import Setup
 
 TURNING = LineTask(
@@ -144,6 +146,16 @@ def test_approach_uses_its_limits_and_no_more(shipped: Setup, acceleration: floa
         np.abs(move.derivative(2)(times) / acceleration).max(),
     )
     assert use == pytest.approx(1.0, rel=1e-6)
+
+
+@given(st.floats(1e-4, 3.0), st.floats(1e-3, 2.0), st.floats(1e-2, 20.0), st.floats(0.0, 1.0))
+def test_speed_by_distance_is_speed_by_time(length: float, speed: float, acceleration: float, share: float) -> None:
+    """The speed asked for by distance is the one the profile has when it is there."""
+    profile = TrapezoidalProfile(length, speed, acceleration)
+    motion = profile.sample(np.array([share * profile.duration]))
+    # Near rest the distance carries its square root's rounding into the speed.
+    tolerance = 1e-6 * profile.peak_speed
+    assert profile.speed_at(motion.distance)[0] == pytest.approx(motion.speed[0], abs=tolerance)
 
 
 REFERENCE = "robots/rx90b/task.yaml"

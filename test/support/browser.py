@@ -46,18 +46,19 @@ _USUAL = (
 )
 _MATRIX = "name => window.__viserMutable?.nodeRefFromName[name]?.matrixWorld.elements"
 # A sixtieth of a second after a frame the page would draw the next one, which in software takes a processor's time.
-# Here it makes five frames a second at most. The first ones are drawn, which shows errors of drawing, and then one in
-# four seconds: where things are, and the plots, do not depend on it, and a test
-# that looks at the scene's pixels asks for every picture: most screenshots would show an empty scene.
+# Here it makes five frames a second at most, of which most tests draw none: where things are, and the plots, do not
+# depend on it. Few are the first ones, which show errors of drawing, and then one in four seconds. A test that looks at
+# the scene's pixels asks for every picture: most screenshots would show an empty scene.
 _SELDOM = """let picture = 0;
     window.requestAnimationFrame = draw => setTimeout(() => { picture++; draw(performance.now()); }, 200);
     window.cancelAnimationFrame = clearTimeout;
     for (const name of ['drawElements', 'drawArrays', 'drawElementsInstanced', 'drawArraysInstanced']) {
         const draw = WebGL2RenderingContext.prototype[name];
         WebGL2RenderingContext.prototype[name] = function (...rest) {
-            if (picture < 6 || picture % 20 === 0) draw.apply(this, rest);
+            if (%s) draw.apply(this, rest);
         };
     }"""
+_DRAWN = {"none": "false", "few": "picture < 6 || picture % 20 === 0"}
 _SHOWN = "() => Boolean(window.__viserMutable?.scene) && !document.body.innerText.includes('Connecting')"
 _PLOTS = """() => Object.values(window.__viserTestpoints?.uplots ?? {}).map(({chart}) => ({
     title: chart.root.querySelector('.u-title')?.textContent ?? '',
@@ -148,11 +149,11 @@ def open_page(chromium: Any) -> Iterator[Callable[..., BrowserPage]]:
     """Return a function that opens an address, with a width and height in pixels; its pages are closed afterwards."""
     opened = []
 
-    def open_(address: str, size: tuple[int, int] = _DESKTOP, *, every_picture: bool = False) -> BrowserPage:
+    def open_(address: str, size: tuple[int, int] = _DESKTOP, *, pictures: str = "none") -> BrowserPage:
         page = chromium.new_context(viewport={"width": size[0], "height": size[1]}).new_page()
         opened.append(page)
-        if not every_picture:
-            page.add_init_script(_SELDOM)
+        if pictures != "every":
+            page.add_init_script(_SELDOM % _DRAWN[pictures])
         return BrowserPage(page, address)
 
     yield open_

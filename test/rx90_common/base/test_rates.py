@@ -1,11 +1,18 @@
-"""Rates are whole multiples of each other, or refused."""
+"""Rates of the loops, and stamps of messages."""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Literal
+
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import NANOSECONDS, Rates, ticks_per
+from rx90_common.exchange.cdr import LITTLE_ENDIAN, cdr_stamp_ns, cdr_stamps_ns, message_time_ns
 
 
 @pytest.mark.parametrize(("base", "position"), [(4000, 1000), (8000, 500), (1, 1), (10000, 10000)])
@@ -37,3 +44,29 @@ def test_any_rate_is_refused_under_its_own_name() -> None:
     assert ticks_per("clock_rate", 4000, 100) == 40
     with pytest.raises(ConfigError, match="clock_rate is 30 Hz"):
         ticks_per("clock_rate", 4000, 30)
+
+
+LAST = (1 << 31) * 10**9 - 1
+
+
+def message(stamp: int, order: Literal["little", "big"] = "little") -> bytes:
+    """Return a CDR message that begins with a stamp, ns."""
+    seconds, nanoseconds = divmod(stamp, 10**9)
+    flag = LITTLE_ENDIAN if order == "little" else bytes(4)
+    return flag + seconds.to_bytes(4, order, signed=True) + nanoseconds.to_bytes(4, order) + b"rest"
+
+
+@given(st.integers(-LAST, LAST), st.sampled_from(["little", "big"]))
+def test_a_stamp_is_read_in_both_byte_orders(stamp: int, order: Literal["little", "big"]) -> None:
+    """Head and message object give the same nanoseconds, also before 0; a message that is cut off gives -1."""
+    seconds, nanoseconds = divmod(stamp, 10**9)
+    assert cdr_stamp_ns(message(stamp, order)) == stamp
+    assert message_time_ns(SimpleNamespace(sec=seconds, nanosec=nanoseconds)) == stamp
+    assert cdr_stamp_ns(message(stamp, order)[:11]) == -1
+
+
+@given(st.lists(st.integers(-LAST, LAST), min_size=1))
+def test_many_stamps_are_those_one_by_one(stamps: list[int]) -> None:
+    """The stamps of a block of messages are those of each."""
+    block = np.frombuffer(b"".join(message(stamp) for stamp in stamps), dtype=np.uint8).reshape(len(stamps), -1)
+    assert cdr_stamps_ns(block).tolist() == stamps

@@ -1,4 +1,4 @@
-"""The files of a robot: a shipped name, a folder of the user's own, single files over it."""
+"""The files of a robot, by their folder or one by one, and where their values come from."""
 
 from __future__ import annotations
 
@@ -9,7 +9,15 @@ import yaml
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path
-from rx90_common.description.robot_files import DEFAULT_ROBOT, FILES, NO_TOOL, PAPER, RobotFiles, shipped_robots
+from rx90_common.description.robot_files import (
+    DEFAULT_ROBOT,
+    FILES,
+    NO_TOOL,
+    PAPER,
+    RobotFiles,
+    provenance_of,
+    shipped_robots,
+)
 
 
 def folder_with(folder: Path, *roles: str) -> Path:
@@ -108,3 +116,21 @@ def test_the_paper_s_files_do_not_drift_from_the_shipped_ones(name: str) -> None
         shipped["feed_forward"] |= {"velocity": False, "coulomb_velocity": 1e-12}
         shipped["supervision"] |= {"following_error": [1.0] * 6, "source": paper["supervision"]["source"]}
     assert paper == shipped
+
+
+def test_each_file_tells_of_its_blocks_else_of_itself(tmp_path: Path) -> None:
+    """By block where blocks say it, by file where that says it alone, and that it is not said where nothing does.
+
+    The URDF is left out, and so is a file that the robot has not.
+    """
+    texts = {
+        "drives": "a: {provenance: assumed, x: 1}\nb: {provenance: published, x: 1}\nc: {x: 1}\n",
+        "friction": "provenance: identified\nblock: {x: 1}\n",
+        "controller": "x: 1\n",
+    }
+    for name, text in texts.items():
+        (tmp_path / f"{name}.yaml").write_text(text, encoding="utf-8")
+    files = RobotFiles(tmp_path / "none.urdf", None, *(tmp_path / f"{name}.yaml" for name in texts))
+    assert provenance_of(files) == {
+        "drives": ["a assumed", "b published"], "friction": ["identified"], "controller": ["not said"],
+    }  # fmt: skip

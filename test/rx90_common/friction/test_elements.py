@@ -1,4 +1,4 @@
-"""Seven friction elements in lanes are seven single elements, with LuGre's bristles and elasto-plastic ones."""
+"""Elements as compiled code has them, side by side, and the bristle that follows the load below break-away."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step, friction_torque
-from rx90_common.friction.compiled_elements import element_arrays, load_elements, one_element
+from rx90_common.friction.compiled_elements import element_arrays, load_elements, one_element, prescribed_torque
 from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
+from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_common.kernels.lanes import load, store
 from rx90_emulator.loop.setup import Setup
 
@@ -72,3 +73,25 @@ def test_the_arrays_hold_each_sign_in_its_row(shipped: Setup) -> None:
     rest = [arrays[name][7] for name in ("inverse_omega_s", "delta", "c0", "c1", "c2", "inverse_omega_d", "alpha")]
     assert rest == [2.0, 6.0, 7.0, 8.0, 9.0, 0.0, 1.0]
     assert arrays["tau_c"][1, :7].tolist() == [e.tau_c_negative for e in shipped.friction.elements]
+
+
+PLAIN = FrictionElement(25.0, 25.0, 28.0, 28.0, 0.05, 1.0, 1e5, 100.0, 14.0)
+
+
+@pytest.mark.parametrize("bristles", [ElastoPlastic(0.7), MaxwellSlip((0.6, 0.4), (0.7, 0.3), 5000.0)])
+def test_other_bristles_are_springs_below_break_away(bristles: BristlesPart) -> None:
+    """Below break-away the mean torque of a step is c0 x + (c1 + c2) v in its middle; LuGre's beside it bends.
+
+    A step of no time, as between repeated stamps, has the torque of that moment.
+    """
+    steps = np.full(400, 1e-3)
+    steps[[0, 200]] = 0.0
+    time = np.cumsum(steps)
+    velocity = np.where(steps > 0.0, 2e-4 * np.pi * np.cos(2.0 * np.pi * 5.0 * time), 0.0)
+    middle = np.cumsum(velocity * steps) - 0.5 * velocity * steps
+    elements = (PLAIN, FrictionElement(**{**vars(PLAIN), "bristles": bristles}))
+    lugre, other = prescribed_torque(elements, np.column_stack([velocity, velocity]), steps).T
+    exact = 1e5 * middle + (100.0 + 14.0) * velocity
+    assert np.ptp(exact) > 3.0
+    assert other == pytest.approx(exact, abs=1e-9)
+    assert np.abs(lugre - exact).max() > 1e-3

@@ -61,23 +61,6 @@ def test_static_below_coulomb_torque_is_refused(shipped_files: RobotFiles, edite
     assert "tau_s_negative is 24.5; accepted: a number >= tau_c_negative = 25.0" in refusal(path)
 
 
-@pytest.mark.parametrize(
-    ("value", "words"),
-    [
-        ({"positive": 30.0}, "tau_c.negative is missing"),
-        ({"positive": 30.0, "negative": 30.0, "up": 1}, "tau_c.up is not a known key"),
-        ({"positive": 30.0, "negative": "x"}, "tau_c.negative is 'x'"),
-        ({"positive": 30.0, "negative": -30.0}, "tau_c.negative is -30.0; accepted: a number > 0"),
-    ],
-)
-def test_one_sided_torques_are_checked_too(
-    shipped_files: RobotFiles, edited_yaml: Edit, value: Any, words: str
-) -> None:
-    """A pair of torques needs both signs, no others, and positive numbers."""
-    path = edited_yaml(shipped_files.friction, ("elements", "joint_2", "tau_c"), value)
-    assert words in refusal(path)
-
-
 def test_each_sign_gets_its_own_torques(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
     """A pair {positive, negative} reaches the element of each sign; a single value reaches both."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_4", "tau_c"), {"positive": 6.0, "negative": 7.0})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import pathlib
 import re
 
@@ -11,6 +12,7 @@ import pytest
 from PIL import Image
 from report_pages import ReportCheck
 
+from rx90_common.base.arrays import least_and_largest
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import Curve, Panel, Plot, with_fewer_points
 
@@ -80,6 +82,20 @@ def test_gaps_loops_and_decades_stay() -> None:
     assert len(only_curve(thinned(Plot([Panel([dots])])))[1].x) == len(turns)
     nothing = only_curve(thinned(Plot([Panel([Curve(turns, np.full(len(turns), np.nan))])])))[1]
     assert len(nothing.x) == 2
+
+
+def test_the_extremes_of_rows_leave_out_what_is_no_number() -> None:
+    """Each group gives what NumPy finds in its rows without NaN, NaN for a group without any number."""
+    random = np.random.default_rng(4)
+    values = np.where(random.random((60, 2)) < 0.4, np.nan, random.standard_normal((60, 2)))
+    starts = np.array([0, 1, 5, 20, 24, 59])
+    values[20:24] = np.nan
+    least, largest = least_and_largest(values, starts)
+    for k, rows in enumerate(np.split(values, starts[1:])):
+        for column in range(2):
+            known = sorted(value for value in rows[:, column] if math.isfinite(value))
+            ends = (known[0], known[-1]) if known else (np.nan, np.nan)
+            np.testing.assert_array_equal((least[k, column], largest[k, column]), ends)
 
 
 def test_a_page_of_many_dense_curves_stays_small() -> None:

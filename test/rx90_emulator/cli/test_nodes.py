@@ -1,17 +1,24 @@
-"""The frame of the nodes' executables, run as a process with a stand-in for the node's module."""
+"""Executables that end early: nodes by signals and mistakes, and all where a package is missing or broken."""
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import signal
 import subprocess
 import sys
+import sysconfig
 from pathlib import Path
 
 import pytest
 from processes import Start
 
-ROOT = Path(__file__).parents[3]
+from rx90_common.base import requirements
+from rx90_common.base.requirements import SOURCES, is_ros, missing_module
+from rx90_common.base.share import ROOT
+from rx90_emulator.cli.frame import EXECUTABLES
+
 NODE = """
 import sys, time
 import rclpy
@@ -63,9 +70,7 @@ def read_until(process: subprocess.Popen[str], line: str) -> None:
     assert any(read == f"{line}\n" for read in process.stdout)
 
 
-pytestmark = pytest.mark.ros
-
-
+@pytest.mark.ros
 @pytest.mark.parametrize(
     ("moment", "number"),
     [
@@ -89,6 +94,7 @@ def test_a_signal_ends_in_order_and_silently(
     assert (process.returncode, errors) == (0, "")
 
 
+@pytest.mark.ros
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
@@ -108,3 +114,130 @@ def test_a_user_mistake_is_one_line(start: Start, arguments: tuple[str, ...], co
     assert errors.startswith("stub: ")
     assert complaint in errors
     assert errors.count("\n") == 1
+
+
+CALLS = {
+    "rx90_sim": ([], "rclpy"),
+    "rx90_controller": ([], "numpy"),
+    "rx90_cell": ([], "rclpy"),
+    "friction_bench": ([], "serial"),
+    "friction_presliding": (["--output", "out"], "matplotlib"),
+    "friction_ramp": (["--output", "out"], "tqdm"),
+    "friction_rig_emulator": ([], "numba"),
+    "rx90_bag": (["record", "--output", "bag"], "rosbags"),
+    "rx90_compare_measured": (["bag"], "scipy"),
+    "rx90_config": (["completion", "bash"], "shtab"),
+    "rx90_controller_check": (["true"], "rclpy"),
+    "rx90_correct": (["learn", "robots/rx90b/task.yaml", "--output", "out.yaml"], "scipy"),
+    "rx90_demo": ([], "bokeh"),
+    "rx90_experiment": (["plan"], "rosbags"),
+    "rx90_export": (["mujoco-classic", "--output", "out"], "scipy"),
+    "rx90_identify": (["bag", "--output", "out.yaml"], "scipy"),
+    "rx90_import": (["arm.xml", "--output", "robot"], "mujoco"),
+    "rx90_line": (["--from-file", "robots/rx90b/task.yaml"], "yaml"),
+    "rx90_own_controller": (["--engine"], "pinocchio"),
+    "rx90_path": (["paths/circle.yaml"], "numba"),
+    "rx90_run": ([], "pinocchio"),
+    "rx90_sweep": (["info", "out.parquet"], "pyarrow"),
+    "rx90_view": (["--port", "0", "--no-browser"], "viser"),
+}
+"""A call of each executable that begins its work, and a package without which that cannot be done."""
+
+CHILD = """
+import importlib, json, os, sys, tempfile
+from rx90_emulator.cli import frame
+
+# Each call does without one package: what takes time in importing the others is done once. Not rclpy: it has threads.
+for library in ("pinocchio", "rosbags.rosbag2", "scipy.optimize", "matplotlib.figure", "ruamel.yaml"):
+    importlib.import_module(library)
+own = set(sys.modules)
+importlib.import_module("rx90_emulator.loop.setup")  # numba, with all that its first function takes
+own = {name for name in set(sys.modules) - own if name.startswith("rx90_")}
+there = {name.partition(".")[0] for name in sys.modules}
+
+class Blocked:
+    def __init__(self, package, broken):
+        self.package, self.broken = package, broken
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == self.package:
+            if self.broken:  # as an extension module that finds another NumPy than it was built for
+                raise ImportError("NumPy 1.26.4\\nis too old", name=f"{name}._core")
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+for program, words, package, broken in json.load(sys.stdin):
+    with tempfile.TemporaryFile("w+") as errors:
+        child = os.fork()
+        if child == 0:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            os.dup2(errors.fileno(), 2)
+            if package in there:
+                for name in [name for name in sys.modules if name.partition(".")[0] == package or name in own]:
+                    del sys.modules[name]
+            sys.meta_path.insert(0, Blocked(package, broken))
+            try:
+                code = frame.run(program, words)
+            finally:
+                os._exit(code if "code" in locals() else 1)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        errors.seek(0)
+        print(json.dumps([code, errors.read()]), flush=True)
+"""
+
+
+def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
+    """Without a package each executable, a node too, ends with 3 and a line: package, distribution, how to get it."""
+    assert set(CALLS) == set(EXECUTABLES)
+    cases = [(name, words, package, False) for name, (words, package) in CALLS.items()]
+    cases += [("rx90_sim", [], "numba", True), ("rx90_sweep", ["info", "x"], "pyarrow", True)]
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD], input=json.dumps(cases), cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True, timeout=120,
+    )  # fmt: skip
+    answers = [json.loads(line) for line in done.stdout.splitlines()]
+    for (program, words, package, broken), (code, errors) in zip(cases, answers, strict=True):
+        assert (code, errors.count("\n")) == (3, 1), (program, words, package, errors)
+        if broken:
+            start = f"{program}: {package} cannot be loaded (NumPy 1.26.4 is too old); accepted: a version"
+        else:
+            start = f"{program}: needs {package}, which is not installed; accepted: "
+            where = "a sourced ROS 2 Jazzy" if is_ros(package) else SOURCES[package].pip
+            assert where in errors.removeprefix(start), errors
+        assert errors.startswith(start), errors
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_each_source_is_a_distribution_of_the_set_up() -> None:
+    """What pip is told to install is what setup.py requires, or offers as an extra."""
+    named = set(re.findall(r'"([A-Za-z0-9-]+)>=', (ROOT / "setup.py").read_text(encoding="utf-8")))
+    assert {source.pip for source in SOURCES.values()} <= named
+
+
+def test_an_error_of_the_project_itself_is_none_of_a_package() -> None:
+    """A name that a module of the project lacks stays an error with its traceback."""
+    with pytest.raises(ImportError) as caught:
+        exec("from rx90_common.base.errors import Nothing")
+    assert missing_module(caught.value) is None
+
+
+@pytest.mark.parametrize(
+    ("module", "managed", "apt", "advice"),
+    [
+        ("numba", False, False, f"{sys.executable} -m pip install numba"),
+        ("numba", True, True, "a virtual environment with numba in it, as in docs/start/install.md"),
+        ("scipy", True, True, "sudo apt install python3-scipy"),
+        ("pinocchio", False, True, "sudo apt install ros-jazzy-pinocchio"),
+        ("pinocchio", False, False, f"{sys.executable} -m pip install pin"),
+        ("rclpy", True, True, "a sourced ROS 2 Jazzy"),
+    ],
+)
+def test_the_advice_can_be_followed(
+    module: str, managed: bool, apt: bool, advice: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A system's own Python is not told to use pip, which it refuses, nor one that cannot see apt's packages apt."""
+    (tmp_path / "EXTERNALLY-MANAGED").touch()
+    monkeypatch.setattr(sysconfig, "get_path", lambda _: str(tmp_path))
+    monkeypatch.setattr(sys, "prefix", sys.base_prefix if managed else str(tmp_path))
+    monkeypatch.setattr(sys, "path", [*sys.path, requirements._APT_FOLDER] if apt else ["/nowhere"])
+    monkeypatch.setenv("ROS_DISTRO", "jazzy")
+    line = missing_module(ModuleNotFoundError(name=module))
+    assert line == f"needs {module}, which is not installed; accepted: {advice}"

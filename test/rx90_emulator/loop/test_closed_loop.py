@@ -1,4 +1,4 @@
-"""The closed loop without ROS: what it reads, the plant and the law that the nodes step, the limits that it keeps."""
+"""The closed loop without ROS: its bits, its series, its refusals, its errors."""
 
 from __future__ import annotations
 
@@ -13,14 +13,20 @@ import pytest
 from elastic_arms import SOFT, elastic
 from numpy.typing import NDArray
 
+from rx90_common.bags.comparison import Verdict, compare_bags
+from rx90_common.bags.tables import comparison_text
 from rx90_common.base.errors import ConfigError, DivergenceError, TrajectoryError
 from rx90_common.base.rates import Rates
+from rx90_common.base.share import config_path
 from rx90_common.description.drives import CurrentSensor, Windings
 from rx90_common.description.robot_files import RobotFiles
+from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.result import RunResult
+from rx90_emulator.loop.line import run_line
+from rx90_emulator.loop.result import RunResult, write_bag
 from rx90_emulator.loop.setup import Setup
+from tools.digests import committed, digests
 
 Array = NDArray[np.float64]
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
@@ -253,3 +259,26 @@ def test_the_fastest_motion_to_a_limit_stays_within_it(shipped: Setup, joint: in
         free = dataclasses.replace(shipped.controller, max_acceleration=np.full(6, 2e3), following_error=np.ones(6))
         past = simulate(dataclasses.replace(shipped, controller=free), sudden, duration=time + 0.3).slow.joint_states
         assert (past[:, 0] > robot.upper + 5e-3).any() or (past[:, 0] < robot.lower - 5e-3).any()
+
+
+REFERENCE = Path(__file__).parents[2] / "reference" / "reference_task"
+"""Written by `rx90_run --slow-only --decimation 20`; see the README beside it."""
+
+
+@pytest.fixture(scope="module")
+def task() -> LineTask:
+    """Return the reference task."""
+    return load_task(config_path("robots/rx90b/task.yaml"))
+
+
+def test_a_new_run_equals_the_reference_bag(shipped: Setup, task: LineTask, tmp_path: Path) -> None:
+    """Joint, friction, reference and error series are those of the reference bag to the last bit."""
+    write_bag(run_line(shipped, task), tmp_path / "new", decimation=20)
+    comparison = compare_bags(tmp_path / "new", REFERENCE)
+    assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
+    assert len(comparison.topics) == 7
+
+
+def test_constants_set_points_and_runs_have_the_committed_digests() -> None:
+    """Constants, planned lines, set-points and runs are, bit for bit, those of every machine and library version."""
+    assert digests() == committed()

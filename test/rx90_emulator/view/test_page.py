@@ -98,7 +98,8 @@ def test_what_the_page_was_given_is_what_the_browser_shows(
         )
         runs = RunComparison(page)
     page.every(0.05, lambda _: runs.draw(line))
-    shown = Shown(page, open_page(page.address, (1000, 700)), arms, rolling, broken, loop, noisy, line, runs)
+    browser = open_page(page.address, (1000, 700), pictures="few")
+    shown = Shown(page, browser, arms, rolling, broken, loop, noisy, line, runs)
     _arms_are_drawn_where_pinocchio_says(shown)
     _plots_show_what_they_were_given(shown, monkeypatch)
     _noise_at_rest_reads_as_noise(shown)
@@ -251,7 +252,7 @@ def test_a_trace_has_its_colours_on_a_page_that_was_there_before_it(
     camera = page.server.initial_camera
     camera.position, camera.look_at, camera.up = (0.0, -0.5, 0.5), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
     line = LineScene(page, "/line", shipped.robot, LineTask(tuple(start), tuple(end)))
-    shown = open_page(page.address, (900, 200), every_picture=True)
+    shown = open_page(page.address, (900, 200), pictures="every")
     times = np.arange(100) * 0.1
 
     def run() -> None:

@@ -41,7 +41,7 @@ from rx90_sim.node.simulation_client import pause_request, reset_request, step_r
 
 Open = Callable[..., BrowserPage]
 START, END, SPEED = np.array([0.6, -0.05, 0.2]), np.array([0.62, 0.05, 0.19]), 0.25
-SIZE = (420, 900)  # a small scene, because it is drawn in software
+SIZE = (420, 640)  # a small scene, because it is drawn in software
 FIELD = "//*[starts-with(normalize-space(text()), \"{}\")]/following::input[not(@type='hidden')][1]"
 
 

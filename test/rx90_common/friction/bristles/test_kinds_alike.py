@@ -9,13 +9,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from bristle_oracles import ElastoPlasticOracle, MaxwellSlipOracle, swing
-from numpy.typing import NDArray
 
 from benchmarks.bristles import driven_mass, led
+from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 
-Array = NDArray[np.float64]
 ELEMENT = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
 FLAT = FrictionElement(25.0, 25.0, 25.0, 25.0, 0.05, 1.0, 1e5, 100.0, 0.0)
 ELASTIC = ElastoPlastic(0.7)

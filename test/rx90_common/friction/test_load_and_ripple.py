@@ -1,0 +1,193 @@
+"""The load part and the ripple: torques in closed form, the torque that is followed, and what parts do to energy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from parted_joint import GEAR, SPEED, Array, Seven, along, any_element, begin
+
+from rx90_common.friction import FrictionElement
+from rx90_common.friction.parts.load import LoadPart
+from rx90_common.friction.parts.part import FrictionPart
+from rx90_common.friction.parts.ripple import ANGLES, RipplePart
+from rx90_common.friction.parts.scatter import ScatterPart
+from rx90_common.friction.parts.temperature import TemperaturePart
+
+SETS = 20
+
+
+def any_load(rng: np.random.Generator) -> LoadPart:
+    """Return a load part with all its coefficients drawn."""
+    return LoadPart(*rng.uniform(0.0, 0.5, 4), *rng.uniform(0.0, 0.01, 2), relax_time=10.0 ** rng.uniform(-3, -1))
+
+
+def expected(element: FrictionElement, load: float, velocity: float) -> tuple[float, float]:
+    """Return Coulomb and static torque by the equations of Bittencourt and Gunnarsson, and BAM's quadratic term."""
+    part = element.load
+    assert part is not None
+    lifting = load * velocity >= 0
+    k, s, m = (
+        (part.driving, part.stribeck_driving, part.quadratic_driving)
+        if lifting
+        else (part.driven, part.stribeck_driven, part.quadratic_driven)
+    )
+    tau_c = element.tau_c_positive if velocity >= 0 else element.tau_c_negative
+    tau_s = element.tau_s_positive if velocity >= 0 else element.tau_s_negative
+    return tau_c + k * abs(load), tau_s + (k + s) * abs(load) + m * load**2
+
+
+def test_steady_sliding_under_constant_load() -> None:
+    """Lifting and lowering, both ways, from break-away on, the torque is that of the closed form (20 sets of values).
+
+    The load's share of the static torque fades with its own velocity, or with the element's where it has none.
+    """
+    rng = np.random.default_rng(5)
+    for _ in range(-(-SETS // 7)):
+        own = 10.0 ** rng.uniform(-2, 0, 7) * [1, 1, 0, 1, 1, 0, 1]
+        parts = [replace(any_load(rng), omega_s=float(speed)) for speed in own]
+        elements = [any_element(rng, load=part) for part in parts]
+        loads = rng.uniform(-200.0, 200.0, 7)
+        for velocity in (0.3, -0.3, 0.004, -0.004, 1e-9, -1e-9):
+            seven = Seven.of(elements)
+            begin(seven.parts, seven.states, loads)
+            motion = np.broadcast_to(np.array([np.zeros(7), np.full(7, velocity), loads]), (4, 3, 7))
+            torque, _ = along(seven, motion, 1e4 / abs(velocity))  # a step is exact however long it is
+            for i, element in enumerate(elements):
+                bare = expected(element, 0.0, velocity)
+                coulomb, static = expected(element, loads[i], velocity)
+                of_load = static - coulomb - (bare[1] - bare[0])
+                element_fades, load_fades = (
+                    np.exp(-((abs(velocity) / speed) ** element.delta))
+                    for speed in (element.omega_s, own[i] or element.omega_s)
+                )
+                viscous = float(element.viscous_torque(abs(velocity)))
+                want = coulomb + (bare[1] - bare[0]) * element_fades + of_load * load_fades + viscous
+                assert torque[-1, i] == pytest.approx(np.sign(velocity) * want, rel=1e-12)
+
+
+def test_a_held_joint_keeps_every_bit_under_load() -> None:
+    """At rest the torque of the bristle stays to the last bit, whatever load goes up and down at the joint."""
+    rng = np.random.default_rng(2)
+    seven = Seven.of([any_element(rng, load=any_load(rng)) for _ in range(7)])
+    seven.z[:] = rng.uniform(-1e-5, 1e-5, 7)
+    before = seven.z.copy()
+    motion = np.zeros((500, 3, 7))
+    motion[:, 2] = 100.0 * rng.standard_normal((500, 7))
+    torque, _ = along(seven, motion, 2.5e-4)
+    assert np.array_equal(seven.z, before)
+    assert np.array_equal(torque, np.broadcast_to(seven.elements["c0"][0] * before, (500, 7)))
+
+
+def test_the_load_follows_exactly() -> None:
+    """A held torque is followed as 1 - exp(-t / relax_time), in one step or in many (20 sets of values)."""
+    rng = np.random.default_rng(3)
+    for _ in range(-(-SETS // 7)):
+        elements = [any_element(rng, load=any_load(rng)) for _ in range(7)]
+        relax = np.array([element.load.relax_time for element in elements if element.load])
+        start, held = rng.uniform(-50.0, 50.0, (2, 7))
+        duration = 10.0 ** rng.uniform(-3, -1)
+        for parts in (1, 16):
+            seven = Seven.of(elements)
+            begin(seven.parts, seven.states, start)
+            along(seven, np.broadcast_to(np.array([0.0 * held, 0.0 * held, held]), (parts, 3, 7)), duration / parts)
+            want = held + (start - held) * np.exp(-duration / relax)
+            assert seven.states["load"][0] == pytest.approx(want, rel=1e-12, abs=1e-12)
+
+
+def any_ripple(rng: np.random.Generator) -> RipplePart:
+    """Return one to four waves of each angle, whose amplitudes sum to less than 1."""
+    values: dict[str, Sequence[float]] = {}
+    for angle in ANGLES:
+        terms = int(rng.integers(1, 5))
+        values[f"{angle}_harmonic"] = tuple(rng.choice([1.0, 2.0, 3.0, 31.5], terms).tolist())
+        values[f"{angle}_amplitude"] = tuple((0.45 * rng.dirichlet(np.ones(terms))).tolist())
+        values[f"{angle}_phase"] = tuple(rng.uniform(-np.pi, np.pi, terms).tolist()) if rng.random() < 0.7 else ()
+    return RipplePart(**values)  # type: ignore[arg-type]
+
+
+def test_sliding_torque_along_the_angles() -> None:
+    """At constant velocity the torque is (1 + series) times Coulomb and Stribeck, plus viscous (50 sets of values).
+
+    Beside a random walk, which is held here, it is (1 + series) (1 + walk) times as large.
+    """
+    rng = np.random.default_rng(5)
+    for _ in range(8):
+        elements = [any_element(rng, ripple=any_ripple(rng), scatter=ScatterPart(0.1, 1.0)) for _ in range(7)]
+        seven = Seven.of(elements)
+        seven.parts["scatter"]["decay"], seven.parts["scatter"]["kick"] = 1.0, 0.0
+        walk = seven.states["scatter_factor"][0]
+        assert np.abs(walk - 1.0).max() > 0.05
+        velocity = rng.choice([-1.0, 1.0], 7) * rng.uniform(0.01, 1.0, 7)
+        # A long way inside each angle: the bristle has settled there before the angle is the next one.
+        angle = np.repeat(rng.uniform(-3.0, 3.0, (6, 7)), 3, axis=0)
+        motion = np.stack([angle, np.broadcast_to(velocity, angle.shape), 0.0 * angle], axis=1)
+        torque, _ = along(seven, motion, 1e3)
+        for i, element in enumerate(elements):
+            part = element.ripple
+            assert part is not None
+            series = np.zeros(len(angle))
+            for name, turns in (("joint", 1.0), ("motor", GEAR[i])):
+                harmonic, amplitude = getattr(part, f"{name}_harmonic"), getattr(part, f"{name}_amplitude")
+                phase = getattr(part, f"{name}_phase") or np.zeros(len(harmonic))
+                for h, a, p in zip(harmonic, amplitude, phase, strict=True):
+                    series += a * np.cos(h * turns * angle[:, i] + p)
+            sign = np.sign(velocity[i])
+            dry = sign * (1 + series) * walk[i] * element.sliding_torque(velocity[i])
+            want = dry + element.viscous_torque(velocity[i])
+            assert torque[2::3, i] == pytest.approx(want[2::3], rel=1e-9)
+
+
+LOAD = LoadPart(0.2, 0.4, 0.2, 0.1, 0.005, 0.002)
+RIPPLE = RipplePart((1.0, 3.0), (0.3, 0.2), (0.5, 1.0), (2.0,), (0.45,))
+SCATTER = ScatterPart(0.2, 0.05)
+WARM = TemperaturePart(40.0, 20.0, 90.0, 70.0, 20.0, 1e-3, 50.0, 20.0, 0.3, 0.02, -0.015)
+CYCLES, STEPS, ROUNDS = 50, 40, 30
+"""Times seven elements: 10,500 cycles."""
+
+
+def cycles(rng: np.random.Generator) -> tuple[Array, float]:
+    """Return closed motions from presliding to full speed under loads that jump, (n, 3, 7), and their step, s."""
+    amplitude = 10.0 ** rng.uniform(-5, -1, (CYCLES, 1, 7))
+    phase = 2.0 * np.pi * (np.arange(STEPS + 1) / STEPS)[None, :, None]
+    way = amplitude * (np.sin(phase) + rng.uniform(-1, 1, (CYCLES, 1, 7)) * (np.cos(rng.integers(2, 5) * phase) - 1.0))
+    angle = rng.uniform(-3.0, 3.0, (CYCLES, 1, 7)) + 0.5 * (way[:, 1:] + way[:, :-1])
+    loads = 50.0 * rng.standard_normal((CYCLES, STEPS, 7))
+    step = np.abs(np.diff(way, axis=1)).max() / SPEED * 10.0 ** rng.uniform(0, 2)
+    motion = (angle, np.diff(way, axis=1) / step, loads)
+    return np.stack([part.reshape(-1, 7) for part in motion], axis=1), float(step)
+
+
+def gained(seven: Seven, rng: np.random.Generator) -> Array:
+    """Return, for each step of many cycles, what the bristles gain beyond what they were given, J over Nm of tau_c."""
+    motion, step = cycles(rng)
+    before = 0.5 * seven.elements["c0"][0] * seven.z**2
+    torque, stored = along(seven, motion, step)
+    given = torque * motion[:, 1] * step
+    return np.asarray((np.diff(stored, axis=0, prepend=before[None]) - given) / seven.elements["tau_c"][0, 0])
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [(LOAD,), (RIPPLE,), (SCATTER,), (WARM,), (LOAD, RIPPLE, SCATTER, WARM)],
+    ids=["load", "ripple", "scatter", "temperature", "together"],
+)
+def test_no_part_creates_energy(parts: tuple[FrictionPart, ...]) -> None:
+    """In every step of 10,500 random cycles the storage c0 z^2 / 2 grows by the work that goes in, or by less."""
+    rng = np.random.default_rng(8)
+    for _ in range(ROUNDS):
+        element = any_element(rng, **{part.name: part for part in parts})
+        elements = [replace(element, c1=0.0), *[element] * 6]
+        assert gained(Seven.of(elements, seed=3), rng).max() < 1e-12
+
+
+def test_a_ripple_that_pushes_would_be_seen() -> None:
+    """Amplitudes beyond 1, which a file may not have, turn the friction's sign for a while, and energy comes of it."""
+    rng = np.random.default_rng(8)
+    seven = Seven.of([any_element(rng, ripple=RIPPLE)] * 7)
+    seven.parts["ripple"]["cosine"] *= 1.5
+    seven.parts["ripple"]["sine"] *= 1.5
+    with np.errstate(invalid="ignore"):  # what grows without bound may end beyond all numbers
+        assert not gained(seven, rng).max() < 1e-6
