@@ -67,7 +67,7 @@ def planned_motions(setup: Setup, body: Payload, runs: int) -> list[Motion]:
     options = ExcitationOptions(runs=runs, validation=False)
     time = np.arange(round(RATE * options.period * options.periods)) / RATE
     plan = plan_excitation(heavier, options)
-    return [plan.search.basis.at(time).motion(coefficients) for coefficients in plan.coefficients]
+    return [tuple(plan.basis(time) @ coefficients.T) for coefficients in plan.coefficients]
 
 
 def transmitted_of(setup: Setup, motion: Motion, body: Payload | None) -> tuple[Array, Array]:
