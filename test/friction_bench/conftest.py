@@ -67,6 +67,17 @@ def _builder(factory: pytest.TempPathFactory, name: str, defines: str) -> Callab
     return cache(build)
 
 
+@pytest.fixture
+def make_mutant(tmp_path: Path, make_board: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a maker of a board with a firmware in which one text is replaced."""
+
+    def make(target: str, file: str, old: str, new: str) -> Any:
+        sources = mutate(tmp_path / "mutant", file, old, new)
+        return make_board(target, binary=make_firmware(target, sources, tmp_path / "mutant_firmware"))
+
+    return make
+
+
 @pytest.fixture(scope="session")
 def shim(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """Return a builder of what couples a simulator to these tests, once a session."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from rig_bench import greeted
-from rig_conformance import BIPOLAR_TRANSCRIPTS, TRANSCRIPTS, Player, armed
+from rig_conformance import BIPOLAR_TRANSCRIPTS, TRANSCRIPTS, MismatchError, Player, armed
 
 from friction_bench.experiment.job import run_ramp
 from friction_bench.rig.emulated import NativeBoard, native_library
@@ -20,6 +20,52 @@ from rx90_common.base.share import PRESLIDING_RIG, config_path
 
 SIMULATED = [pytest.param(target, marks=pytest.mark.firmware) for target in ("mcs51", "avr")]
 ALL = ["native", *SIMULATED]
+
+MUTANTS = {
+    "half_crc_low": ("core/frame.c", "(uint8_t)crc != frame_rx[rx_count - 2u] ||", "0 ||"),
+    "half_crc_high": ("core/frame.c", "|| (uint8_t)(crc >> 8) != frame_rx[rx_count - 1u]", ""),
+    "slow_watchdog": ("core/rig_config.h", "WATCHDOG_TICKS 7u", "WATCHDOG_TICKS 12u"),
+    "hasty_watchdog": ("core/rig_config.h", "WATCHDOG_TICKS 7u", "WATCHDOG_TICKS 4u"),
+    "no_watchdog": ("core/rig.c", "trip(FAULT_WATCHDOG);", ";"),
+    "high_torque": ("core/rig.c", "if (code > TORQUE_LIMIT_CODE)", "if (0)"),
+    "high_ramp": ("core/rig.c", "end > TORQUE_LIMIT_CODE", "0"),
+    "unlatched": ("core/rig.c", "    fault |= bit;\n", ""),
+    "faulty_arming": ("core/rig.c", "    if (fault)\n        return RESULT_FAULT;\n", ""),
+    "stage_left_on": ("core/rig.c", "    hal_stage(0);\n    drive(0);", "    drive(0);"),
+    "torque_left_on": ("core/rig.c", "    hal_stage(0);\n    drive(0);", "    hal_stage(0);"),
+    "no_greeting": ("core/rig.c", "    if (!hello_seen)\n        return RESULT_NO_HELLO;\n", ""),
+    "any_version": ("core/rig.c", "version == PROTOCOL_VERSION", "1"),
+    "no_travel": ("core/rig.c", "trip(FAULT_TRAVEL);", ";"),
+    "old_travel": ("core/rig.c", "    travel_start = (uint16_t)(counts >> 8);\n", ""),
+    "no_speed": ("core/rig.c", "trip(FAULT_SPEED);", ";"),
+    "no_current": ("core/rig.c", "trip(FAULT_CURRENT);", ";"),
+    "hasty_current": ("core/rig_config.h", "CURRENT_LIMIT_TICKS 3u", "CURRENT_LIMIT_TICKS 2u"),
+    "sticky_current": (
+        "core/rig.c",
+        "(uint8_t)(over_current + 1u) : 0",
+        "(uint8_t)(over_current + 1u) : over_current",
+    ),
+    "twice": ("core/rig.c", "hello_seen && sequence == ack_sequence", "0 && sequence == ack_sequence"),
+    "deaf_stop": ("core/rig.c", " && type != HELLO && type != STOP)", " && type != HELLO)"),
+    "floor_ramp": ("core/rig.c", "level = 0x80u;", "level = 0u;"),
+    "ramp_stays_on": (
+        "core/rig.c",
+        "        power_off(DISARMED);\n        return;\n    }\n    drive",
+        "        return;\n    }\n    drive",
+    ),
+    "differences": ("core/rig.c", "    counts += moved;", "    counts = moved;"),
+    "loose_limits": ("core/rig.c", "distance > MAX_TRAVEL", "0"),
+    "loose_speed": ("core/rig.c", "speed > MAX_SPEED", "0"),
+}
+BIPOLAR_MUTANTS = {
+    "deaf direction": ("steer(frame_rx[3]);", ";"),
+    "forward ramp": ("steer((frame_rx[5] & WAY_BACKWARD) != 0);", ";"),
+    "pause at zero": ("(uint16_t)(slope + 0x100u - level)", "0x80u"),
+    "one side": ("steer(!backward);", ";"),
+    "endless turns": ("turns--;", ";"),
+    "third direction": ("if (frame_rx[3] > 1u)", "if (0)"),
+    "unsigned report": ("(backward ? STATUS_BACKWARD : 0u)", "0u"),
+}
 
 
 @pytest.mark.parametrize("target", ALL)
@@ -35,6 +81,22 @@ def test_every_target_follows_the_transcript(
     """
     binary = bipolar_firmware(target) if transcript in BIPOLAR_TRANSCRIPTS else None
     Player(make_board(target, binary=binary)).play(transcript)
+
+
+@pytest.mark.parametrize("name", [*MUTANTS, *BIPOLAR_MUTANTS])
+def test_transcripts_catch_the_mutant(name: str, mutant: Callable[..., Any]) -> None:
+    """A firmware with one rule of safety, or of directions, taken out fails a transcript."""
+    board, transcripts = mutant(*MUTANTS[name]) if name in MUTANTS else None, TRANSCRIPTS
+    if board is None:
+        board = mutant("core/rig.c", *BIPOLAR_MUTANTS[name], {"BIPOLAR": 1, "COUNTS_DOWN": 1})
+        transcripts = BIPOLAR_TRANSCRIPTS
+    for transcript in transcripts:
+        board.reset(1)
+        try:
+            Player(board).play(transcript)
+        except MismatchError:
+            return
+    pytest.fail(f"no transcript notices the mutant {name}")
 
 
 @pytest.mark.firmware
@@ -87,9 +149,35 @@ def time_at_full_scale(board: Any) -> float:
 
 
 @pytest.mark.firmware
-def test_8051_clears_the_dac_within_microseconds_of_power_up(make_board: Callable[..., Any]) -> None:
-    """The ports' reset value, a full-scale DAC, lasts less than 20 µs, and the stage is off meanwhile."""
+def test_8051_clears_the_dac_within_microseconds_of_power_up(
+    make_board: Callable[..., Any], make_mutant: Callable[..., Any]
+) -> None:
+    """The ports' reset value, a full-scale DAC, lasts less than 20 µs, and the stage is off meanwhile.
+
+    Of a binary that leaves the ports to the C start-up it lasts longer.
+    """
     assert time_at_full_scale(make_board("mcs51")) < 20e-6
+    assert time_at_full_scale(make_mutant("mcs51", "mcs51/hal_mcs51.c", "    DAC_PORT = 0;\n", "")) > 20e-6
+
+
+BOARD_MUTANTS = {
+    "8051 stage upside down": ("greeting", "mcs51", "mcs51/hal_mcs51.c", "STAGE_OFF = !on", "STAGE_OFF = on"),
+    "8051 patient watchdog": ("watchdog", "mcs51", "core/rig_config.h", "WATCHDOG_TICKS 7u", "WATCHDOG_TICKS 12u"),
+    "8051 edges in seven bits": ("runaway", "mcs51", "mcs51/hal_mcs51.c", "(uint8_t)(now - last", "0x7f & (now - last"),
+    "AVR stage upside down": ("greeting", "avr", "avr/hal_avr.c", "    if (on)\n", "    if (!on)\n"),
+    "AVR patient watchdog": ("watchdog", "avr", "core/rig_config.h", "WATCHDOG_TICKS 7u", "WATCHDOG_TICKS 12u"),
+    "AVR half a DAC": ("torque", "avr", "avr/hal_avr.c", "(PORTB & 0xf0) | (code >> 4)", "PORTB & 0xf0"),
+}
+
+
+@pytest.mark.firmware
+@pytest.mark.parametrize("name", BOARD_MUTANTS)
+def test_transcripts_catch_the_mutant_binary(name: str, make_mutant: Callable[..., Any]) -> None:
+    """A real binary with a safety rule or a pin taken out fails its transcript."""
+    transcript, *mutation = BOARD_MUTANTS[name]
+    path = next(path for path in TRANSCRIPTS if path.stem == transcript)
+    with pytest.raises(MismatchError):
+        Player(make_mutant(*mutation)).play(path)
 
 
 @pytest.mark.firmware
