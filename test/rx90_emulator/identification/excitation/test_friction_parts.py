@@ -456,6 +456,14 @@ def test_friction_that_falls_with_speed_is_said(arm: RigidArm) -> None:
     assert "without its bound 0 it would be -0." in estimates["c2"].reason
 
 
+def test_friction_without_a_viscous_part_carries_no_warning(arm: RigidArm) -> None:
+    """Where noise alone takes c2 below its bound 0, nothing is said of friction that falls with speed."""
+    laws = (power_law(3.0, 0.0, 1.0), power_law(1.0, 0.0, 1.0))
+    found = identify_friction_parts(problem_of(arm, record(laws, 1)), (), fixed=True)
+    assert any("without its bound 0" in one.parameters["c2"].reason for one in found.elements)
+    assert found.warnings == ()
+
+
 def test_a_bristle_needs_coulomb_torque(arm: RigidArm) -> None:
     """An element without Coulomb torque gets no bristle, even asked for, nor a c0 of 0; the reasons say so."""
     laws = (power_law(-0.2, 2.0, 1.0), LAWS[1])  # 0 is the best value
