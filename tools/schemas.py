@@ -8,8 +8,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from rx90_emulator.configuration.kinds import KINDS
 from rx90_emulator.configuration.nodes import NODE_FILE
-from rx90_emulator.configuration.origins import KINDS
 
 FOLDER = Path(__file__).resolve().parent.parent / "config" / "schemas"
 

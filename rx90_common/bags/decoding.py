@@ -14,14 +14,13 @@ from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.topics import FIELDS
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, ExchangeError
-from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.cdr import (
     ENCAPSULATION,
     LITTLE_ENDIAN,
     STAMP_BYTES,
     JointStateCodec,
     cdr_stamps_ns,
-    message_time_ns,
 )
 
 Deserialize = Callable[[bytes], Any]

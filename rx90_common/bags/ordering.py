@@ -22,7 +22,6 @@ from rx90_common.exchange.cdr import ENCAPSULATION, cdr_stamp_ns
 _HOLD_NS = 500_000_000  # of simulated time; far above the differences between topics
 _RESEND_NS = 1_000_000_000  # of the wall clock; a lost message delays its topic by several heartbeats
 _MAX_UNDATED_BYTES = 16 << 20
-_ALWAYS = int(np.iinfo(np.int64).min)  # reception before all others, ns
 OTHER_CLOCK_NS: Final = 86_400 * NANOSECONDS
 """A stamp this far from the newest one belongs to another clock: wall-clock time among simulated times, for example."""
 _COUNT = slice(ENCAPSULATION, ENCAPSULATION + 4)  # where a list has its length
@@ -52,14 +51,15 @@ class Dated(NamedTuple):
 class Arrived(NamedTuple):
     """n messages of the topic with this index, in the order of arrival.
 
-    `source` is the source of their log time; `received_ns` are the wall clock's times of reception, int64 (n,), or of
-    sending where messages are older than the subscription.
+    `source` is the source of their log time; `received_ns` are the wall clock's times of reception, int64 (n,), and
+    `sent_ns`, of latched messages, those of sending by the publisher's wall clock.
     """
 
     topic: int
     source: TimeSource
     messages: MessageBatch
     received_ns: Int64Array
+    sent_ns: Int64Array | None = None
 
 
 class LogOrder:
@@ -67,8 +67,9 @@ class LogOrder:
 
     All log times are of one clock: that of the first topic that defines the time. Messages with stamps of another clock
     get their time of reception, as messages without a stamp do. Messages before the first one that defines the
-    time get that one's, also if they arrive after it, as long as nothing has been released. If no topic defines the
-    time, it is the clock of the first stamp, or the wall clock's time of reception.
+    time get that one's. So do latched ones without a stamp that were sent before it and arrive after it, as long as
+    nothing has been released. If no topic defines the time, it is the clock of the first stamp, or the wall clock's
+    time of reception.
 
     Log time never goes back, because a reader, which sorts by it, would mix two runs: if stamps go back, after a reset
     of the simulation, log time continues from its last value, and is ahead of them from then on.
@@ -109,10 +110,7 @@ class LogOrder:
 
     def add(self, arrived: Sequence[Arrived]) -> None:
         """Take the messages that have arrived since the last call."""
-        self._known = [] if self._newest is None else [_column(_ALWAYS, self._newest, self._offsets[-1])]
-        if self._newest is not None and self._first is not None and self._next_cut == 0:
-            received_ns, stamp = self._first
-            self._known = [_column(_ALWAYS, stamp, 0), _column(received_ns, self._newest, self._offsets[-1])]
+        self._known = [] if self._newest is None else [self._since_ever(self._newest)]
         for each in (each for each in arrived if len(each.messages)):
             self.held_bytes += each.messages.total
             gives_time = each.source is TimeSource.CLOCK and each.topic not in self.other_clock
@@ -163,6 +161,9 @@ class LogOrder:
     def _hold(self, arrived: Arrived, log_ns: Int64Array) -> None:
         self._held.append(Dated(log_ns, np.full(len(log_ns), arrived.topic, dtype=np.int64), arrived.messages))
 
+    def _since_ever(self, log_ns: int) -> Int64Array:
+        return np.array([[np.iinfo(np.int64).min], [log_ns], [self._offsets[-1]]])
+
     def _date_by_stamps(self, arrived: Arrived) -> bool:
         """Date messages that give the time, and go on by them; return False if they are of another clock."""
         topic, stamps, newest = arrived.topic, arrived.messages.stamps_ns(), self.newest_ns
@@ -170,7 +171,7 @@ class LogOrder:
             return False
         if newest is None:
             self._first = int(arrived.received_ns[0]), int(stamps[0])
-            self._known = [_column(_ALWAYS, self._first[1], 0)]
+            self._known = [self._since_ever(int(stamps[0]))]
         offsets = np.empty_like(stamps)
         ends = [*(np.flatnonzero(np.diff(stamps) < 0) + 1).tolist(), len(stamps)]
         for begin, end in zip([0, *ends[:-1]], ends, strict=True):  # from one set-back to the next
@@ -201,6 +202,9 @@ class LogOrder:
                 known = known[:, np.argsort(known[0], kind="stable")]
                 at = np.searchsorted(known[0], each.received_ns) - 1
                 now, ahead = np.maximum.accumulate(known[1:], axis=1)[:, at]
+                if each.sent_ns is not None and self._first is not None and self._next_cut == 0:
+                    began_ns, first = self._first
+                    now = np.where((each.sent_ns < began_ns) & (stamps == 0), first, now)
             else:
                 if self._ahead is None:
                     self._ahead = int(stamps[0] - each.received_ns[0]) if stamps[0] else 0
@@ -210,10 +214,6 @@ class LogOrder:
             if other.any():
                 self.other_clock[each.topic] += int(other.sum())
             self._hold(each, np.where(stamped & ~other, stamps + ahead, now))
-
-
-def _column(received_ns: int, log_ns: int, lead_ns: int) -> Int64Array:
-    return np.array([[received_ns], [log_ns], [lead_ns]])
 
 
 def _stamps_ns(messages: MessageBatch, source: TimeSource) -> Int64Array:

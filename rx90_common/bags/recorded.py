@@ -19,7 +19,7 @@ from rx90_common.bags.reading import BagReader
 from rx90_common.bags.topics import JOINT_TRAJECTORY, POINT_FIELDS, STRING, reports_changes
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain, quoted
-from rx90_common.exchange.cdr import message_time_ns
+from rx90_common.base.rates import message_time_ns
 from rx90_common.exchange.topics import COMMANDED_TRAJECTORY, OF_ACTION, TRAJECTORY_ACCEPTED
 
 START: Final = "start"

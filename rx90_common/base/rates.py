@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from rx90_common.base.errors import ConfigError
 
 NANOSECONDS = 1_000_000_000
+
+
+def message_time_ns(time: Any) -> int:
+    """Return a builtin_interfaces Time or Duration in ns."""
+    return int(time.sec) * NANOSECONDS + int(time.nanosec)
 
 
 def ticks_per(name: str, base_hz: int, rate_hz: int) -> int:

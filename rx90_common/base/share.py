@@ -71,7 +71,7 @@ def sources_hash(files: Iterable[Path], salt: str = "") -> str:
     return digest.hexdigest()[:16]
 
 
-_PACKAGES = ("rx90_emulator", "numpy", "scipy", "numba", "pin")
+_LIBRARIES = ("rx90_emulator", "numpy", "scipy", "numba", "pin")
 
 
 def versions() -> dict[str, str]:
@@ -79,7 +79,7 @@ def versions() -> dict[str, str]:
     from importlib.metadata import PackageNotFoundError, version
 
     found = {"python": f"{sys.version_info.major}.{sys.version_info.minor}"}
-    for package in _PACKAGES:
+    for package in _LIBRARIES:
         try:
             found[package] = version(package)
         except PackageNotFoundError:

@@ -17,8 +17,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError, MessageError
-from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr import JointStateCodec, message_time_ns
+from rx90_common.base.rates import NANOSECONDS, message_time_ns
+from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.endpoints import ManualCallbackGroup, never_called
 from rx90_common.exchange.ros_start import controller_topic
 from rx90_common.exchange.topics import SAMPLED, TIME_MODE, TRAJECTORY_ACCEPTED, TimeMode

@@ -17,7 +17,6 @@ import math
 import struct
 from collections.abc import Callable, Sequence
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
@@ -54,11 +53,6 @@ def cdr_stamps_ns(messages: NDArray[np.uint8]) -> NDArray[np.int64]:
     seconds = messages[:, ENCAPSULATION : ENCAPSULATION + 4].copy().view("<i4")[:, 0].astype(np.int64)
     nanoseconds = messages[:, ENCAPSULATION + 4 : HEAD].copy().view("<u4")[:, 0].astype(np.int64)
     return np.asarray(seconds * NANOSECONDS + nanoseconds)
-
-
-def message_time_ns(time: Any) -> int:
-    """Return a builtin_interfaces Time or Duration in ns."""
-    return int(time.sec) * NANOSECONDS + int(time.nanosec)
 
 
 _COUNT, _STAMP = struct.Struct("<I"), struct.Struct("<iI")

@@ -20,8 +20,7 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.quoting import one_line
-from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr import message_time_ns
+from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.pacing import ThrottledLog
 from rx90_common.exchange.topics import CORRECTED, OF_ACTION
 from rx90_controller.law.cs7b import CS7B, DriveFault

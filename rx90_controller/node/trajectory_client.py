@@ -17,9 +17,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
-from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange import endpoints
-from rx90_common.exchange.cdr import message_time_ns
 from rx90_common.exchange.client_node import POLL, ClientNode, ServiceRequest, spoken
 from rx90_common.exchange.endpoints import ros_time
 from rx90_common.exchange.ros_start import controller_topic

@@ -13,8 +13,8 @@ from rx90_common.bags.topics import POINT_FIELDS
 from rx90_common.base.arrays import Array, Mask, array_digest
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.quoting import quoted
-from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr import CdrReader, message_time_ns
+from rx90_common.base.rates import NANOSECONDS, message_time_ns
+from rx90_common.exchange.cdr import CdrReader
 from rx90_controller.trajectory.correction import Correction
 from rx90_controller.trajectory.spline import Spline
 

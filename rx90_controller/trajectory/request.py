@@ -19,8 +19,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.declared import option
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.quoting import quoted
-from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr import message_time_ns
+from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_controller.trajectory.generator import PastError, Schedule, TrajectoryGenerator
 from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, points_from_message
 

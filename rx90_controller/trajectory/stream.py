@@ -22,8 +22,7 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.declared import option
 from rx90_common.base.errors import ConfigError, TrajectoryError
 from rx90_common.base.quoting import quoted
-from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr import message_time_ns
+from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_controller.trajectory.paths import JointLimits
 from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, joint_table

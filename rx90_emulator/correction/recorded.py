@@ -21,8 +21,7 @@ from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import BagError, ConfigError
 from rx90_common.base.quoting import plain
-from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr import message_time_ns
+from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_emulator.correction.file import CorrectionFile
 from rx90_emulator.correction.learning import RECORD, LearnedCorrection, Learner, Measured
 from rx90_emulator.correction.path import TrajectoryPath

@@ -33,8 +33,8 @@ from rx90_emulator.identification.estimates import (
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.experiments.plan import IdentificationBags, read_emulated, read_index
 from rx90_emulator.identification.options import (
-    DEFAULT_ROBOT,
     NO_TOLERANCES,
+    SHIPPED_ROBOT,
     SLIDING_PARTS,
     GivenTolerances,
     RobotOptions,
@@ -141,7 +141,7 @@ def shown_parameters(result: FrictionIdentification) -> tuple[str, ...]:
 
 def identify_friction(
     bags: IdentificationBags | Path | str,
-    robot: RobotOptions = DEFAULT_ROBOT,
+    robot: RobotOptions = SHIPPED_ROBOT,
     tolerances: GivenTolerances = NO_TOLERANCES,
     progress: Callable[[str], None] = lambda _: None,
     *,
@@ -202,7 +202,7 @@ def identify_friction(
 def check_friction(
     friction: FrictionFile | Path | str,
     bags: Sequence[Path | str],
-    robot: RobotOptions = DEFAULT_ROBOT,
+    robot: RobotOptions = SHIPPED_ROBOT,
     tolerances: GivenTolerances = NO_TOLERANCES,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Validation, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -53,12 +53,14 @@ _BAR = "{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
 @contextmanager
 def steps(total: int) -> Iterator[Callable[[str], None]]:
     """Show a progress bar of `total` steps; yield the function to call with the name of each step before it."""
-    # It appears with the first step: what is refused before needs none.
-    with tqdm(total=total, bar_format=_BAR, disable=None, file=sys.stderr, delay=1e-9, mininterval=0.0) as bar:
+    with ExitStack() as shown:
+        bars: list[tqdm[Any]] = []
 
         def step(text: str) -> None:
-            bar.set_description_str(text, refresh=False)
-            bar.update()
+            if not bars:  # not earlier: what is refused before the first step needs no bar
+                bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, disable=None, file=sys.stderr)))
+            bars[0].set_description_str(text)
+            bars[0].update()
 
         yield step
 
@@ -117,8 +119,9 @@ def run_identification(
     output: Path,
     report: Path | None = None,
     *,
+    bristle_kinds: bool = False,
+    model: Sequence[str] | None = None,
     force: bool = False,
-    **how: Any,
 ) -> bool:
     """Identify with a progress bar, write the files, print a summary, and return whether all validation bags agree.
 
@@ -130,10 +133,10 @@ def run_identification(
     _checked_targets(output, report, force=force)
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
     total = sum(map(len, vars(chosen).values())) + 2 + len(chosen.validation)
-    if how.get("bristle_kinds"):
+    if bristle_kinds:
         total += kind_steps(RecordedRobot.load(robot, chosen.sliding).arm)
     with steps(total) as step:
-        result = identify_friction(chosen, robot, tolerances, step, **how)
+        result = identify_friction(chosen, robot, tolerances, step, bristle_kinds=bristle_kinds, model=model)
     files = write_identification(result, output, report, force=force)
     print(f"{identification_summary(result)}\nfriction file: {files[0]}\nreport: {files[1]}")
     return result.confirmed

@@ -86,7 +86,7 @@ class RobotOptions:
     signals: Path | str | None = None
 
 
-DEFAULT_ROBOT = RobotOptions()
+SHIPPED_ROBOT = RobotOptions()
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -142,7 +143,7 @@ class JointRecord:
         position, velocity, torque = (values[:, place] for values in (self.position, self.velocity, self.torque))
         return replace(self, names=tuple(names), position=position, velocity=velocity, torque=torque)
 
-    @property
+    @cached_property
     def period(self) -> float:
         """Return the usual time between two samples, s; 0 for a single one."""
         return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0

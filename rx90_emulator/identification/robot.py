@@ -27,7 +27,7 @@ from rx90_common.exchange.topics import MOTOR_STATES, motor_names
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile, refuse_parts
 from rx90_emulator.identification.arm import RigidArm, movable_joints
-from rx90_emulator.identification.options import DEFAULT_ROBOT, MeasuredLayout, RobotOptions
+from rx90_emulator.identification.options import SHIPPED_ROBOT, MeasuredLayout, RobotOptions
 from rx90_emulator.loop.setup import Setup
 
 JOINT_STATES = "joint_states"
@@ -269,7 +269,7 @@ class RecordedRobot:
 
     arm: RigidArm
     setup: Setup | None = None
-    options: RobotOptions = DEFAULT_ROBOT
+    options: RobotOptions = SHIPPED_ROBOT
     fallback: tuple[FrictionElement, ...] | None = None
     fallback_name: str | None = None
     mapping: LogMapping | None = None

@@ -21,7 +21,6 @@ from rx90_common.base.errors import ConfigError, FailureError, check_type
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.topics import JOINT_COMMANDS, MEASURED_JOINT_STATES
 from rx90_common.kernels.compiled import kernel
-from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.loop.result import series_of
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import JointInterface
@@ -216,6 +215,8 @@ class ComputedTorque:
     """
 
     def __init__(self, setup: Setup, amplitude: float = 0.3, period: float = 4.0, *, friction: bool = True) -> None:
+        from rx90_emulator.identification.arm import RigidArm  # brings Pinocchio, which other controllers do without
+
         self._arm = RigidArm.from_setup(setup)
         self._half, self._speed = 0.5 * amplitude, 2.0 * math.pi / period
         # Tabulated, because the curves of seven elements take longer than everything else in a call.

@@ -14,8 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
-from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr import message_time_ns
+from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.client_node import ClientNode, ServiceRequest, spoken
 from rx90_common.exchange.topics import JOINT_COMMANDS, MEASURED_JOINT_STATES
 

@@ -226,7 +226,7 @@ class Stream:
         )
         self.counter = SequenceCounter(self.matched, transient_local=self._latched)
         self.repeated = self.sent_ns = 0
-        self._subscribed_ns, self._ready_ns, self._newest = time.time_ns(), _NEVER, b""
+        self._ready_ns, self._newest = _NEVER, b""
 
     @property
     def needs_publisher(self) -> bool:
@@ -251,8 +251,6 @@ class Stream:
         if not found:
             return Arrived(self.index, self.time_source, messages, received_ns)
         self.sent_ns = int(sent_ns[-1])
-        if self._latched:  # what was sent before the subscription arrives at any time after it
-            received_ns = np.where(sent_ns < self._subscribed_ns, np.minimum(sent_ns, received_ns), received_ns)
         for message, info in found if self.msgtype == JOINT_TRAJECTORY else ():
             if not self._latched or info["source_timestamp"] >= self._ready_ns:  # else accepted before the recording
                 with suppress(Exception):  # rosbags has no error of its own for bytes that are no message
@@ -263,7 +261,7 @@ class Stream:
             self._newest = found[-1][0]
             self.repeated += int(again.sum())
             messages, received_ns = messages.take(np.flatnonzero(~again)), received_ns[~again]
-        return Arrived(self.index, self.time_source, messages, received_ns)
+        return Arrived(self.index, self.time_source, messages, received_ns, sent_ns if self._latched else None)
 
     def matched(self) -> int:
         """Return how many publishers were ever matched."""

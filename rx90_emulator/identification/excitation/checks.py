@@ -25,7 +25,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.fit import nonnegative, solve, time_blocks
 from rx90_emulator.identification.excitation.law import COULOMB, VISCOUS, ElementShape, joint_columns
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.options import DEFAULT_ROBOT, RobotOptions
+from rx90_emulator.identification.options import SHIPPED_ROBOT, RobotOptions
 from rx90_emulator.identification.zeros import ROUNDS, SMALLEST, ResidualPower, ZeroCheck, find_zeros, is_error
 
 
@@ -69,7 +69,7 @@ _SHORT_ERROR, _SHORT_REMAINDER = 0.1, 1.0 / 3.0  # of short runs: share of the t
 _CLEAR_SE = 3.0  # standard errors by which a sign, or a zero, must explain more
 
 
-def check_signs(problem: ExcitationProblem, options: RobotOptions = DEFAULT_ROBOT) -> None:
+def check_signs(problem: ExcitationProblem, options: RobotOptions = SHIPPED_ROBOT) -> None:
     """Refuse runs in which torques or motions of motors clearly have the wrong sign; not by very short ones.
 
     Args:

@@ -58,7 +58,7 @@ from rx90_emulator.identification.excitation.result import (
     trends,
 )
 from rx90_emulator.identification.identify import check_given_once, read_records, with_friction
-from rx90_emulator.identification.options import DEFAULT_ROBOT, ExcitationTolerances, RobotOptions, model_parts
+from rx90_emulator.identification.options import SHIPPED_ROBOT, ExcitationTolerances, RobotOptions, model_parts
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import BagLayout, RecordedRobot
 from rx90_emulator.identification.validation.prediction import (
@@ -75,7 +75,7 @@ _DEFAULT_TOLERANCES = ExcitationTolerances()
 
 def identify_excitation(
     bags: Sequence[Path | str],
-    robot: RobotOptions = DEFAULT_ROBOT,
+    robot: RobotOptions = SHIPPED_ROBOT,
     validation: Sequence[Path | str] = (),
     tolerances: ExcitationTolerances = _DEFAULT_TOLERANCES,
     *,
@@ -307,7 +307,7 @@ def regressor(arm: RigidArm, position: ArrayLike, velocity: ArrayLike, accelerat
 
 
 def excitation_problem(
-    bags: Sequence[Path | str], robot: RobotOptions = DEFAULT_ROBOT, bandwidths: Bandwidths | None = None
+    bags: Sequence[Path | str], robot: RobotOptions = SHIPPED_ROBOT, bandwidths: Bandwidths | None = None
 ) -> ExcitationProblem:
     """Return the equations of recorded runs, the first step of `identify_excitation`: filtered torque, regressor, rows.
 
@@ -340,7 +340,7 @@ def predict_torque(
     velocity: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
     *,
-    robot: RobotOptions = DEFAULT_ROBOT,
+    robot: RobotOptions = SHIPPED_ROBOT,
 ) -> Array:
     """Return the drive torque at the joints along a motion, by a friction file and an arm's description.
 

@@ -68,21 +68,34 @@ def test_order_does_not_depend_on_the_interleaving(data: Any) -> None:
 
 
 def test_a_latched_message_sent_before_the_clock_began_has_the_first_time() -> None:
-    """It may arrive late, unless messages have been released; one that is sent later has the time of its sending."""
+    """It may arrive late, unless messages have been released; one that is sent later has the time of its reception."""
+
+    def latched(topic: int, text: bytes, sent: int, received: int) -> None:
+        order.add([Arrived(topic, TimeSource.NEWEST, MessageBatch.of([text]), *np.array([[received], [sent]]) * MS)])
+
     order = LogOrder()
     for stamp in range(0, 1000, 50):
         add(order, 0, TimeSource.CLOCK, [message(stamp * MS)], (5000 + stamp) * MS)
-    add(order, 1, TimeSource.NEWEST, [b"sent before"], 4990 * MS)
-    add(order, 2, TimeSource.NEWEST, [b"sent later"], 6000 * MS)
+    latched(1, b"sent before", 4990, 6000)
+    latched(2, b"sent later", 5500, 6000)
     assert not entries(order.release(7000 * MS))
     released = entries(order.release(8000 * MS))
-    add(order, 1, TimeSource.NEWEST, [b"after a release"], 4990 * MS)
+    latched(1, b"after a release", 4990, 8000)
     released += entries(order.release_all())
     assert [(e.log_ns, e.cdr) for e in released if e.topic] == [
         (0, b"sent before"),
         (950 * MS, b"after a release"),
         (950 * MS, b"sent later"),
     ]
+
+
+def test_without_a_clock_latched_messages_are_dated_by_their_reception() -> None:
+    """A description of a node that has run for hours does not make the bag begin hours ago."""
+    order = LogOrder()
+    order.expect_no_clock()
+    add(order, 0, TimeSource.NEWEST, [b"first"], 9000 * MS)
+    order.add([Arrived(1, TimeSource.NEWEST, MessageBatch.of([b"old"]), *np.array([[9001], [1]]) * MS)])
+    assert [(e.log_ns // MS, e.cdr) for e in entries(order.release(10**9))] == [(9000, b"first"), (9001, b"old")]
 
 
 def test_a_topic_that_is_sent_again_late_is_in_its_place() -> None:
