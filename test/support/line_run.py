@@ -38,15 +38,6 @@ TOPICS = {
     "/rx90_controller/commanded_current",
     "/rx90_controller/motor_current",
 }
-BURNER = """
-import time
-print("up")
-while True:  # half of the time, in turns that are long beside a tick
-    end = time.process_time() + 0.02
-    while time.process_time() < end:
-        pass
-    time.sleep(0.02)
-"""
 REACH = {"rx90b": 0.6, "tx40": 0.33}
 """How far in front of each robot the line is, m."""
 TASK = """
@@ -79,9 +70,10 @@ def run_both_ways(
     """Run the line of a shipped robot's setup both ways and compare all that was recorded, bit by bit.
 
     `around` is the command line before those of the simulation and the controller, which then start cold; `composed`
-    puts both into one process. So many `burners` take the processors while the simulation runs, which is deactivated
-    and activated so many times in between: `rests`. Then it is paced, slowly while it is to be met on its way, and the
-    pace is changed each time. `switches` of the feed-forward are on, in the setup too. `corrected`: with a correction.
+    puts both into one process. So many `burners` take a whole processor each while the simulation runs, which is
+    deactivated and activated so many times in between: `rests`. Then it is paced, slowly while it is to be met on its
+    way, and the pace is changed each time. `switches` of the feed-forward are on, in the setup too. `corrected`: with a
+    correction.
     """
     files = setup.files
     assert files is not None
@@ -116,7 +108,7 @@ def run_both_ways(
     # Only now: whoever sent the trajectory is gone before anybody records.
     recorder = processes.start("rx90_bag", "record", "--output", folder / "recorded")
     recorder.wait_for("ready: all")
-    burning = [processes.start(sys.executable, "-c", BURNER) for _ in range(burners)]
+    burning = [processes.start(sys.executable, "-c", "print('up')\nwhile True: pass") for _ in range(burners)]
     for burner in burning:
         burner.wait_for("up")
     client.simulation.pause(False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -156,6 +157,13 @@ def test_a_domain_in_use_is_not_given(ros_domain: int, processes: Processes) -> 
             given.add(domain)
     assert len(given) > module.LAST_DOMAIN // 2
     assert ros_domain not in given
+
+
+def test_two_tests_never_share_a_domain() -> None:
+    """A domain is given to one test at a time, before any participant is in it."""
+    with contextlib.ExitStack() as tests:
+        given = [tests.enter_context(own_domain()) for _ in range(10)]
+    assert len(set(given)) == 10
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])

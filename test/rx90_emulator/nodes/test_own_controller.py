@@ -36,15 +36,20 @@ def law(position: np.ndarray, velocity: np.ndarray, t: float) -> np.ndarray:
 
 
 def test_the_node_gives_the_bits_of_one_process(processes: Processes, client: Client) -> None:
-    """At 500 Hz, joints named backwards: links and measured states are, to the bit, those of `rx.run_controller`."""
-    publisher = client.node.create_publisher(JointState, "joint_commands", 1)
+    """At 500 Hz, joints named backwards: links and measured states are, to the bit, those of `rx.run_controller`.
+
+    Before each 20th command comes one with the same stamp that cannot be read: it changes no torque, and time waits on.
+    """
+    publisher = client.node.create_publisher(JointState, "joint_commands", 10)
 
     def answer(states: Any) -> None:
         measured.append(states)
         effort = law(np.array(states.position), np.array(states.velocity), seconds(states))
         command = JointState(name=states.name[::-1], effort=effort.tolist()[::-1])
         command.header.stamp = states.header.stamp
-        publisher.publish(command)
+        unreadable = JointState(header=command.header, name=command.name, effort=command.effort[1:])
+        for message in (command,) if len(measured) % 20 else (unreadable, command):
+            publisher.publish(message)
 
     measured: list[Any] = []
     client.node.create_subscription(JointState, "measured_joint_states", answer, 10)
@@ -54,6 +59,7 @@ def test_the_node_gives_the_bits_of_one_process(processes: Processes, client: Cl
     client.simulation.pause(False)
     client.spin_until(lambda: simulation.returncode is not None, "the end of the run")
     client.spin_until(lambda: len({seconds(one) for one in links}) == 400, "all states")
+    assert "effort has 5 elements; accepted: 6 or none; the message is ignored" in simulation.output
     run = rx.run_controller(rx.load_setup(), law, 0.4, START, command_rate=500)
     first = {seconds(one): one for one in measured}
     for messages, rows in ((first, run.measured), ({seconds(one): one for one in links}, run.joint_states)):

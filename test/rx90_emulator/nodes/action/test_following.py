@@ -216,8 +216,10 @@ def test_controller_state_has_what_the_other_topics_have(bench: Bench) -> None:
 def allowed(bench: Bench, option: str) -> Iterator[None]:
     """Set an option of goals for a while."""
     assert bench.client.set_parameters("rx90_controller", **{option: True}) == [""]
-    yield
-    assert bench.client.set_parameters("rx90_controller", **{option: False}) == [""]
+    try:
+        yield
+    finally:
+        assert bench.client.set_parameters("rx90_controller", **{option: False}) == [""]
 
 
 def test_a_subset_of_joints_moves_while_the_others_hold(bench: Bench) -> None:

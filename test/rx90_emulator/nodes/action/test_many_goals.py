@@ -104,8 +104,8 @@ def test_each_goal_has_one_defined_answer_and_no_set_point_jumps(bench: Bench, s
     bench.begin_anew()
 
 
-BURST, REQUESTS = 200, 60
-SOON = 25.0  # s; resets that waited for each other's first tick would take 30
+BURST, REQUESTS = 200, 100
+SOON = 40.0  # s; resets that waited for each other's first tick would take 50
 DEEP = QoSProfile(depth=2 * BURST)  # the client's own queues, of answers that come while it sends
 
 
@@ -138,7 +138,7 @@ def test_goals_results_and_cancels_of_a_burst_are_all_answered(bench: Bench) -> 
 
 
 def test_requests_of_a_burst_are_all_answered(bench: Bench) -> None:
-    """60 at once to the simulation and to the controller, while time stands still, and while it runs."""
+    """100 at once to the simulation and to the controller, while time stands still, and while it runs."""
     node = bench.client.node
     for paused in (True, False):
         bench.time.pause(paused)
