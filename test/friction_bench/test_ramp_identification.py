@@ -150,7 +150,7 @@ GRID = [
     (0.100, 5.0e-4, 3.0e-5, (0.015, 0.03), 0.17),
     (0.010, 9.0e-4, 2.0e-5, (0.025, 0.05), 0.17),
 ]
-SEEDS = range(3, 9)
+SEEDS = 10
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +163,7 @@ def grid_results(rig: Rig) -> list[list[RampIdentification]]:
         records = [quick.ramp(slope, end, False, f"{slope} {k}") for k in range(3) for slope in slopes]
         return identify_ramps(records, rig.scale_uncertainty)
 
-    return [[result(cell, seed) for seed in SEEDS] for cell in range(len(GRID))]
+    return [[result(cell, seed) for seed in range(SEEDS)] for cell in range(len(GRID))]
 
 
 @pytest.mark.parametrize(("name", "index"), [("coulomb", 0), ("viscous", 1)])
@@ -177,7 +177,7 @@ def test_estimates_are_right_and_their_intervals_hold(
         estimates = [getattr(getattr(found, method), name) for found in results]
         assert abs(np.mean([one.value / truth[index] - 1 for one in estimates])) < 0.01, truth
         hits += sum(one.low <= truth[index] <= one.high for one in estimates)
-    assert 0.90 <= hits / (len(GRID) * len(SEEDS)) <= 0.99
+    assert 0.90 <= hits / (len(GRID) * SEEDS) <= 0.99
 
 
 def test_source_formula_is_high_by_inertia_times_acceleration(grid_results: list[list[RampIdentification]]) -> None:

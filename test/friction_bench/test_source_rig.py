@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,7 @@ def test_the_four_velocities_differ_where_the_source_s_do(measured: Path) -> Non
     assert models["within"] is (models["worst"] <= 2.0)
 
 
-def test_without_spread_the_source_states_its_own_figures(tmp_path: Path) -> None:
+def test_without_spread_the_source_states_its_own_figures(tmp_path: Path, check_report: Callable[[Path], None]) -> None:
     """Where ramps do not differ, a and b are the published ones, and 0.231 - 0.147 = 0.084 Nm to a unit at the end."""
     out, file = tmp_path / "out", rig_file_with(tmp_path, SOURCE_RIG, SPREADS)
     assert run("friction_ramp", ["--source", "--repeats", "4", "--rig", str(file), "--output", str(out)]) == 1
@@ -89,6 +90,7 @@ def test_without_spread_the_source_states_its_own_figures(tmp_path: Path) -> Non
     totals = found["no-load"]["total"], found["loaded"]["total"], found["f_joint"]
     assert totals == pytest.approx((0.147, 0.231, 0.084), abs=0.0011)
     assert found["f_joint"] == pytest.approx(totals[1] - totals[0])
+    check_report(out / "report.html")
     page = (out / "report.html").read_text()
     for text in ("no-load, as published", "loaded, 4 ramps", "949.5", "0.084", "Not physical"):
         assert text in page

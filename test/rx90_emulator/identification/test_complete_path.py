@@ -17,7 +17,7 @@ from processes import Processes, open_files, wait_until
 from schema_faults import schema_faults
 
 from rx90_common.bags.reading import read_joint_states
-from rx90_common.base.errors import INTERRUPTED
+from rx90_common.base.errors import DONE, INTERRUPTED
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_emulator.cli.frame import run
@@ -124,6 +124,25 @@ def test_the_report_names_bags_and_assumptions(identified: tuple[Path, str]) -> 
     assert "omega_d, at which c1 fades" in page
 
 
+def short_series(setup: Setup) -> list[Experiment]:
+    """Return sweeps of one joint, much less than --quick: joint 4, five speeds, 14 s; and one that is too long."""
+    names, fourth = setup.robot.joint_names, np.eye(6)[3]
+    cycle, slide, long = (Motion(np.zeros(6)) for _ in range(3))
+    cycle.sweep(fourth, 0.05, 0.3, 6.0)
+    cycle.oscillate(fourth, [2e-3], [1.0], 2.0)
+    cycle.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
+    cycle.move(np.zeros(6), np.ones(6), 5.0)
+    for speed in np.geomspace(0.041, 1.6, 5):
+        slide.sweep(fourth, speed, 0.7, 6.0)
+        slide.sweep(fourth, -speed, 0.7, 6.0)
+    long.sweep(fourth, 1e-3, 400.0, 6.0)
+    return [
+        Experiment("cycle", Kind.PRESLIDING, cycle.points(names), 2),
+        Experiment("slide", Kind.SLIDING, slide.points(names), 10),
+        Experiment("long", Kind.SLIDING, long.points(names), 1),
+    ]
+
+
 EXCITATION = ExcitationOptions(runs=1, harmonics=3, period=1.0, periods=1, steps=2, validation=False)
 
 
@@ -138,24 +157,16 @@ def test_experiments_run_on_the_real_nodes(
     """The recorder's bag of a planned excitation run has the set-points and torques of the engine, to the bit.
 
     What a bag lacks of a motion's end is recorded again. Ctrl-C in an experiment ends with 130, those before it in the
-    index, and no recorder left behind. Beside the bags stands the friction of the simulation.
+    index, and no recorder left behind. Beside the bags stands the friction of the simulation. From the bags of joint 4
+    comes a friction file with its parameters.
     """
     cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=1.0")
-    names, fourth = shipped.robot.joint_names, np.eye(6)[3]
-    short, long = Motion(np.zeros(6)), Motion(np.zeros(6))
-    short.sweep(fourth, 0.3, 0.3, 6.0)
-    short.move(np.zeros(6), np.ones(6), 5.0)
-    long.sweep(fourth, 1e-3, 400.0, 6.0)
-    others = (
-        Experiment("short", Kind.PRESLIDING, short.points(names), 2),
-        Experiment("long", Kind.SLIDING, long.points(names), 1),
-    )
-    run_of_plan = plan_excitation(shipped, EXCITATION).experiments[0]
-    monkeypatch.setattr(plans, "make_plan", lambda *_: [run_of_plan, *others])
+    run_of_plan, series = plan_excitation(shipped, EXCITATION).experiments[0], short_series(shipped)
+    monkeypatch.setattr(plans, "make_plan", lambda *_: [run_of_plan, *series])
     last_time, cut_off = nodes._last_time, [0.0]
 
     def too_early_once(bag: Path) -> float:
-        return cut_off.pop() if bag.name == "short" and cut_off else last_time(bag)
+        return cut_off.pop() if bag.name == "cycle" and cut_off else last_time(bag)
 
     monkeypatch.setattr(nodes, "_last_time", too_early_once)
     folder = tmp_path / "bags"
@@ -167,12 +178,23 @@ def test_experiments_run_on_the_real_nodes(
     said = capsys.readouterr().err
     assert said.splitlines()[-1] == "rx90_experiment: interrupted; complete bags stay"
     again = re.findall(r"(\w+): the bag ends at [\d.]+ s, before the motion does at [\d.]+ s; again", said)
-    assert again.count("short") >= 1
+    assert again.count("cycle") >= 1
     done = read_index(folder)
-    assert [bag.name for bag in (*done.excitation, *done.presliding, *done.sliding)] == ["excitation_1", "short"]
+    bags = *done.excitation, *done.presliding, *done.sliding
+    assert [bag.name for bag in bags] == ["excitation_1", "cycle", "slide"]
     assert not [file for file in open_files() if str(folder) in file]
     if run_of_plan.name not in again:  # on a busy machine: from where the first time ended
         check_against_the_engine(done.excitation[0], run_of_plan, shipped)
+    check_presliding_against_the_engine(done.presliding[0], series[0], shipped)
+    output = tmp_path / "friction.yaml"
+    words = ["--sliding", folder / "slide", "--presliding", folder / "cycle", "--output", output]
+    assert run("rx90_identify", [str(word) for word in words]) == DONE
+    found, true = (
+        load_friction(output, RX_WRIST.element_names(shipped.robot.joint_names)).elements[3],
+        shipped.friction.elements[3],
+    )
+    assert abs(found.tau_c_positive / true.tau_c_positive - 1.0) < 0.02
+    assert abs(found.c0 / true.c0 - 1.0) < 0.05
     truth = dict(zip(shipped.friction.names, shipped.friction.elements, strict=True))
     assert read_emulated([folder / "any"]) == truth
 
@@ -192,6 +214,30 @@ def check_against_the_engine(bag: Path, run: Experiment, setup: Setup) -> None:
         for quantity in ("stamp_ns", "position", "velocity", "effort"):
             expected = getattr(engine[name], quantity)
             assert np.array_equal(expected[rows], getattr(found, quantity)[there]), (name, quantity)
+
+
+def check_presliding_against_the_engine(bag: Path, experiment: Experiment, setup: Setup) -> None:
+    """Hold motor 4 in a bag of micro-oscillations against the closed loop, from within the sweep at their beginning on.
+
+    That erases what the friction remembers of the motions before. A sample's shift would be 0.03 Nm and 0.003 rad.
+    """
+    simulated = simulate(setup, experiment.points, duration=experiment.duration + 1.0, record_fast=True).series
+    times, quantities = [], []
+    for series in (read_joint_states(bag, "motor_states"), simulated["motor_states"]):
+        assert series.position is not None
+        assert series.effort is not None
+        position, effort = series.position[:, 3], series.effort[:, 3]
+        begin = int(np.flatnonzero(np.abs(position) > 0.5 * np.abs(position).max())[0])
+        times.append((series.stamp_ns - series.stamp_ns[begin])[begin:])
+        quantities.append(np.column_stack([position, effort])[begin:])
+    errors = []
+    for shift in range(-8, 9):
+        common, rows, others = np.intersect1d(times[0], times[1] + shift * 250_000, return_indices=True)
+        assert len(common) > 3000 * experiment.points.times[-1]
+        errors.append(np.abs(quantities[0][rows] - quantities[1][others]).max(axis=0))
+    position, effort = min(errors, key=lambda error: float(error[1]))
+    assert position < 2e-3
+    assert effort < 2e-3
 
 
 def interrupt_once(bag: Path) -> None:

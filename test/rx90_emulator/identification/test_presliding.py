@@ -60,21 +60,32 @@ def fitted(
     return identify_presliding(records, arm, elements, 0.0, sliding_covariances, setup.rates.period)
 
 
-def test_known_bristles_come_out(shipped: Setup) -> None:
+@pytest.mark.parametrize(("noise", "seed"), [(0.0, 1), (0.5, 3)])
+def test_known_bristles_come_out(shipped: Setup, noise: float, seed: int) -> None:
     """From quantised encoders and noisy torques c0 comes back within 5 % and c1 within 15 %, joints 2 to 4."""
-    setup = random_set(shipped, 3)
-    fit = fitted(setup, measured(setup, oscillated(setup, ["joint_2", "joint_3", "joint_4"]), 0.5, 3))
+    setup = random_set(shipped, seed)
+    fit = fitted(setup, measured(setup, oscillated(setup, ["joint_2", "joint_3", "joint_4"]), noise, seed))
     for outcome in outcomes(fit.estimates[1:4], setup.friction.elements[1:4]):
         assert abs(outcome.error) < {"c0": 0.05, "c1": 0.15}[outcome.parameter], outcome
 
 
-def test_bristles_of_the_wrist_separate(shipped: Setup) -> None:
-    """The elements of joints 5, 6 and 5+6 come back apart, of which 6 and 5+6 are so weak that they break away."""
-    setup = random_set(shipped, 5)
-    fit = fitted(setup, measured(setup, oscillated(setup, WRIST), 0.25, 5))
-    for outcome in outcomes(fit.estimates[4:], setup.friction.elements[4:]):
+@pytest.mark.parametrize("seed", [4, 5])
+def test_bristles_of_the_wrist_separate(shipped: Setup, seed: int) -> None:
+    """The elements of joints 5, 6 and 5+6 come back apart, also where 6 and 5+6 are so weak that they break away.
+
+    Twenty times the rig's noise leaves every parameter not identifiable or within four deviations.
+    """
+    setup = random_set(shipped, seed)
+    runs = oscillated(setup, WRIST)
+    quiet, loud = (
+        outcomes(fitted(setup, measured(setup, runs, noise, seed)).estimates[4:], setup.friction.elements[4:])
+        for noise in (0.25, 20.0)
+    )
+    for outcome in quiet:
         assert abs(outcome.error) < {"c0": 0.05, "c1": 0.15}[outcome.parameter], outcome
         assert abs(outcome.score) < 4.0, outcome
+    assert any(not outcome.identifiable for outcome in loud)
+    assert all(abs(outcome.score) < 4.0 for outcome in loud if outcome.identifiable), loud
 
 
 @pytest.fixture(scope="module")

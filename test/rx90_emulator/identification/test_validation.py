@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -253,7 +254,9 @@ def test_what_cannot_be_followed_is_refused(measured: Measured, said: str) -> No
         rx.compare_measured(bag, measured.setup, bandwidth=60.0)
 
 
-def test_the_verdict_is_the_exit_code(measured: Measured, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_verdict_is_the_exit_code(
+    measured: Measured, tmp_path: Path, capsys: pytest.CaptureFixture[str], check_report: Callable[[Path], None]
+) -> None:
     """0 for the robot that ran, 1 for tolerances that it cannot keep; a page says so and is not replaced unasked."""
     page = tmp_path / "page.html"
     assert run("rx90_compare_measured", [str(measured.bag), "--report", str(page)]) == DONE
@@ -269,6 +272,7 @@ def test_the_verdict_is_the_exit_code(measured: Measured, tmp_path: Path, capsys
     assert "exists; accepted: another name, or --force" in capsys.readouterr().err
     assert run("rx90_compare_measured", [str(measured.bag), "--position-tolerance", "1e-12"]) == VERDICT_NO
     assert "DOES NOT AGREE" in capsys.readouterr().out
+    check_report(page)
 
 
 def test_other_arms_are_told_where_to_go(

@@ -19,13 +19,13 @@ from two_joints import CURVES, NAMES, RATE, Bench
 
 import rx90_emulator as rx
 from benchmarks.excitation_runs import NOISE
-from benchmarks.load_parts import MASS, coefficients_of, payload_of, torque_of
+from benchmarks.load_parts import MASS, Experiment, coefficients_of, payload_of, torque_of
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import DONE, REFUSED, ConfigError, IdentificationError
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation import filtering, identify
+from rx90_emulator.identification.excitation import filtering, identify, known_payload
 from rx90_emulator.identification.excitation.checks import coulomb_viscous
 from rx90_emulator.identification.excitation.choice import Scored
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
@@ -365,6 +365,18 @@ def test_two_payloads_tell_the_load_part(
     assert next(iter(found["validation"].values()))["relative"] < 0.01
     assert "load.driving" in told
     assert "load parts of joint_" in told
+
+
+@pytest.mark.parametrize(
+    ("skipped", "result"), [("beyond_chance", {}), ("trimmed", None)], ids=["by_prediction", "by_chance"]
+)
+def test_no_load_part_is_found_where_there_is_none(
+    tx40: Setup, monkeypatch: pytest.MonkeyPatch, skipped: str, result: dict[int, str] | None
+) -> None:
+    """Of an arm whose friction does not depend on the load no element gets a part, by either test alone."""
+    monkeypatch.setattr(known_payload, skipped, lambda kept, *_: (tuple(kept), {}, "") if result is None else result)
+    arm = Experiment(tx40, [motion_of(number, 20.0, 200.0) for number in (3, 4)], MASS["tx40"])
+    assert arm.outcome(3, there=False).found.kept == ()
 
 
 LOW_RATE = 50.0
