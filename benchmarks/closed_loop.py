@@ -25,9 +25,9 @@ from benchmarks.hybrid_reference import Work
 from benchmarks.mujoco_lugre import mass_and_bias as mujoco_mass_and_bias
 from benchmarks.mujoco_lugre import mujoco_arm
 from benchmarks.report import in_turns, merge, print_times, ratios, timed
+from rx90_common.arm_dynamics import mass_and_bias
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST
-from rx90_common.dynamics import mass_and_bias
 from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_emulator.loop.setup import Setup
 

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 from scipy.integrate import odeint
 from tqdm import tqdm
 
+from rx90_common.arm_dynamics import mass_and_bias
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST, to_joint_torque
-from rx90_common.dynamics import mass_and_bias
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 from rx90_common.friction.parts.part import LINEAR_SPEED

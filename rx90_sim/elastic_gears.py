@@ -37,6 +37,7 @@ from typing import Any
 
 import numpy as np
 
+from rx90_common.arm_dynamics import factorise, mass_and_bias, solve
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import (
     add_drive,
@@ -46,7 +47,6 @@ from rx90_common.description.coupling import (
     share_among_drives,
     turn_of_drive,
 )
-from rx90_common.dynamics import factorise, mass_and_bias, solve
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import size
 from rx90_sim.drives import add_cogging

@@ -9,13 +9,13 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rx90_common.arm_dynamics import body_dtype, manipulator_dtype, manipulator_record
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError, DivergenceError
 from rx90_common.base.rates import Rates, ticks_per
 from rx90_common.description.coupling import ArmSize, gear_field, to_joint, to_joint_torque, to_motor_torque
 from rx90_common.description.drives import LINK, DriveParameters
 from rx90_common.description.robot import RobotModel
-from rx90_common.dynamics import body_dtype, manipulator_dtype, manipulator_record
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.arm_elements import fill_arm_parts
 from rx90_common.friction.compiled_elements import element_arrays, elements_dtype

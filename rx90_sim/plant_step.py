@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.arm_dynamics import factorise, mass_and_bias, solve
 from rx90_common.base.arrays import Record
 from rx90_common.description.coupling import to_joint_torque, to_motor
-from rx90_common.dynamics import factorise, mass_and_bias, solve
 from rx90_common.friction.arm_elements import element_inputs, element_of_motor
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, size, store

@@ -40,11 +40,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from rx90_common.arm_dynamics import body_dtype, manipulator_dtype, mass_and_bias
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.drives import LINK, DriveParameters
 from rx90_common.description.robot import RobotModel
-from rx90_common.dynamics import body_dtype, manipulator_dtype, mass_and_bias
 from rx90_common.friction import FrictionSet
 from rx90_common.friction.element import SIGNS
 from rx90_common.kernels.compiled import kernel

@@ -58,7 +58,7 @@ def describe_nodes() -> list[NodeReference]:
 
     from friction_bench.node.bench_node import BenchNode
     from rx90_common.exchange.ros_start import start_ros
-    from rx90_emulator.cell import CONTROLLER, SIMULATION, compose
+    from rx90_emulator.composed_cell import CONTROLLER, SIMULATION, compose
 
     start_ros(["--ros-args", "--log-level", "warn"])
     members = [*compose({SIMULATION: [], CONTROLLER: []}), BenchNode()]

@@ -25,6 +25,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from rx90_common.arm_dynamics import body_dtype, inverse_dynamics, manipulator_dtype, manipulator_record
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.config import Section
 from rx90_common.base.entries import LEFT_OUT, Text
@@ -36,7 +37,6 @@ from rx90_common.description.coupling import ArmSize, to_motor_torque
 from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import DESCRIPTIONS, FILES, NO_TOOL
-from rx90_common.dynamics import body_dtype, inverse_dynamics, manipulator_dtype, manipulator_record
 from rx90_common.friction import FrictionElement, load_friction
 from rx90_common.friction.arm_elements import add_to_joints, element_inputs, fill_arm_parts, of_motors, transmit
 from rx90_common.friction.bristle import bristle_step

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 NODES = {
     "rx90_sim": "rx90_sim.node.simulation",
     "rx90_controller": "rx90_controller.node.controller_node",
-    "rx90_cell": "rx90_emulator.cell",
+    "rx90_cell": "rx90_emulator.composed_cell",
     "friction_bench": "friction_bench.node.bench_node",
 }
 """The executables that are nodes, or two of them, and the module whose `spin(ros_args)` runs each."""

@@ -46,10 +46,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
+from rx90_common.arm_dynamics import factorise, solve
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.kinematics import jacobian
-from rx90_common.dynamics import factorise, solve
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.loop.setup import Setup

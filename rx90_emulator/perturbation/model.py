@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from rx90_common.arm_dynamics import mass_and_bias
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
@@ -17,7 +18,6 @@ from rx90_common.description.coupling import to_motor
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.kinematics import forward, jacobian
 from rx90_common.description.robot import RobotModel
-from rx90_common.dynamics import mass_and_bias
 from rx90_common.friction import FrictionSet
 from rx90_common.friction.friction_file import refuse_parts
 from rx90_common.kernels.compiled import kernel

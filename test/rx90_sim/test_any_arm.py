@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import ellipk
 
 from benchmarks.hybrid_reference import negligible_element
-from rx90_common.dynamics import inverse_dynamics, mass_and_bias
+from rx90_common.arm_dynamics import inverse_dynamics, mass_and_bias
 from rx90_common.friction import FrictionSet
 from rx90_emulator.loop.setup import Setup, load_setup
 

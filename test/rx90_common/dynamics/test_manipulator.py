@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rx90_common.arm_dynamics import body_dtype, inverse_dynamics, manipulator_record, mass_and_bias
 from rx90_common.description.robot import load_robot
-from rx90_common.dynamics import body_dtype, inverse_dynamics, manipulator_record, mass_and_bias
 from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.setup import Setup
 

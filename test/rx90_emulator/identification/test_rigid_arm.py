@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rx90_common.arm_dynamics import mass_and_bias
 from rx90_common.base.errors import IdentificationError
-from rx90_common.dynamics import mass_and_bias
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.loop.setup import Setup
 

@@ -27,7 +27,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_controller.law.parameters import MODEL_PARTS
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
-from rx90_emulator.cell import own_parameters
+from rx90_emulator.composed_cell import own_parameters
 from rx90_emulator.loop.setup import Setup
 
 SHARE = 0.01
