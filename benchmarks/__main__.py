@@ -17,6 +17,7 @@ from benchmarks.report import BENCH_FILE, ROOT
 
 COMMANDS = {
     "closed_loop": "closed_loop",
+    "any_arm": "any_arm",
     "control_law": "control_law",
     "compensation": "compensation",
     "command_delay": "command_delay",
