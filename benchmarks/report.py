@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
@@ -61,18 +62,22 @@ def in_processes(job: Callable[[_Job], _Found], jobs: Sequence[_Job], label: str
 
     On Ctrl-C those that are done are returned, in the order of the jobs, and how many they are is said.
     """
-    parts = [jobs[k : k + chunk] for k in range(0, len(jobs), chunk)]
+    parts = iter([jobs[k : k + chunk] for k in range(0, len(jobs), chunk)])
+    count = len(os.sched_getaffinity(0))
     found: dict[_Job, _Found] = {}
     # Not forked: numba and BLAS may hold threads already.
-    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
+    with ProcessPoolExecutor(count, get_context("spawn")) as pool:
         ours = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as the processes, which start here, keep it
-        waiting = {pool.submit(_results, job, part): part for part in parts}
+        # No more than run at once: those that the pool has queued could not be cancelled.
+        waiting = {pool.submit(_results, job, part): part for part in islice(parts, count)}
         signal.signal(signal.SIGINT, ours)
         try:
             with tqdm(total=len(jobs), desc=label) as progress:
-                for future in as_completed(waiting):
+                while waiting:
+                    future = next(as_completed(waiting))
                     found.update(zip(waiting[future], future.result(), strict=True))
-                    progress.update(len(waiting[future]))
+                    progress.update(len(waiting.pop(future)))
+                    waiting.update({pool.submit(_results, job, part): part for part in islice(parts, 1)})
         except KeyboardInterrupt:
             print("interrupted: what runs is finished", file=sys.stderr)
             pool.shutdown(cancel_futures=True)
