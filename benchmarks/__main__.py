@@ -9,14 +9,17 @@ benchmarks.figures` brings them into README.md and docs/.
 from __future__ import annotations
 
 import argparse
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 from benchmarks.report import BENCH_FILE, ROOT
+from rx90_common.base.errors import INTERRUPTED
 
 COMMANDS = {
     "closed_loop": "closed_loop",
+    "any_arm": "any_arm",
     "control_law": "control_law",
     "compensation": "compensation",
     "command_delay": "command_delay",
@@ -62,15 +65,17 @@ def main() -> int:
         if name not in COMMANDS:
             parser.error(f"the benchmark is {name!r}; accepted: {', '.join(COMMANDS)}")
     failed = []
+    pressed: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))  # the benchmark ends by itself
     for name in names:
         print(f"\n{name}", flush=True)
-        try:
-            command = [sys.executable, "-m", *f"benchmarks.{COMMANDS[name]}".split()]
-            if subprocess.run(command, cwd=ROOT, check=False).returncode:
-                failed.append(name)
-        except KeyboardInterrupt:
+        command = [sys.executable, "-m", *f"benchmarks.{COMMANDS[name]}".split()]
+        code = subprocess.run(command, cwd=ROOT, check=False).returncode
+        if pressed or code == INTERRUPTED:
             print(f"\ninterrupted in {name}", file=sys.stderr)
-            return 130
+            return INTERRUPTED
+        if code:
+            failed.append(name)
     if BENCH_FILE.is_file():
         print(f"\nfigures in {_relative(BENCH_FILE)}")
     for name in failed:

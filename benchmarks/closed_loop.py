@@ -1,11 +1,12 @@
-"""Speed of the closed loop on one core, beside MuJoCo and Pinocchio.
+"""Speed of the closed loop on one core, beside MuJoCo, Pinocchio and the same tick as plain loops.
 
     python -m benchmarks.closed_loop
 
 The task is the reference line at 4 kHz with everything on: coupling, spring, seven LuGre elements, quantised
 encoders, saturation, loops at two rates. The peers get the same arm, which is checked, the same set-points and the
-same law in plain Python; MuJoCo's bare loop in C gets no law at all. Times are CPU times of the one thread that works,
-and all take turns, so that other load on the machine affects all of them.
+same law in plain Python; MuJoCo's bare loop in C gets no law at all. One tick of plant and law, with nothing recorded,
+is also measured as plain loops (benchmarks.plain_loops), compiled by numba with the same options. Times are CPU times
+of the one thread that works, and all take turns, so that other load on the machine affects all of them.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from scipy.linalg.lapack import dposv
 from benchmarks.hybrid_reference import Work
 from benchmarks.mujoco_lugre import mass_and_bias as mujoco_mass_and_bias
 from benchmarks.mujoco_lugre import mujoco_arm
+from benchmarks.plain_loops import run_lanes, run_plain
 from benchmarks.report import in_turns, merge, print_times, ratios, timed
 from rx90_common.arm_dynamics import mass_and_bias
 from rx90_common.base.arrays import Array
@@ -177,6 +179,7 @@ class PinocchioArm:
 ROUNDS = 9
 PYTHON_TICKS = 4000
 C_TICKS = 40_000
+LANES, PLAIN = "one tick, lanes", "one tick, plain loops"
 MOVING = 1.0
 """From when on the peers run, s: the arm moves there."""
 
@@ -202,6 +205,34 @@ def check_same_arm(setup: Setup, samples: int = 50) -> None:
                 miss = np.abs(np.triu(a - b)).max()
                 if not miss < 1e-9 * np.abs(a).max():
                     raise RuntimeError(f"the arm in {name} is another: its {what} is off by {miss:g}")
+
+
+class Ticks:
+    """Plant and law over the whole line, with lanes or as plain loops, and nothing around them."""
+
+    def __init__(self, work: Work) -> None:
+        self._work = work
+        self._setpoints = work.setpoints(0.0, round(work.duration * work.setup.rates.base_hz))
+
+    def run(self, kernel: Callable[..., None]) -> tuple[float, Array]:
+        """Run one of both kernels; return s per tick and the joint positions on position ticks, rad, shape (m, 6)."""
+        plant, controller = self._work.setup.plant(), self._work.setup.cs7b()
+        plant.reset(self._work.start)
+        controller.reset(plant.motor_states()[0])
+        ratio, q = self._work.setup.rates.ratio, np.empty((len(self._setpoints), 6))
+        began = time.process_time()
+        kernel(plant.constants, plant.state, controller.law, controller.state, self._setpoints, ratio, q)
+        return (time.process_time() - began) / (len(q) * ratio), q
+
+    def check(self, accepted: float = 5e-7) -> None:
+        """Compare both paths; rounding may move the moment at which a position counts.
+
+        Raises:
+            RuntimeError: if they part by more than `accepted`, rad.
+        """
+        miss = np.abs(self.run(run_lanes)[1] - self.run(run_plain)[1]).max()
+        if not miss < accepted:
+            raise RuntimeError(f"the plain loops move another way: {miss:g} rad off; accepted: below {accepted:g}")
 
 
 def run_with_python_law(
@@ -281,12 +312,16 @@ def measure(rounds: int = ROUNDS) -> dict[str, list[float]]:
     """Return the times per tick of all rounds, s, by who ran."""
     work = Work.load()
     check_same_arm(work.setup)
+    ticks = Ticks(work)
+    ticks.check()
     peers, pinocchio = MujocoPeers(work), PinocchioPeer(work)
     runs = {
         "this project": timed(work.run, work.duration * work.setup.rates.base_hz),
         "MuJoCo from Python": peers.from_python,
         "MuJoCo, bare C loop": peers.bare,
         "Pinocchio from Python": pinocchio.from_python,
+        LANES: lambda: ticks.run(run_lanes)[0],
+        PLAIN: lambda: ticks.run(run_plain)[0],
     }
     return in_turns(runs, rounds)
 
@@ -303,6 +338,9 @@ def main() -> int:
             "closed_loop_us_per_tick": median["this project"] * 1e6,
             "versus_mujoco_python": ratio["MuJoCo from Python"],
             "versus_mujoco_c": ratio["MuJoCo, bare C loop"],
+            "tick_lanes_us": median[LANES] * 1e6,
+            "tick_plain_loops_us": median[PLAIN] * 1e6,
+            "versus_plain_loops": ratios(times, LANES)[PLAIN],
         }
     )
     return 0

@@ -371,8 +371,8 @@ def joined(outcomes: Sequence[Outcome], name: str, kind: str | None = None) -> n
     return np.array([value for part in values for value in part])
 
 
-def coverage(condition: str, outcomes: Sequence[Outcome]) -> list[str]:
-    """Print and merge how often intervals hold; return what is not accepted."""
+def coverage(condition: str, outcomes: Sequence[Outcome], figures: dict[str, float]) -> list[str]:
+    """Print and add to the figures how often intervals hold; return what is not accepted."""
     rows, wrong = [], []
     unloaded = [f"{kind}{UNLOADED}" for kind in FRICTION] if CONDITIONS[condition].load else []
     for kind in ("base", *FRICTION, *unloaded):
@@ -381,7 +381,7 @@ def coverage(condition: str, outcomes: Sequence[Outcome]) -> list[str]:
         margin = 196.0 * math.sqrt(share * (1.0 - share) / len(scores))
         typical = ["", ""] if kind == "base" else [f"{v:.3f}" for v in np.percentile(np.abs(errors), (50.0, 95.0))]
         rows.append((kind, str(len(scores)), f"{100.0 * share:.1f} ± {margin:.1f} %", *typical))
-        merge({f"excitation_coverage_{condition}_{kind.lower().replace(' ', '_')}": share})
+        figures[f"excitation_coverage_{condition}_{kind.lower().replace(' ', '_')}"] = share
         if kind not in unloaded and (share < COVERED[0] or _wide(np.abs(scores) < 1.96)):
             wrong.append(f"coverage of {kind}")
     print_table((f"{condition}: parameter", "values", "intervals that hold", "median error", "95th percentile"), rows)
@@ -393,21 +393,21 @@ def _wide(hold: np.ndarray) -> bool:
     return bool(binom.sf(np.sum(hold) - 1, len(hold), COVERED[1]) < CHANCE)
 
 
-def exponents(condition: str, outcomes: Sequence[Outcome]) -> list[str]:
-    """Print and merge the errors of exponents; return what is not accepted."""
+def exponents(condition: str, outcomes: Sequence[Outcome], figures: dict[str, float]) -> list[str]:
+    """Print and add to the figures the errors of exponents; return what is not accepted."""
     errors = np.abs(joined(outcomes, "errors", "exponent"))
     within = float(np.mean(errors < EXPONENT))
     middle, most = (float(np.percentile(errors, share)) for share in (50.0, SHARE))
-    figures = {"within": within, "median": middle, "90_percent": most}
-    merge({f"excitation_exponent_{condition}_{name}": value for name, value in figures.items()})
+    of = {"within": within, "median": middle, "90_percent": most}
+    figures.update({f"excitation_exponent_{condition}_{name}": value for name, value in of.items()})
     print(f"exponents: {100.0 * within:.0f} % within {EXPONENT}; median {middle:.3f}, 90th percentile {most:.3f}")
     found, there, more, without = np.sum([one.stribeck for one in outcomes if not one.refusal], axis=0)
     print(f"Stribeck rise found on {found} of {there} elements that have one, and on {more} of {without} without")
     return [] if most < EXPONENT else ["exponents"]
 
 
-def prediction(condition: str, outcomes: Sequence[Outcome]) -> list[str]:
-    """Print and merge how well unseen runs are predicted; return what is not accepted."""
+def prediction(condition: str, outcomes: Sequence[Outcome], figures: dict[str, float]) -> list[str]:
+    """Print and add to the figures how well unseen runs are predicted; return what is not accepted."""
     wrong = []
     for name, text in (
         ("floor", "the best model's"),
@@ -417,7 +417,8 @@ def prediction(condition: str, outcomes: Sequence[Outcome]) -> list[str]:
         ratios = joined(outcomes, name)
         middle, most = (float(np.percentile(ratios, share)) for share in (50.0, 95.0))
         share = float(np.mean(ratios <= PREDICTION))
-        merge({f"excitation_{name}_{condition}_median": middle, f"excitation_{name}_{condition}_95_percent": most})
+        figures[f"excitation_{name}_{condition}_median"] = middle
+        figures[f"excitation_{name}_{condition}_95_percent"] = most
         print(f"error of an unseen run's torque over {text}: median {middle:.2f}, 95 % of joints below {most:.2f}, "
               f"{100.0 * share:.0f} % within {PREDICTION}")  # fmt: skip
         if name == "floor" and most > PREDICTION:
@@ -435,16 +436,21 @@ def main() -> int:
         ("--runs", 12, "of each arm, to identify from"),
         ("--bristles", False, "with bristles in arms and model"),
     )
-    wrong = []
+    wrong, whole = [], True
     for condition in CONDITIONS:
         rest = (condition, options.largest, options.bristles, options.runs)
         jobs = [(options.first + number, *rest) for number in range(options.arms)]
-        outcomes = in_processes(job, jobs, condition)
+        outcomes = [*in_processes(job, jobs, condition).values()]
+        whole = len(outcomes) == len(jobs)
         refusals = [one.refusal for one in outcomes if one.refusal]
-        print(f"{condition}: {len(refusals)} of {options.arms} arms refused", *sorted(set(refusals)), sep="\n")
-        for part in (coverage, exponents, prediction):
-            wrong += [f"{condition}: {text}" for text in part(condition, outcomes)]
-    return accepted(wrong)
+        print(f"{condition}: {len(refusals)} of {len(outcomes)} arms refused", *sorted(set(refusals)), sep="\n")
+        figures: dict[str, float] = {}
+        for part in (coverage, exponents, prediction) if len(outcomes) > len(refusals) else ():
+            wrong += [f"{condition}: {text}" for text in part(condition, outcomes, figures)]
+        if not whole:
+            break
+        merge(figures)
+    return accepted(wrong, whole)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@
 For each of five kinds of joints so many rigs with friction, presliding and damping of their own are measured as
 `friction_presliding` does it, with ramps, loops, a sweep and small cycles. Prints what loops and sliding alone, the
 drift alone, and both decided, and how often that was wrong. The exit code is 1 when a decision is wrong more often than
-is accepted.
+is accepted. Ctrl-C leaves the verdicts on the rigs that were measured.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from friction_bench.presliding.sliding import DriftVerdict
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort, native_library
 from friction_bench.rig.rig_file import JointFriction, Rig, load_rig
+from rx90_common.base.errors import INTERRUPTED
 from rx90_common.base.share import PRESLIDING_RIG, config_path
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
@@ -140,7 +141,9 @@ def main() -> int:
     )
     native_library()  # built once, before several processes want it
     jobs = [(options.seed, number, kind, options.cycles) for number in range(options.rigs) for kind in KINDS]
-    return int(max(count(in_processes(job, jobs, "rigs")).values()) > ACCEPTED)
+    rows = [*in_processes(job, jobs, "rigs").values()]
+    shares = count(rows) if rows else {}
+    return INTERRUPTED if len(rows) < len(jobs) else int(max(shares.values()) > ACCEPTED)
 
 
 if __name__ == "__main__":

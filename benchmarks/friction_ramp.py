@@ -370,14 +370,20 @@ def _covered(hits: list[bool]) -> tuple[float, str]:
     return share, f"{100 * share:.1f} ± {196 * math.sqrt(share * (1 - share) / len(hits)):.1f} %"
 
 
-def measure_grid() -> list[str]:
-    """Print the figures of the grid; return what is not accepted."""
+def measure_grid() -> tuple[list[str], bool]:
+    """Print the figures of the grid; return what is not accepted, and whether all was measured."""
     cells = grid()
     native_library()  # built once, before several processes want it
     jobs = [(cell, 1000 * number + seed) for number, cell in enumerate(cells) for seed in range(SEEDS)]
-    outcomes = in_processes(grid_experiment, jobs, "grid", 4)
-    results = [outcomes[k : k + SEEDS] for k in range(0, len(outcomes), SEEDS)]
-    print(f"{len(jobs)} experiments: {len(cells)} rigs, {SEEDS} seeds, {REPEATS} repeats at 2 slopes")
+    found = in_processes(grid_experiment, jobs, "grid", 4)
+    outcomes, whole = [*found.values()], len(found) == len(jobs)
+    by_cell: dict[Cell, list[GridOutcome]] = {}
+    for (cell, _), outcome in found.items():
+        by_cell.setdefault(cell, []).append(outcome)
+    if not found:
+        return [], whole
+    cells, results = [*by_cell], [*by_cell.values()]
+    print(f"{len(outcomes)} experiments: {len(cells)} rigs, {SEEDS} seeds, {REPEATS} repeats at 2 slopes")
     rows, wrong = [], []
     for method, quantity in product(METHODS, QUANTITIES):
         bias = np.array([np.mean([o.errors[method, quantity] for o in cell]) for cell in results])
@@ -395,15 +401,16 @@ def measure_grid() -> list[str]:
         f"source's f_c = m b / a: high by J a, {100 * share_of_f_c.min():.1f} to {100 * share_of_f_c.max():.1f} % of "
         f"f_c; found {ratio.mean():.3f} of J a in the mean, at worst off by {100 * off:.2f} % of f_c (< 1 %)"
     )
-    return [*wrong, "the source's bias"] if off >= BIAS else wrong
+    return [*wrong, "the source's bias"] if off >= BIAS else wrong, whole
 
 
-def measure_random(rigs: int, seed: int, kinds: tuple[str, ...]) -> list[str]:
-    """Print the figures of rigs, so many of each kind; return what is not accepted."""
-    wrong, rows = [], []
+def measure_random(rigs: int, seed: int, kinds: tuple[str, ...]) -> tuple[list[str], bool]:
+    """Print the figures of rigs, so many of each kind; return what is not accepted, and whether all was measured."""
+    wrong, rows, whole = [], [], True
     for kind in kinds:
         run = two_way_experiment if kind in BOTH else random_experiment
-        outcomes = in_processes(run, [(seed, number, kind) for number in range(rigs)], kind, 4)
+        outcomes = [*in_processes(run, [(seed, number, kind) for number in range(rigs)], kind, 4).values()]
+        whole = len(outcomes) == rigs
         names = dict.fromkeys(name for outcome in outcomes for name in outcome.hits)
         for name in sorted(names, key=lambda name: ("source" in name, name)):
             having = [outcome for outcome in outcomes if name in outcome.hits]
@@ -413,17 +420,19 @@ def measure_random(rigs: int, seed: int, kinds: tuple[str, ...]) -> list[str]:
             rows.append((f"{kind}: {name}", str(len(having)), f"{errors.mean():+.2f} %", most, cover))
             if "source" not in name and kind not in BOTH and not COVERAGE[0] <= share <= COVERAGE[1] + 0.01:
                 wrong.append(f"{kind}: {name}")
-        if kind in BOTH:  # too few rigs to judge each estimate
+        if kind in BOTH and outcomes:  # too few rigs to judge each estimate
             share, cover = _covered([hit for outcome in outcomes for hit in outcome.hits.values()])
             print(f"{kind}: of all intervals {cover} hold")
             if not COVERAGE[0] <= share <= COVERAGE[1]:
                 wrong.append(f"{kind}: all")
         refusals = [outcome.refusal for outcome in outcomes if outcome.refusal]
         unused = sum(outcome.unused for outcome in outcomes)
-        print(f"{kind}: {len(refusals)} of {rigs} rigs refused, {unused} ramps not used")
+        print(f"{kind}: {len(refusals)} of {len(outcomes)} rigs refused, {unused} ramps not used")
         print(*sorted(set(refusals)), sep="\n")
+        if not whole:
+            break
     print_table(("estimate", "rigs", "mean error", "95 % of errors below", "intervals that hold"), rows)
-    return wrong
+    return wrong, whole
 
 
 def main() -> int:
@@ -435,9 +444,9 @@ def main() -> int:
         ("--seed", 1, "of random rigs"),
     )
     if options.what == "grid":
-        return accepted(measure_grid())
+        return accepted(*measure_grid())
     kinds = {"random": KINDS, "spread": (SPREAD,), "both": BOTH}[options.what]
-    return accepted(measure_random(options.rigs, options.seed, kinds))
+    return accepted(*measure_random(options.rigs, options.seed, kinds))
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from benchmarks.excitation_runs import NOISE, FourierMotion, measured
 from benchmarks.random_arms import FrictionLaw, SyntheticArm, random_arm
 from benchmarks.report import arguments, in_processes, print_table
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import IdentificationError
+from rx90_common.base.errors import INTERRUPTED, IdentificationError
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
 from rx90_emulator.identification.excitation.checks import check_signs
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record, without_shocks
@@ -121,10 +121,11 @@ def experiment(arguments: tuple[int, str]) -> Outcome:
 def main() -> int:
     """Print the figures; return 1 where intervals hold too seldom or too often, or a verdict is wrong."""
     options = arguments(__doc__, ("arms", 40, "how many"), ("--first", 0, "seed of the first"))
-    rows, wrong = [], []
+    rows, wrong, whole = [], [], True
     for condition in CONDITIONS:
         jobs = [(options.first + number, condition) for number in range(options.arms)]
-        outcomes = in_processes(experiment, jobs, condition)
+        outcomes = [*in_processes(experiment, jobs, condition).values()]
+        whole = len(outcomes) == len(jobs)
         held = np.array([one for outcome in outcomes for one in outcome.held])
         said = [outcome.wrong for outcome in outcomes if outcome.wrong]
         shown = ["-", "-"]
@@ -136,9 +137,11 @@ def main() -> int:
                 wrong.append(f"{condition}: intervals hold {share:.1%}")
         rows.append((condition, *shown, str(len(said))))
         wrong += [f"{condition}: {text}" for text in said]
+        if not whole:
+            break
     print_table(("log", "intervals that hold", "unseen torque error, median", "wrong verdicts"), rows)
     print(*wrong, sep="\n")
-    return 1 if wrong else 0
+    return int(bool(wrong)) if whole else INTERRUPTED
 
 
 if __name__ == "__main__":

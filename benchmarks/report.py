@@ -5,16 +5,20 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import statistics
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
 from tqdm import tqdm
+
+from rx90_common.base.errors import INTERRUPTED
 
 ROOT = Path(__file__).resolve().parent.parent
 BENCH_FILE = ROOT / "out" / "bench.json"
@@ -53,11 +57,42 @@ def prepare_ros() -> None:
     prepare()
 
 
-def in_processes(job: Callable[[_Job], _Found], jobs: Sequence[_Job], label: str, chunk: int = 1) -> list[_Found]:
-    """Return the results of all jobs, one process for each processor, with the progress on the terminal."""
+def in_processes(job: Callable[[_Job], _Found], jobs: Sequence[_Job], label: str, chunk: int = 1) -> dict[_Job, _Found]:
+    """Return the results of all jobs, one process for each processor, with the progress on the terminal.
+
+    On Ctrl-C those that are done are returned, in the order of the jobs, and how many they are is said.
+    """
+    parts = iter([jobs[k : k + chunk] for k in range(0, len(jobs), chunk)])
+    count = len(os.sched_getaffinity(0))
+    found: dict[_Job, _Found] = {}
     # Not forked: numba and BLAS may hold threads already.
-    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
-        return list(tqdm(pool.map(job, jobs, chunksize=chunk), total=len(jobs), desc=label))
+    with ProcessPoolExecutor(count, get_context("spawn")) as pool:
+        ours = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as the processes, which start here, keep it
+        # No more than run at once: those that the pool has queued could not be cancelled.
+        waiting = {pool.submit(_results, job, part): part for part in islice(parts, count)}
+        signal.signal(signal.SIGINT, ours)
+        try:
+            with tqdm(total=len(jobs), desc=label) as progress:
+                while waiting:
+                    future = next(as_completed(waiting))
+                    found.update(zip(waiting[future], future.result(), strict=True))
+                    progress.update(len(waiting.pop(future)))
+                    waiting.update({pool.submit(_results, job, part): part for part in islice(parts, 1)})
+        except KeyboardInterrupt:
+            print("interrupted: what runs is finished", file=sys.stderr)
+            pool.shutdown(cancel_futures=True)
+            for future, part in waiting.items():
+                if not future.cancelled():
+                    found.update(zip(part, future.result(), strict=True))
+            print(f"interrupted: {label}: {len(found)} of {len(jobs)} measured", file=sys.stderr)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return {one: found[one] for one in jobs if one in found}
+
+
+def _results(job: Callable[[_Job], _Found], jobs: Sequence[_Job]) -> list[_Found]:
+    return [job(one) for one in jobs]
 
 
 def timed(run: Callable[[], object], count: float = 1.0) -> Callable[[], float]:
@@ -133,8 +168,8 @@ def publish(figures: Mapping[str, float]) -> None:
     merge(figures)
 
 
-def accepted(wrong: Sequence[str]) -> int:
-    """Name what is not accepted; return the exit code: 1 if there is any."""
+def accepted(wrong: Sequence[str], whole: bool = True) -> int:
+    """Name what is not accepted; return the exit code: 1 if there is any, 130 if not all was measured."""
     for name in wrong:
         print(f"{name}: not what is accepted", file=sys.stderr)
-    return int(bool(wrong))
+    return int(bool(wrong)) if whole else INTERRUPTED

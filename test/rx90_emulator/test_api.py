@@ -20,6 +20,8 @@ import pytest
 import rx90_emulator as rx
 
 ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs/tutorials/python.md"
+EXAMPLES = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 LIGHT = "numpy scipy numba pinocchio rclpy rosbags matplotlib pyarrow yaml tqdm jinja2 serial"
 
 
@@ -83,6 +85,22 @@ def test_every_name_explains_itself() -> None:
             assert all(p.annotation is not inspect.Parameter.empty for p in signature.parameters.values()), name
     with pytest.raises(AttributeError, match=r"no attribute 'load_setups'; help\(rx90_emulator\) lists them"):
         _ = rx.load_setups  # type: ignore[attr-defined]
+
+
+def test_the_first_example_is_short_and_shows_an_effect() -> None:
+    """Changing tau_s, running the line, plotting the path error: under 15 lines, and the plotted errors differ."""
+    import matplotlib.pyplot as plt
+
+    lines = [line for line in EXAMPLES[0].splitlines() if line.strip()]
+    assert len(lines) < 15
+    plt.switch_backend("Agg")
+    plt.figure()
+    exec("\n".join(line for line in lines if "savefig" not in line), {})
+    errors = [np.asarray(line.get_ydata()) for line in plt.gca().get_lines()]
+    assert len(errors) == 3
+    assert errors[0].max() < errors[1].max() < errors[2].max() < 1.0
+    assert plt.gca().get_ylabel() == "path error [mm]"
+    plt.close("all")
 
 
 def test_parameters_are_listed_with_their_units_and_can_be_set_back() -> None:

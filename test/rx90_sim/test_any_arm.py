@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 import pytest
-from any_arm import write_arm
 from lugre_oracle import LuGreOracle
 from numpy.typing import NDArray
 from scipy.special import ellipk
 
+from benchmarks.any_arm import write_arm
 from benchmarks.hybrid_reference import negligible_element
 from rx90_common.arm_dynamics import inverse_dynamics, mass_and_bias
 from rx90_common.friction import FrictionSet

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from any_arm import write_arm
 from processes import TIMEOUT, wait_until
 
+from benchmarks.any_arm import write_arm
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.cdr import cdr_stamp_ns

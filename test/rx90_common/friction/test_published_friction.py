@@ -1,4 +1,11 @@
-"""Published and identified friction: numbers carried to the joint, and the library of sets."""
+"""Published and identified friction: numbers carried to the joint, and the library of sets.
+
+Sources of the published, with the revision that was read: petercorke/robotics-toolbox-python a9ed8d45 (MIT),
+models/DH/Puma560.py; modelica/ModelicaStandardLibrary b756f9de (BSD-3-Clause),
+Mechanics/MultiBody/Examples/Systems/RobotR3/FullRobot.mo; shamilmamedov/dynamic_calibration 11af40e7,
+UR10E_parameters.txt; unisa-acg/inverse-dynamics-solver 41e196de (BSD-3-Clause), ur10_inverse_dynamics_solver.{h,cpp};
+Rhoban/bam 1b5a1cee (Apache-2.0), bam/params.
+"""
 
 from __future__ import annotations
 

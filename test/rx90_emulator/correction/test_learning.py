@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from any_arm import write_arm
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 import rx90_emulator as rx
+from benchmarks.any_arm import write_arm
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import ConfigError, Rx90Warning

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from any_arm import write_arm
 from scipy.optimize import differential_evolution
 
 import rx90_emulator as rx
+from benchmarks.any_arm import write_arm
 from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO
 from rx90_common.friction import FrictionElement
 from rx90_emulator.cli.frame import run

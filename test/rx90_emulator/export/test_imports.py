@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from any_arm import write_arm
 
 import rx90_emulator as rx
+from benchmarks.any_arm import write_arm
 from rx90_common.base.errors import DONE, ConfigError
 from rx90_common.base.share import config_path
 from rx90_common.description.drives import load_drives

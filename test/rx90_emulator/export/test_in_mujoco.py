@@ -10,8 +10,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 import pytest
-from any_arm import write_arm
 
+from benchmarks.any_arm import write_arm
 from benchmarks.exported_arm import compare
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import to_motor_torque

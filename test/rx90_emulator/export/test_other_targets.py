@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from any_arm import write_arm
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 import rx90_emulator as rx
+from benchmarks.any_arm import write_arm
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction.parts.load import LoadPart

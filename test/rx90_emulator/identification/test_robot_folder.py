@@ -15,11 +15,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from any_arm import joint_names, write_arm
 from foreign_arms import urdf_text
 from numpy.typing import NDArray
 from schema_faults import schema_faults
 
+from benchmarks.any_arm import joint_names, write_arm
 from rx90_common.base.errors import IdentificationError, Rx90Error
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction import FrictionElement

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from any_arm import joint_names, write_arm
 from elastic_arms import POSE, WRIST, elastic, floating, link_mass
 from full_friction import PARTS
 from scipy.linalg import expm
 
+from benchmarks.any_arm import joint_names, write_arm
 from benchmarks.perturbation import agreement
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.arrays import Array

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from any_arm import joint_names, write_arm
 from processes import Processes
 from ros_client import Client, seconds
 
+from benchmarks.any_arm import joint_names, write_arm
 from rx90_common.bags.comparison import Verdict, compare_bags
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate_commands

@@ -445,7 +445,7 @@ def test_scrubbing_shows_what_was_recorded(
 
     In a gap an arm is not drawn, the button leads to the worst difference, curves keep its peak, and playing ends.
     """
-    shown = open_page(played.page.address, (500, 400))
+    shown = open_page(played.page.address, (500, 400), pictures="few")
     player = played.player
 
     def wait_for_both_at(message: int) -> list[np.ndarray]:

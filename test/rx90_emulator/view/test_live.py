@@ -58,7 +58,7 @@ def near(shown: BrowserPage, where: np.ndarray) -> Callable[[], bool]:
 def test_nodes_come_go_and_come_again(shipped: Setup, processes: Processes, open_page: Open) -> None:
     """The page waits for nodes, shows their arm, says that they have gone, and that others are of another robot."""
     view = processes.start("rx90_view", "--port", 0, "--ros-args", "-r", "__ns:=/cell_1")
-    shown = open_page(address(view), SIZE)
+    shown = open_page(address(view), SIZE, pictures="few")
     shown.wait_until(lambda: "Waiting for a simulation: nothing on /cell_1/joint_states" in shown.text(), "the wait")
     pose = f"rx90_sim:initial_position:={POSE}"
     cell = processes.start("rx90_cell", "--ros-args", "-r", "__ns:=/cell_1", "-p", pose)
@@ -83,7 +83,7 @@ def test_the_arm_of_make_view_moves_and_all_ends_with_it(
     view = processes.start(
         "rx90_view", "--demo", "--task", task, "--port", 0, "--no-browser", "--output", tmp_path / "out"
     )
-    shown = open_page(address(view), SIZE)
+    shown = open_page(address(view), SIZE, pictures="few")
     for end in ((0.6034, -0.2808, 0.1955), (0.6, -0.3, 0.2)):
         shown.wait_until(near(shown, np.array(end)), f"the tip at {end}")
     shown.wait_until(lambda: len(shown.plots()["friction torque [Nm]"]["data"][0]) > 10, "samples of friction")

@@ -350,18 +350,22 @@ def recorded(listener: Listener, folder: Path) -> Iterator[None]:
         button._follow(time.monotonic())
         return words in button._said.content
 
-    use(page, button._button)
-    listener.until(lambda: says("recording to bag: "), "the recorder")
-    yield
-    use(page, button._button)
-    listener.until(lambda: says("messages of"), "the end of the recording")
-    told = re.search(r"recorded (\d+) messages", button._said.content)
-    assert told is not None
-    with Rosbag2Reader(folder / "bag") as bag:
-        assert bag.message_count == int(told[1]) > 0
-        assert {f"/cell/{topic}_states" for topic in ("joint", "friction", "motor")} <= set(bag.topics)
-    button.close()
-    page.close()
+    try:
+        use(page, button._button)
+        listener.until(lambda: says("recording to bag: "), "the recorder")
+        yield
+        use(page, button._button)
+        listener.until(lambda: says("messages of"), "the end of the recording")
+        told = re.search(r"recorded (\d+) messages", button._said.content)
+        assert told is not None
+        with Rosbag2Reader(folder / "bag") as bag:
+            assert bag.message_count == int(told[1]) > 0
+            assert {f"/cell/{topic}_states" for topic in ("joint", "friction", "motor")} <= set(bag.topics)
+    finally:
+        try:
+            button.close()
+        finally:
+            page.close()
 
 
 def test_both_nodes_do_what_they_are_asked(listener: Listener, shipped: Setup, tmp_path: Path) -> None:

@@ -1,14 +1,26 @@
-"""Robot folders of made-up arms with 1 to 7 joints and any coupling."""
+"""Robot folders of made-up arms with 1 to 7 joints and any coupling, and the speed of their closed loop on one core.
+
+    python -m benchmarks.any_arm
+
+The arm of seven joints moves all of them at once, for a minute, with all that the shipped RX90B has on; the RX90B does
+likewise, and both take turns. Times are processor times of the one thread that works.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.report import in_turns, merge, print_times, timed
 from rx90_common.base.config import yaml_text
 from rx90_common.description.coupling import Coupling
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.setup import Setup, load_setup
 
 _MASS = (8.0, 7.0, 5.0, 4.0, 2.5, 1.8, 1.0)
 _LENGTH = 0.25  # m, of each link
@@ -93,3 +105,31 @@ def _urdf(masses: Sequence[float]) -> str:
             f'ixy="{0.02 * moment}" ixz="{-0.03 * moment}" iyz="{0.01 * moment}"/></inertial></link>'
         )
     return "".join([*parts, "</robot>"])
+
+
+_DURATION, _WAY = 60, 0.3  # s, rad in a second
+_SEVEN, _RX90B = "seven joints", "RX90B"
+
+
+def _swing(setup: Setup) -> Callable[[], float]:
+    """Return a function that moves all joints to and fro and gives the time of a tick, s."""
+    joints = len(setup.robot.joint_names)
+    times = np.arange(_DURATION + 1.0)
+    position = np.outer(times % 2.0, np.full(joints, _WAY))
+    points = TrajectoryPoints(times, position, np.zeros_like(position), np.zeros_like(position))
+    return timed(lambda: simulate(setup, points), setup.rates.ticks_of(float(_DURATION)))
+
+
+def main() -> int:
+    """Measure, print the table and merge the figures."""
+    with tempfile.TemporaryDirectory() as folder:
+        seven = load_setup(robot=write_arm(Path(folder) / "arm", 7))
+        period = seven.rates.period
+        times = in_turns({_SEVEN: _swing(seven), _RX90B: _swing(Setup.load())}, rounds=7)
+    median = print_times("closed loop at 4 kHz", times, _RX90B, period)
+    merge({"seven_joints_real_time_factor": period / median[_SEVEN]})
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
