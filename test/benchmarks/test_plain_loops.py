@@ -10,7 +10,7 @@ import pytest
 from benchmarks.closed_loop import Ticks
 from benchmarks.hybrid_reference import Work
 from benchmarks.plain_loops import WORKSPACE_DTYPE, mass_and_bias, run_lanes, run_plain
-from rx90_common import dynamics
+from rx90_common import arm_dynamics
 from rx90_emulator.loop.setup import Setup
 
 
@@ -39,7 +39,7 @@ def test_newton_and_euler_find_the_same_arm(shipped: Setup) -> None:
         q = rng.uniform(shipped.robot.lower, shipped.robot.upper)
         v = rng.uniform(-1.0, 1.0, 6) * shipped.robot.max_velocity
         lanes, plain = (np.empty((6, 6)), np.empty(6)), (np.empty((6, 6)), np.empty(6))
-        dynamics.mass_and_bias(plant.constants[0]["arm"], plant.state[0]["body"], q, v, *lanes)
+        arm_dynamics.mass_and_bias(plant.constants[0]["arm"], plant.state[0]["body"], q, v, *lanes)
         mass_and_bias(plant.constants[0]["arm"], workspace[0], q, v, *plain)
         for ours, other in zip(lanes, plain, strict=True):
             assert np.abs(ours - other).max() < 1e-14 * np.abs(ours).max()
