@@ -260,7 +260,7 @@ class Stream:
             again = messages.repeats(self._newest)
             self._newest = found[-1][0]
             self.repeated += int(again.sum())
-            messages, received_ns = messages.take(np.flatnonzero(~again)), received_ns[~again]
+            messages, received_ns, sent_ns = messages.take(np.flatnonzero(~again)), received_ns[~again], sent_ns[~again]
         return Arrived(self.index, self.time_source, messages, received_ns, sent_ns if self._latched else None)
 
     def matched(self) -> int:

@@ -21,7 +21,7 @@ from rx90_common.bags.ordering import Arrived, TimeSource
 from rx90_common.bags.recorder import recording
 from rx90_common.bags.recorder.stream import SequenceCounter, Stream, Streams
 from rx90_common.exchange.cdr import JointStateCodec
-from rx90_common.exchange.endpoints import TICK_QOS
+from rx90_common.exchange.endpoints import LATCHED_QOS, TICK_QOS
 
 SENT_BEFORE = 9  # one a round: these take longer than a topic that is quiet is waited for
 LONG = 120.0
@@ -142,6 +142,25 @@ def node(ros_domain: int) -> Iterator[Node]:
     """Return a node in a domain of its own."""
     with own_node("taking", ros_domain) as node:
         yield node
+
+
+@pytest.mark.ros
+def test_a_latched_sample_that_is_repeated_keeps_its_times(node: Node) -> None:
+    """What is left out as a repetition is left out of the times of reception and of sending, too."""
+    publisher = node.create_publisher(JointState, "latched", LATCHED_QOS)
+    streams, found = Streams(node, ["latched"]), list[Stream]()
+    wait_until(lambda: streams.discover(found.append), "the subscription")
+    wait_until(lambda: publisher.get_subscription_count() == 1, "the publisher")
+    raw = JointStateCodec(["a"]).encode(1, np.array([1.0]))
+    took = list[Arrived]()
+    for count in range(1, 4):  # one by one, as the publisher keeps one
+        publisher.publish(raw)
+        while found[0].counter.received < count:
+            took.append(found[0].take())
+    assert sum(len(each.messages) for each in took) == 1
+    for each in took:
+        assert each.sent_ns is None or len(each.sent_ns) == len(each.received_ns) == len(each.messages)
+    assert any(each.sent_ns is not None for each in took)
 
 
 @pytest.mark.ros
