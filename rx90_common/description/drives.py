@@ -19,7 +19,7 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.declared import Declared
 from rx90_common.base.entries import LEFT_OUT, PER_JOINT, REQUIRED, Integer, ListOf, Number, Numbers, Rows, Text
 from rx90_common.base.errors import ConfigError, located
-from rx90_common.base.quoting import counted
+from rx90_common.base.quoting import counted, plain
 from rx90_common.description.coupling import Coupling
 
 MAX_TERMS = 8
@@ -354,5 +354,5 @@ def load_drives(path: Path) -> DriveParameters:
     """
     root = load_yaml(path)
     content = DRIVES.read(root)
-    with located(root.where("")[:-2]):
+    with located(plain(root.file)):
         return DriveParameters.of_file(content)
