@@ -97,7 +97,7 @@ class BringUp(Dialogue):
 
     @property
     def _limit(self) -> int:
-        return self._hello.torque_limit_code
+        return self.client.greeting.torque_limit_code
 
     def run(self) -> int:
         """Run all steps, and print the result of each.
@@ -151,7 +151,7 @@ class BringUp(Dialogue):
     # The steps.
 
     def _line(self) -> None:
-        client, rig, hello, name = self.client, self.rig, self._hello, plain(self.rig.file.name)
+        client, rig, hello, name = self.client, self.rig, self.client.greeting, plain(self.rig.file.name)
         self._say(f"{hello.text}: {self.board.name}")
         self._say(
             f"{hello.counts_per_revolution} counts a turn, tick {hello.tick_us / 1e3:g} ms, "
@@ -255,7 +255,7 @@ class BringUp(Dialogue):
         self._say(f"TORQUE {limit + 1} and {CODES} and a RAMP to {limit + 1} are refused{both}")
 
     def _watchdog(self) -> None:
-        client, code, hello = self.client, self.codes[0], self._hello
+        client, code, hello = self.client, self.codes[0], self.client.greeting
         expected = hello.watchdog_ticks * self.rig.tick
         self._say(
             f"S1 stays open. Code {code} is put on the DAC, then this computer is silent: after {1e3 * expected:g} ms "

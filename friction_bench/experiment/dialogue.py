@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from friction_bench.experiment.session import armed, refuse_fault
 from friction_bench.rig.client import RigClient, Sample
-from friction_bench.rig.messages import PROCESSORS, Command, HelloReply, RigError, fault_text
+from friction_bench.rig.messages import PROCESSORS, Command, RigError, fault_text
 from friction_bench.rig.rig_file import CODES
 from rx90_common.base.quoting import one_line, quoted
 
@@ -183,11 +183,6 @@ class Dialogue:
     def board(self) -> Board:
         """Return the board's figures."""
         return (BIPOLAR_BOARDS if self.rig.bipolar else BOARDS)[self._name or "8051"]
-
-    @property
-    def _hello(self) -> HelloReply:
-        assert self.client.hello is not None  # each step begins with a greeting
-        return self.client.hello
 
     def _say(self, text: str) -> None:
         print(textwrap.fill(text, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT), flush=True)

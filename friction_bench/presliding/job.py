@@ -284,9 +284,8 @@ def _run_all(session: Session, campaign: Campaign, out: Path) -> None:
     are as good as those that are missing.
     """
     client, bar, done = session.client, session.bar, campaign.done
-    assert client.hello is not None  # it has been greeted
     try:
-        for what in campaign.runs(client.hello.torque_limit_code):
+        for what in campaign.runs(client.greeting.torque_limit_code):
             bar.total = round(bar.n + campaign.remaining_time(), 1)
             bar.set_postfix_str(what.label, refresh=False)
             wait_for_rest(client)

@@ -114,6 +114,12 @@ class RigClient:
         self._listened = self._last_report_at = 0.0  # time spent listening, s, the clock of the answers' timeouts
 
     @property
+    def greeting(self) -> HelloReply:
+        """Return the answer to the greeting, for what begins with one."""
+        assert self.hello is not None
+        return self.hello
+
+    @property
     def bad_frames(self) -> int:
         """Return how many damaged frames have come from the rig."""
         return self._decoder.bad
