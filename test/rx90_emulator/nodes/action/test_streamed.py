@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from action_bench import STEP, Bench
 from numpy.typing import NDArray
+from processes import TIMEOUT
+from rclpy.duration import Duration
 from ros_client import JOINTS
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -31,8 +33,9 @@ def set_points(bench: Bench, messages: Sequence[Any], topic: str, seconds: float
     bench.client.spin_until(lambda: publisher.get_subscription_count() > 0, "the controller")
     for message in messages:
         publisher.publish(message)
-    publisher.wait_for_all_acked()
-    bench.client.known_to("rx90_controller")  # its executor has taken what came before the request
+    assert publisher.wait_for_all_acked(Duration(seconds=TIMEOUT))
+    for _ in messages:  # in the round in which it answers a request, its executor takes one waiting set-point
+        bench.client.known_to("rx90_controller")
     bench.time.run(seconds)
     followed = bench.set_points_from(begin, round(seconds * 1e3) - 1)
     node.destroy_publisher(publisher)
