@@ -192,7 +192,7 @@ def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
     cases += [("rx90_sweep", ["info", "x"], "pyarrow", True)]
     done = subprocess.run(
         [sys.executable, "-c", CHILD], input=json.dumps(cases), cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True, timeout=120,
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True, timeout=600,
     )  # fmt: skip
     answers = [json.loads(line) for line in done.stdout.splitlines()]
     for (program, words, package, broken), (code, errors) in zip(cases, answers, strict=True):
