@@ -102,8 +102,11 @@ class LockstepSimulation:
         raw = self._channel.receive(_SLICE)
         if raw is not None and self._answers(raw, stamp_ns):
             self._foreign = 0
-            return raw
-        return self._wait_for(stamp_ns, state, interrupted, raw)
+        else:
+            raw = self._wait_for(stamp_ns, state, interrupted, raw)
+        if raw is not None:
+            self._wait.end(stamp_ns)
+        return raw
 
     def _answers(self, raw: bytes, stamp_ns: int) -> bool:
         """Return whether this is the command that is waited for; keep it, or note why not."""
@@ -111,7 +114,6 @@ class LockstepSimulation:
             self._ignore(raw)
             return False
         if not self._usable(raw):
-            self._wait.explained()
             return False
         self._accepted = raw
         return True
@@ -124,9 +126,13 @@ class LockstepSimulation:
         matches = channel.matches()
         began = sent = looked = time.monotonic()
         foreign, wrong_ns, complained = 0, 0, False  # commands with other stamps; whether that was reported
+        unusable = False  # whether there were commands that `usable` has reported
         while True:
-            if raw is not None and cdr_stamp_ns(raw) != stamp_ns and not self._two_controllers:
-                foreign, wrong_ns = foreign + 1, cdr_stamp_ns(raw)
+            if raw is not None and not self._two_controllers:
+                if cdr_stamp_ns(raw) != stamp_ns:
+                    foreign, wrong_ns = foreign + 1, cdr_stamp_ns(raw)
+                else:
+                    unusable = True
             now = time.monotonic()
             # Looked at by the clock: a stream of foreign commands must not keep it from being looked at.
             if raw is None or now - looked >= _SLICE:
@@ -148,7 +154,7 @@ class LockstepSimulation:
                 elif (
                     now - began > (_PATIENCE if foreign == 0 else _FOREIGN_COUNT * _PATIENCE) or current.publishers == 0
                 ):
-                    self._announce_wait(stamp_ns, current.publishers > 0)
+                    self._announce_wait(stamp_ns, current.publishers > 0, unusable)
                 if there and (current != matches or now - sent > _PATIENCE):
                     self._two_controllers = self._two_controllers and current.publishers > 1
                     channel.publish(state)
@@ -156,10 +162,12 @@ class LockstepSimulation:
                 matches = current
             raw = channel.receive(_SLICE)
             if raw is not None and self._answers(raw, stamp_ns):
-                self._wait.end(stamp_ns)
                 return raw
 
-    def _announce_wait(self, stamp_ns: int, there: bool) -> None:
+    def _announce_wait(self, stamp_ns: int, there: bool, unusable: bool) -> None:
+        # Not at the first: where a usable one follows at once, in each tick, each would end in a line.
+        if unusable:
+            self._wait.explained()
         topic, still = self._channel.subscribe_topic, f"time stands still at {stamp_ns / NANOSECONDS:.6g} s"
         if there:
             self._wait.begin(f"the controller on {topic} is silent: {still}")

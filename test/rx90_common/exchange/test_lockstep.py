@@ -91,17 +91,21 @@ def test_the_simulation_takes_the_command_of_its_tick_alone(controller: Controll
 
 
 def test_a_command_that_cannot_be_used_leaves_the_tick_to_the_next_one(controller: Controller) -> None:
-    """The one that is usable is taken; meanwhile the states come again, and no line says that time runs on."""
-    bad, good = message(1, np.nan), message(1, 1.0)
-    controller.inbox.extend([bad, message(0), good, good])
-    assert controller.exchange(1) == good
-    assert controller.sent == [message(1)]
-    assert controller.said == ["unusable", "the controller answers: time runs on from 0.00025 s"]
-    controller.said.clear()
-    controller.on_wait = lambda: controller.inbox.extend([message(2, np.nan)] * (controller.passed % 1.0 < 0.05))
-    assert controller.exchange(2, lambda: controller.passed > 5.0) is None
+    """The one that is usable is taken; only where time has stood still meanwhile, a line says that it runs on."""
+    for tick in range(1, 51):
+        good = message(tick, 1.0)
+        controller.inbox.extend([message(tick, np.nan), message(tick - 1), good, good])
+        assert controller.exchange(tick) == good
+    assert controller.sent == [message(tick) for tick in range(1, 51)]
+    assert controller.said == ["unusable"] * 50
+    controller.inbox.clear()
+    controller.on_wait = lambda: controller.inbox.extend([message(51, np.nan)] * (controller.passed % 1.0 < 0.05))
+    assert controller.exchange(51, lambda: controller.passed > 5.0) is None
     assert set(controller.said) == {"unusable"}
-    assert len(controller.sent) > 3
+    assert len(controller.sent) > 53
+    controller.on_wait = lambda: controller.inbox.append(message(51))
+    assert controller.exchange(51) == message(51)
+    assert controller.said[-1] == "the controller answers: time runs on from 0.01275 s"
 
 
 def test_who_answers_with_the_stamp_before_is_told(controller: Controller) -> None:
