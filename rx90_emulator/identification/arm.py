@@ -28,6 +28,8 @@ from rx90_common.friction import FrictionElement
 from rx90_emulator.loop.setup import Setup
 
 _MIN_MASS, _MAX_MASS = 1e-12, 1e5  # kg
+_MAX_NUMBER = 1e12  # m and kg m^2: beyond any unit, and its square is a number
+_NUMBERS = "link/inertial/origin", "link/inertial/inertia", "joint/origin", "joint/axis"
 _TURNING = ("revolute", "continuous")
 _STDERR = 2
 
@@ -315,6 +317,12 @@ def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
                     f"{plain(urdf)}: the mass of link {quoted(link.get('name'))} is {weight:g} kg; accepted: 0 to "
                     f"{_MAX_MASS:g} kg"
                 )
+        for element in (one for path in _NUMBERS for one in root.iterfind(path)):
+            for key, text in element.items():
+                if not all(abs(float(word)) <= _MAX_NUMBER for word in text.split()):
+                    raise IdentificationError(
+                        f"{plain(urdf)}: <{element.tag} {key}={quoted(text)}>; accepted: numbers up to {_MAX_NUMBER:g}"
+                    )
         return model, root
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", error)

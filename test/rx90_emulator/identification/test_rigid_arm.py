@@ -125,6 +125,8 @@ def test_what_does_not_fit_is_refused(urdf: Path, arguments: dict[str, object], 
         # The parser below Pinocchio drops such a body, says so on stderr, and goes on without it.
         ('mass value="', 'mass value="nan', r"no URDF that Pinocchio can read \(Inertial: mass \[nan"),
         ('mass value="', 'mass value="-', "the mass of link '.*' is -[0-9.]+ kg; accepted: 0 to 100000 kg"),
+        (' ixx="', ' ixx="1e200" was="', "<inertia ixx='1e200'>; accepted: numbers up to 1e.12"),
+        ('<origin xyz="', '<origin xyz="0 0 -1e200" was="', "<origin xyz='0 0 -1e200'>; accepted: numbers up to 1e.12"),
         ('mass value="', 'mass value="99999', "the mass of link '.*' is 99999[0-9.]+ kg; accepted"),
     ],
 )
