@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rx90_common.base.errors import SweepError, write_error
-from rx90_common.base.quoting import counted
+from rx90_common.base.quoting import counted, listed
 from rx90_emulator.loop.parameters import SWITCH
 from rx90_emulator.sweep.sweep import RUN_COLUMNS, RunOutcome, Sweep
 
@@ -81,12 +81,17 @@ def about(schema: pa.Schema, file: Path) -> dict[str, Any]:
     """Return what a result's metadata say of it.
 
     Raises:
-        SweepError: if it is no result of a sweep.
+        SweepError: if it is no result of a sweep, or has other columns than a sweep has written.
     """
     try:
         found: dict[str, Any] = json.loads(schema.metadata[KEY])
+        written = list(json.loads(schema.metadata[_PANDAS])["units"])
     except (TypeError, KeyError, ValueError) as error:
         raise SweepError(f"{file} is not a result of rx90_sweep; accepted: a file that it wrote") from error
+    if schema.names != written:
+        lacking = listed([name for name in written if name not in schema.names])
+        what = f"lacks the columns {lacking}" if lacking else "has other columns, or in another order"
+        raise SweepError(f"{file} {what}; accepted: the file as rx90_sweep wrote it")
     return found
 
 

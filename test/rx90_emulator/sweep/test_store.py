@@ -116,8 +116,12 @@ def test_existing_results_are_safe(output: Path, sweep: Sweep) -> None:
 
 
 def test_foreign_files_are_refused(tmp_path: Path, sweep: Sweep) -> None:
-    """A folder, a text, a torn file and somebody else's Parquet are refused in one line, and stay as they are."""
-    text, foreign = tmp_path / "text.parquet", tmp_path / "foreign.parquet"
+    """A folder, a text, a torn file, somebody else's Parquet and missing columns are refused in one line, and stay."""
+    text, foreign, lacking = (tmp_path / f"{name}.parquet" for name in ("text", "foreign", "lacking"))
+    rows = store.table_of(sweep, store.schema_of(sweep), [])
+    pq.write_table(rows.drop_columns(["index", "error"]), lacking)
+    swapped = tmp_path / "swapped.parquet"
+    pq.write_table(rows.select(rows.column_names[::-1]), swapped)
     text.write_text("index,error\n", encoding="utf-8")
     pq.write_table(pa.table({"index": [1, 2]}), foreign)
     torn = tmp_path / "torn.parquet"
@@ -127,11 +131,13 @@ def test_foreign_files_are_refused(tmp_path: Path, sweep: Sweep) -> None:
         (text, "cannot be read as Parquet"),
         (torn, "cannot be read as Parquet"),
         (foreign, "is not a result of rx90_sweep"),
+        (lacking, "lacking.parquet lacks the columns index, error; accepted: "),
+        (swapped, "swapped.parquet has other columns, or in another order; accepted: "),
     ):
         with pytest.raises(SweepError, match=said) as error:
             ResultStore(file, sweep, resume=True)
         assert "\n" not in str(error.value)
-    assert len(list(tmp_path.iterdir())) == 3
+    assert len(list(tmp_path.iterdir())) == 5
 
 
 def test_a_damaged_part_is_named(tmp_path: Path, sweep: Sweep, outcomes: list[RunOutcome]) -> None:
