@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY
+from rx90_common.friction.parts.part import MIN_SPEED
 from rx90_emulator.identification.records import BagSource
 
 SLIDING = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "omega_s", "delta", "c2")
@@ -22,6 +24,7 @@ LARGEST_DEVIATION = 0.3
 """Relative standard deviation of c0 or c1, up to which it is identifiable."""
 NOT_IN_MODEL = "the model that was asked for does not have it"
 """Why a parameter has no estimate if its part is not in the model that the user asked for: the part is off."""
+_DAMPING_FADE_SPEED = 1.0  # rad/s, as of the shipped RX90B
 _MAX_DECIMALS = 7
 LARGEST = 1e12
 """Largest value or deviation that is written, SI units: no bristle is so stiff, and no arm so strong."""
@@ -30,6 +33,19 @@ LARGEST = 1e12
 def digits(value: float, count: int = 6) -> float:
     """Round a value to `count` digits: 6 are far finer than any standard deviation, 12 hide rounding errors."""
     return float(f"{value:.{count}g}")
+
+
+def with_passive_fading(element: FrictionElement, fallback: FrictionElement | None) -> FrictionElement:
+    """Return an element with the omega_d of a fallback, or 1 rad/s without one, or less, so that c1 gives no energy.
+
+    The largest of c1 v exp(-(v / omega_d)^2) is c1 omega_d / sqrt(2 e), and the element is passive at every speed while
+    that is below p tau_c, with p the bristles' factor: half of it is taken.
+    """
+    usual = _DAMPING_FADE_SPEED if fallback is None else fallback.omega_d
+    bristles, least = element.bristles, min(element.tau_c_positive, element.tau_c_negative)
+    factor = LUGRE_PASSIVITY if bristles is None else float(bristles.passivity_factor(element.c0, 0.0))
+    passive = 0.5 * factor * math.sqrt(2.0 * math.e) * least / max(element.c1, 1e-300)
+    return replace(element, omega_d=min(usual, max(passive, MIN_SPEED)))
 
 
 def cluster_variances(

@@ -29,6 +29,7 @@ from rx90_emulator.identification.estimates import (
     ElementEstimate,
     IdentifiedElement,
     ParameterEstimate,
+    with_passive_fading,
 )
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.experiments.plan import IdentificationBags, read_emulated, read_index
@@ -421,6 +422,8 @@ def identify_records(
             own, bags = chosen.estimates, kind.sources
         sources = dict.fromkeys(own, bags) | dict.fromkeys(first.parameters, first.sources)
         element = replace(_element(first, own, other), bristles=None if chosen is None else chosen.bristles)
+        if other is None:
+            element = with_passive_fading(element, None)
         given = None if kind is not None and kind.decided else other
         elements.append(IdentifiedElement.of(element, {**first.parameters, **own}, sources, given))
     return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name, kinds=kinds)

@@ -19,9 +19,12 @@ from scipy.stats import t as student
 from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY
-from rx90_common.friction.parts.part import MIN_SPEED
-from rx90_emulator.identification.estimates import ElementEstimate, IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.estimates import (
+    ElementEstimate,
+    IdentifiedElement,
+    ParameterEstimate,
+    with_passive_fading,
+)
 from rx90_emulator.identification.excitation.bodies import Consistency
 from rx90_emulator.identification.excitation.choice import ModelRow
 from rx90_emulator.identification.excitation.fit import LinearFit, time_blocks
@@ -259,12 +262,6 @@ _PRESLIDING_DISTANCE = 2.5e-4  # rad, at break-away where no c0 is known: that o
 ASSUMED = "no file: bristles that break away after 0.25 mrad are assumed, and the least Coulomb torque of the others"
 """Source, in words, of values that are not identified, without a fallback."""
 _BRISTLE_RELAXATION = 1e-3  # s, c1 over c0 where no c1 is known, as there
-_DAMPING_FADE_SPEED = 1.0  # rad/s, omega_d where none is known, at most: the element is passive beside such a c1
-_PASSIVE_FADING = 0.5 * LUGRE_PASSIVITY * math.sqrt(2.0 * math.e)
-"""Of omega_d c1 / tau_c, half of the bound up to which the element is passive at every speed.
-
-The largest of c1 v exp(-(v / omega_d)^2) is c1 omega_d / sqrt(2 e), and 4 c0 g is 4 tau_c at least.
-"""
 _NEUTRAL = {"omega_s": 0.1, "delta": 1.0, "c2": 0.0}  # without effect while tau_s = tau_c
 
 
@@ -337,13 +334,10 @@ def _element(known: Mapping[str, ParameterEstimate], other: FrictionElement | No
     found = _NEUTRAL | found
     mean = 0.5 * (found["tau_c_positive"] + found["tau_c_negative"])
     found.setdefault("c0", mean / _PRESLIDING_DISTANCE if other is None else other.c0)
-    usual = _DAMPING_FADE_SPEED if other is None else other.omega_d
-    own = "c1" in found or other is None  # a fallback's own c1 fades as it does there
+    own = "c1" in found  # a fallback's own c1 fades as it does there
     found.setdefault("c1", found["c0"] * _BRISTLE_RELAXATION if other is None else other.c1)
-    least = min(found["tau_c_positive"], found["tau_c_negative"])
-    passive = max(_PASSIVE_FADING * least / max(found["c1"], 1e-300), MIN_SPEED)
-    found["omega_d"] = min(usual, passive) if own else usual
-    return FrictionElement(**found)
+    element = FrictionElement(**found)
+    return with_passive_fading(element, other) if own or other is None else replace(element, omega_d=other.omega_d)
 
 
 _MIN_TREND_BLOCKS = 6  # least number of blocks for a test

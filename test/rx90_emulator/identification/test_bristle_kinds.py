@@ -407,7 +407,10 @@ def test_bristles_go_with_c0_unless_they_are_told(
     kind: SimpleNamespace | None,
     expected: BristlesPart | None,
 ) -> None:
-    """The fallback's block comes with its c0; a c0 of LuGre's fit stays LuGre's, and a kind that is told stays."""
+    """The fallback's block comes with its c0; a c0 of LuGre's fit stays LuGre's, and a kind that is told stays.
+
+    Without a fallback, c1, here a large one, fades so that the element gives energy at no speed.
+    """
     options = RobotOptions(urdf=str(hinge.urdf), fallback=str(fallback(tmp_path / "given.yaml", SLIPPING)))
     robot = RecordedRobot.load(options)
     c0 = ParameterEstimate(2e4, 1e2) if known else ParameterEstimate.unknown("too small")
@@ -424,6 +427,11 @@ def test_bristles_go_with_c0_unless_they_are_told(
     assert one.element.bristles == expected
     assert one.given_bristles == (expected == PARTS[0])
     assert one.element.c0 == (2e4 if known else 12345.0)
+    if known:
+        alone = RecordedRobot.load(replace(options, fallback="none"))
+        (own,) = identify_records([], [None], alone, bristle_kinds=kind is not None).elements  # type: ignore[list-item]
+        assert replace(own.element, omega_d=one.element.omega_d) == one.element
+        assert own.element.passivity_limit(1e3) == np.inf
 
 
 @pytest.mark.parametrize("known", [True, False])
