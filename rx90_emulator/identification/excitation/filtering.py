@@ -547,8 +547,9 @@ def recording_notes(records: Sequence[JointRecord], bandwidths: Bandwidths) -> t
         if rate < _LOW_RATE:
             found.append(
                 f"warning: {name}: {rate:.3g} samples per second do not resolve motion above {0.3 * rate:.3g} Hz, nor "
-                f"what is over within {1e3 * 2.0 / rate:.0f} ms of a reversal, as bristles (c0, c1) and narrow "
-                f"Stribeck rises; deviations are proven from {_LOW_RATE:g} samples per second on"
+                f"what is over within {1e3 * 2.0 / rate:.0f} ms of a reversal, such as stiff bristles (c0, c1) and "
+                "narrow Stribeck rises (those that are found last longer); deviations are proven from "
+                f"{_LOW_RATE:g} samples per second on"
             )
     if (edge := smoothed_above(records)) is not None:
         found.append(

@@ -26,7 +26,12 @@ from rx90_emulator.identification.excitation.choice import (
     TimeBlocks,
     left_out,
 )
-from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
+from rx90_emulator.identification.excitation.filtering import (
+    Bandwidths,
+    FilteredRun,
+    filter_record,
+    recording_notes,
+)
 from rx90_emulator.identification.excitation.final_fit import FinalFit, blur_shifts, bounded_covariance
 from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, fit_shapes, nonnegative
 from rx90_emulator.identification.excitation.friction import (
@@ -174,6 +179,22 @@ def test_a_rise_is_found_beside_a_bristle_that_nobody_asked_for(arm: RigidArm) -
     for name, value in {"tau_c_positive": 2.0, "tau_s_positive": 3.0, "omega_s": 0.1, "c0": 500.0}.items():
         assert abs(found[name].value - value) < 3.0 * found[name].deviation, name
         assert found[name].deviation < 0.3 * value, name
+
+
+@pytest.mark.parametrize(("distance", "found"), [(20e-3, True), (5e-4, False)])
+def test_a_slow_log_has_the_bristles_that_outlast_its_samples(arm: RigidArm, distance: float, found: bool) -> None:
+    """At 20 samples per second a bristle that breaks away after 20 mrad has a true c0, one after 0.5 mrad none."""
+    law = FrictionLaw((2.0, 2.0), c2=1.5, c0=2.0 / distance)
+    slow = [
+        replace(one, **{name: getattr(one, name)[::5] for name in ("time", "position", "velocity", "torque")})
+        for one in (record((along(law), LAWS[1]), seed) for seed in (4, 5))
+    ]
+    runs = [run for one in slow for run in filter_record(one, Bandwidths(6.0, 2.0))]
+    assert all("such as stiff bristles (c0, c1)" in note for note in recording_notes(slow, runs[0].bandwidths))
+    c0 = identify_friction_parts(ExcitationProblem.of(arm, runs), (Part.BRISTLE,)).elements[0].parameters["c0"]
+    assert c0.identifiable == found
+    if found:
+        assert abs(c0.value - law.c0) < 2.0 * c0.deviation < 0.6 * law.c0
 
 
 def test_a_blurred_motion_widens_what_depends_on_it(arm: RigidArm) -> None:
