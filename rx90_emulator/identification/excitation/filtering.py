@@ -112,6 +112,17 @@ class Bandwidths(NamedTuple):
             torque, gets = edge, f"{edge:.3g} Hz, for above it falls too steeply: it was smoothed before"
         return cls(position, torque, f"{source}; the torque gets {gets}")
 
+    def at_most(self, highest: float, of: str) -> Bandwidths:
+        """Return these with a positions' bandwidth of at most `highest`, Hz, and a third of that for the torque's.
+
+        The torque's stays where it is less: beyond it, a torque that was smoothed is not the arm's. `of` names the
+        bound.
+        """
+        if self.position <= highest:
+            return self
+        reason = f"{self.reason}; no more than {of}"
+        return self._replace(position=highest, torque=min(self.torque, highest / 3.0), reason=reason)
+
 
 def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:
     """Yield for each moving joint the frequency where its spectrum meets the noise, and its velocity's band, Hz."""

@@ -286,11 +286,7 @@ def _bandwidths(record: JointRecord, setup: Setup, bandwidth: float | None) -> B
     """Return the bandwidths by the data, or by the user, as far as the position loop's rate allows."""
     highest = _MAX_BANDWIDTH_SHARE * setup.rates.position_hz
     if bandwidth is None:
-        chosen = Bandwidths.of([record])
-        if chosen.position <= highest:
-            return chosen
-        reason = f"{chosen.reason}; no more than {_MAX_BANDWIDTH_SHARE:g} of the position loop's rate"
-        return Bandwidths(highest, highest / 3.0, reason)
+        return Bandwidths.of([record]).at_most(highest, f"{_MAX_BANDWIDTH_SHARE:g} of the position loop's rate")
     if not 0.0 < bandwidth <= highest:
         raise IdentificationError(f"--bandwidth is {bandwidth:g} Hz; accepted: above 0, up to {highest:g} Hz")
     return Bandwidths(bandwidth, bandwidth / 3.0)

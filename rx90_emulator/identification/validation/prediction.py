@@ -171,11 +171,9 @@ def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Ban
     """
     if chosen is None:
         return Bandwidths.of([record])
-    highest = _MAX_BANDWIDTH_OVER_RATE / record.period
-    if chosen.position <= highest:
-        return chosen
-    reason = f"{chosen.reason}; no more than {_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"
-    return chosen._replace(position=highest, torque=min(chosen.torque, highest / 3.0), reason=reason)
+    return chosen.at_most(
+        _MAX_BANDWIDTH_OVER_RATE / record.period, f"{_MAX_BANDWIDTH_OVER_RATE:g} of the sampling rate"
+    )
 
 
 def written_torque(problem: ExcitationProblem, arm: RigidArm, elements: Sequence[FrictionElement]) -> Array:
