@@ -238,7 +238,9 @@ class Path(TipTask):
         """Return distances at which the path is examined, m: as of a line, and closer where it bends."""
         distance = np.linspace(0.0, self.length, max(least, math.ceil(self.length / step)) + 1)
         turn = np.linalg.norm(self.curve.at(distance, 2), axis=1) * (distance[1] - distance[0])
-        parts = np.minimum(np.ceil(np.maximum(turn[1:], turn[:-1]) / _TURN).astype(int), _MAX_PARTS)
+        between = np.linalg.norm(np.diff(self.curve.at(distance, 1), axis=0), axis=1)  # of a bend that lies between two
+        parts = np.ceil(np.maximum(np.maximum(turn[1:], turn[:-1]), between) / _TURN)
+        parts = np.minimum(parts.astype(int), _MAX_PARTS)
         inner = [np.linspace(distance[k], distance[k + 1], parts[k] + 1)[1:-1] for k in np.flatnonzero(parts > 1)]
         return np.unique(np.concatenate([distance, *inner]))
 

@@ -197,6 +197,15 @@ def test_speed_is_lowered_where_joints_ask_for_it_and_said(shipped: Setup, seam:
     assert plan_path(shipped, seam).duration < 4.0 * plan.duration
 
 
+def test_a_bend_shorter_than_the_distance_between_examined_places_is_slowed_down(shipped: Setup) -> None:
+    """A turn by 135 degrees within 0.6 mm, with no curvature 1 mm beside it: set-points keep the limits."""
+    corner = (0.6506, -0.05, 0.2)
+    path = Path((0.55, -0.05, 0.2), (Segment((corner,), zone=3e-4), Segment(((0.6006, 0.0, 0.2),))), 0.04, 1.0)
+    plan, limits = plan_path(shipped, path), shipped.controller.limits(shipped.robot)
+    setpoints = plan.setpoints(np.arange(0.0, plan.duration, 5e-4))
+    assert (np.abs(setpoints[:, 2]) <= limits.acceleration).all()
+
+
 def _tips(setup: Setup, q: Array) -> tuple[Array, Array]:
     """Return tips and rotations by Pinocchio."""
     poses = np.array([tip_pose(setup.robot, row) for row in q])
