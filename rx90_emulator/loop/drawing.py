@@ -41,6 +41,7 @@ _COMMENT = re.compile(r"\([^)]*\)|;.*$")
 _HEAD = re.compile(r"\s*(\w+)\s*(?:\[\s*(\w+)\s*\])?\s*")
 _IGNORED_G_CODES = {17.0, 40.0, 49.0, 54.0, 61.0, 64.0, 69.0, 80.0, 94.0}
 _IGNORED_WORDS = frozenset("MSTENO")
+_PRINTERS_M = {73.0, 84.0, 92.0}  # and from M100 on: they set up a printer; the X of M201 X500 is a limit, no move
 
 
 def _lines_of(file: Path) -> list[str]:
@@ -198,17 +199,18 @@ class Drawing:
 
         try:
             document = readfile(self.file)
-        except (OSError, UnicodeDecodeError, DXFError) as error:  # an OSError, too, for what is no DXF file
+            space = document.modelspace()
+        except (OSError, ValueError, LookupError, ArithmeticError, TypeError, AttributeError, DXFError) as error:
             raise ConfigError(f"{plain(self.file)}: cannot be read ({error}); accepted: a DXF file") from error
         unit = self._unit(_DXF_UNITS.get(document.header.get("$INSUNITS", 0)))
         drawn = [
             one
-            for entity in document.modelspace()
+            for entity in space
             if self.layer is None or entity.dxf.layer == self.layer
             for one in self._entity(entity)
         ]
         if not drawn:
-            known = sorted({entity.dxf.layer for entity in document.modelspace()})
+            known = sorted({entity.dxf.layer for entity in space})
             where = "" if self.layer is None else f" on the layer {quoted(self.layer)} (there are {', '.join(known)})"
             self._refuse(f"holds no path{where}; accepted: lines, arcs and splines")
         return unit, *self._chained(drawn)
@@ -312,6 +314,9 @@ class _Program:
     def execute(self, line: int, words: list[tuple[str, float]]) -> None:
         """Execute the words of a line."""
         self._number, numbers, motion = line, dict[str, float](), False
+        letters = [letter for letter, _ in words if letter != "N"]
+        if letters[:1] == ["M"] and "G" not in letters and ((m := dict(words)["M"]) >= 100.0 or m in _PRINTERS_M):
+            return
         for letter, value in words:
             if letter == "G":
                 motion |= self._code(value, words)

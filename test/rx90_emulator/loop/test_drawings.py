@@ -49,6 +49,11 @@ GCODE = {
         [(0.25, (0.0, -0.01, 2e-3)), (0.5, (-0.01, 0.0, 2e-3))],
         2 * math.pi * 0.01,
     ),
+    "settings of a printer are no moves, a coolant is no setting": (
+        "M73 P0 R5\nM201 X500 Y500 Z100 E5000\nG0 X0 Y0\nG1 X10 F600\nN7 M205 X8 Y8\nM8 Y5\nG1 X20 M106\n",
+        [(1.0, (0.02, 5e-3, 0.0))],
+        0.025,
+    ),
     "clockwise from quarter to eighth": (
         "g0x0y10\ng2x7.0710678y7.0710678j-10",
         [(1.0, (0.01 * HALF, 0.01 * HALF, 0.0))],
@@ -121,6 +126,7 @@ REFUSED = {
     "no centre": ("p.nc", "G0 X10 Y0\nG2 X-10 Y0\n", {}, "line 2: an arc without a centre"),
     "no path": ("p.nc", "G0 X10 Y0\nM30\n", {}, "holds no path"),
     "another axis": ("p.nc", "G0 X10 A5\n", {}, "line 1: A5"),
+    "a subprogram": ("p.nc", "G0 X10\nM98 P1000\n", {}, "line 2: P1000"),
     "another kind": ("p.svg", "", {}, "ends with '.svg'; accepted: .csv, .nc"),
     "a layer": ("p.nc", "G0 X1\n", {"layer": "a"}, "layer of a file without layers"),
 }
@@ -236,9 +242,18 @@ def test_dxf_branches_and_gaps_are_refused(tmp_path: File, drawing: Any) -> None
         _dxf(tmp_path, drawing)
 
 
-def test_dxf_that_is_none_is_one_line(tmp_path: File) -> None:
-    """Text that is no drawing is refused in one line."""
+@pytest.mark.parametrize(
+    "text",
+    [
+        "hello\nworld\n",
+        "0\nSECTION\n2\nTABLES\n0\nTABLE\n2\nDWGMGR\n70\n1\n0\nENDTAB\n0\nENDSEC\n0\nEOF\n",
+        "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n9\n$INSUNITS\n70\n1e400\n0\nENDSEC\n0\nEOF\n",
+    ],
+    ids=["text", "an unknown table", "a number without end"],
+)
+def test_dxf_that_is_none_is_one_line(tmp_path: File, text: str) -> None:
+    """Text that is no drawing, and drawings that ezdxf stumbles over, are refused in one line."""
     pytest.importorskip("ezdxf")
     with pytest.raises(ConfigError, match="cannot be read") as refusal:
-        _read(tmp_path, "part.dxf", "hello\nworld\n")
+        _read(tmp_path, "part.dxf", text)
     assert "\n" not in str(refusal.value)
