@@ -147,7 +147,8 @@ def true_error(learner: Learner, measured: Measured) -> float:
     """Return the largest distance of the true tip from the path, m."""
     counts = learner.nominal.counts
     assert measured.tip is not None
-    return float(learner.path.distance((learner.nominal.tip - measured.tip)[counts]).max())
+    times = np.arange(len(counts)) * learner.nominal.period
+    return float(learner.path.distance((learner.nominal.tip - measured.tip)[counts], times[counts]).max())
 
 
 def noisy(setup: Setup, task: LineTask) -> dict[str, Array]:

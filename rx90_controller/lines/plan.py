@@ -221,9 +221,14 @@ class LinePlan:
         """Return the part of its trajectory that counts for the path error, s."""
         return self.task.counted
 
-    def distance(self, tip: Array) -> Array:
-        """Return the distance of the tip's positions, m, shape (n, 3), from the path, m, shape (n,)."""
-        return self.task.error(tip).perpendicular
+    def distance(self, tip: Array, times: Array | None = None) -> Array:
+        """Return the distance of the tip's positions, m, shape (n, 3), from the path, m, shape (n,).
+
+        With their `times`, s from the trajectory's start, a path that crosses itself or ends where it began is
+        searched only around where the tip should be.
+        """
+        near = None if times is None else self.task.profile().sample(times - self.task.rest_before).distance
+        return self.task.error(tip, near).perpendicular
 
     def tip(self, times: Array) -> Array:
         """Return the tool centre point (n, 3) of the profile at `times`, s."""

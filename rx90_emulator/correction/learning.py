@@ -168,11 +168,12 @@ class Learner:
     def distance(self, measured: Measured) -> Array:
         """Return the measured distance of the tip from the path at the counted set-points, m."""
         counts = self.nominal.counts
+        times = np.arange(len(counts), dtype=np.float64)[counts] * self.nominal.period
         if self.tip:
             assert measured.tip is not None
-            return self.path.distance(self.nominal.tip[counts] - measured.tip[counts])
+            return self.path.distance(self.nominal.tip[counts] - measured.tip[counts], times)
         joints = self.nominal.setpoints[counts, 0] - measured.joints[counts]
-        return self.path.distance(tip_position(self.setup.robot.chain, joints))
+        return self.path.distance(tip_position(self.setup.robot.chain, joints), times)
 
     def take(self, measured: Measured) -> TrialRecord:
         """Evaluate the errors of a trial with `offsets`, and make the next offsets.
@@ -424,5 +425,7 @@ def precompensate(
         remaining = run_corrected(setup, one, added)[1].tip
         assert remaining is not None
         tip = (one.tip - remaining)[:count]
-        errors.append(float(path.distance(tip[nominal.counts[: len(tip)]]).max()))
+        counts = nominal.counts[: len(tip)]
+        at = np.arange(len(tip), dtype=np.float64)[counts] * period
+        errors.append(float(path.distance(tip[counts], at).max()))
     return Precompensation(points, *errors)

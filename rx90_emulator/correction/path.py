@@ -28,8 +28,12 @@ class CorrectablePath(Protocol):
     def counted(self) -> tuple[float, float]:
         """Return begin and end of the time in which the path error counts, s from the trajectory's start."""
 
-    def distance(self, tip: Array) -> Array:
-        """Return the distance of the tip's positions, m, shape (n, 3), from the path, m, shape (n,)."""
+    def distance(self, tip: Array, times: Array | None = None) -> Array:
+        """Return the distance of the tip's positions, m, shape (n, 3), from the path, m, shape (n,).
+
+        With their `times`, s from the trajectory's start, a path that crosses itself or ends where it began is
+        searched only around where the tip should be.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +83,24 @@ class TrajectoryPath:
         return path
 
     @cached_property
-    def _corners(self) -> Array:
-        tip = self.tip[self.counts]
-        return np.asarray(tip[np.append(True, np.linalg.norm(np.diff(tip, axis=0), axis=1) > _AT_REST_STEP)])
+    def _moves(self) -> Mask:
+        """Return at which of the counted set-points the tip has moved on, the first of them included."""
+        steps = np.linalg.norm(np.diff(self.tip[self.counts], axis=0), axis=1)
+        return np.asarray(np.append(True, steps > _AT_REST_STEP))
 
-    def distance(self, tip: Array) -> Array:
+    @cached_property
+    def _corners(self) -> Array:
+        return np.asarray(self.tip[self.counts][self._moves])
+
+    def distance(self, tip: Array, times: Array | None = None) -> Array:
         """Return the distance of the tip's positions, m, shape (n, 3), from the path, m, shape (n,).
 
-        Straight lines extend the path at its ends: a tip that comes to rest past the end is still on it.
+        Straight lines extend the path at its ends: a tip that comes to rest past the end is still on it. With the
+        `times` of the positions, s from the trajectory's start, a path that crosses itself or ends where it began is
+        searched only around where the tip should be.
         """
-        return polyline_error(tip, self._corners).perpendicular
+        near = None
+        if times is not None:
+            rows = np.rint(times / self.period).astype(np.int64) - int(np.argmax(self.counts))
+            near = (np.cumsum(self._moves) - 1)[np.clip(rows, 0, len(self._moves) - 1)]
+        return polyline_error(tip, self._corners, near).perpendicular

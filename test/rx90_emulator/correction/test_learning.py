@@ -318,6 +318,16 @@ def test_any_trajectory_is_a_path(shipped: Setup, task: rx.LineTask) -> None:
     assert path.distance(tip) == pytest.approx(plan.distance(tip), abs=2e-9)
 
 
+def test_a_closed_path_is_measured_around_where_the_tip_should_be(shipped: Setup) -> None:
+    """A tip 50 um above a triangle that ends where it began is that far from it, near its ends, too."""
+    corners = ((0.65, 0.0, 0.2), (0.57, 0.05, 0.2), (0.6, 0.0, 0.2))
+    plan = rx.plan_path(shipped, rx.Path(corners[-1], tuple(rx.Segment((corner,)) for corner in corners)))
+    for path in (plan, TrajectoryPath.of(shipped, plan.points, plan.counted)):
+        learner = Learner(shipped, path, tip=True)
+        off = np.broadcast_to([0.0, 0.0, -5e-5], learner.nominal.tip.shape)
+        assert learner.distance(Measured(np.zeros_like(learner.offsets), off)) == pytest.approx(5e-5, rel=1e-3)
+
+
 def test_a_file_says_where_it_belongs(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
     """It comes back to the bit; another speed, robot and damaged offsets are refused, another payload is warned of."""
     learned, file = rx.learn_correction(shipped, task, 1), tmp_path / "line.yaml"
