@@ -163,7 +163,12 @@ def import_arm(path: Path | str) -> dict[str, str]:
         name: found[source] if source in found else _rigid(path, _NONE, 0.0, mjcf.own(source, "damping"))
         for name, source in sources.items()
     }
-    drives, controller = assumed_files(robot, robot.model, turning, rotors, {})
+    try:
+        with np.errstate(over="raise", invalid="raise"):
+            drives, controller = assumed_files(robot, robot.model, turning, rotors, {})
+    except (FloatingPointError, np.linalg.LinAlgError):
+        heaviest, largest = max(one.mass for one in robot.model.inertias), float(rotors.max())
+        mjcf.refuse(f"masses up to {heaviest:g} kg, armatures up to {largest:g} kg m^2", "those of an arm")
     about = {
         key: Identified(value, "derived", f"armatures and tendons of {path.name}")
         for key, value in (("rotor_inertia", rotors.tolist()), ("coupling", turns.tolist()))

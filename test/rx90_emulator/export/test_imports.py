@@ -225,6 +225,7 @@ def test_inertias_of_shapes_are_kept(tmp_path: Path) -> None:
     ('armature="0.2"', 'armature="0.2" damping="3 1"', "polynomial"),
     ('armature="0.2"', 'armature="0.2" frictionloss="3"', "lugre and frictionloss of joint_1"),
     ('armature="0.2"', 'armature="0.2" frictionloss="nan"', "frictionloss of joint_1 is nan; accepted"),
+    ('armature="0.2"', 'armature="1e200"', r"armatures up to 1e\+200 kg m\^2; accepted: those of an arm"),
     ("<worldbody>", '<option gravity="0 0 -1.6"/><worldbody>', "gravity"),
 ])  # fmt: skip
 def test_what_no_robot_folder_holds_is_refused(tmp_path: Path, old: str, new: str, reason: str) -> None:
