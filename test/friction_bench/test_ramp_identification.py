@@ -15,6 +15,7 @@ import pytest
 from rig_bench import greeted
 from scipy import stats
 from scipy.integrate import solve_ivp
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import minimize_scalar
 
 from benchmarks.friction_ramp import QuickRig, random_rig, truth_of
@@ -38,7 +39,7 @@ from friction_bench.experiment.record import (
     sliding_window,
     write_csv,
 )
-from friction_bench.experiment.sliding_fit import fit_sliding
+from friction_bench.experiment.sliding_fit import _reduced, fit_sliding, whiten
 from friction_bench.rig.plant import shaft_of
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.arrays import Array
@@ -110,6 +111,28 @@ def integrated_ou_covariance(time: Array, T: float) -> Array:
     s, gap = np.minimum.outer(time, time), np.abs(np.subtract.outer(time, time))
     far = np.exp(-gap / T)
     return s + T * np.expm1(-s / T) - T * (far - np.exp(-(s + gap) / T)) + T / 2 * (far - np.exp(-(2 * s + gap) / T))
+
+
+def test_information_of_a_ramp_is_that_of_generalised_least_squares() -> None:
+    """Innovations, information and determinants are those of V = r I + q K by dense algebra, at uneven times.
+
+    K is the sample covariance of an inertia that white noise drives; the last two of the nine rows are the start's.
+    """
+    rng = np.random.default_rng(1)
+    time = np.cumsum(rng.uniform(0.01, 0.05, 60))
+    T, q, r = 0.08, 3e-3, 1.3e-5
+    L = np.linalg.cholesky(r * np.eye(time.size) + q * integrated_ou_covariance(time - time[0], T))
+    columns = rng.standard_normal((9, time.size))
+    white, determinant = whiten(time, columns, T, q, r)
+    assert white == pytest.approx(solve_triangular(L, columns.T, lower=True).T, rel=1e-6, abs=1e-6)
+    assert determinant == pytest.approx(2 * np.log(np.diag(L)).sum(), rel=1e-9)
+    information = columns @ cho_solve((L, True), columns.T)
+    start = information[7:, 7:]
+    gram, coefficients, determinants = _reduced(time, columns, T, q, r)
+    of_start = np.linalg.solve(start, information[7:, :7])
+    assert coefficients == pytest.approx(of_start, rel=1e-6)
+    assert gram == pytest.approx(information[:7, :7] - information[:7, 7:] @ of_start, rel=1e-6)
+    assert determinants == pytest.approx(determinant + np.linalg.slogdet(start)[1], rel=1e-9)
 
 
 def test_asymptote_is_that_of_generalised_least_squares() -> None:
