@@ -392,8 +392,8 @@ def trimmed(
     """
     remaining: list[int] = list(kept)
     reasons: dict[int, str] = {}
-    while remaining:
-        now = scored(remaining)
+    now = scored(remaining) if remaining else None
+    while now is not None:
         trials = {e: scored([other for other in remaining if other != e]) for e in remaining}
         useless = {e: now.validations(one)["blocks"].gain for e, one in trials.items() if not now.better_than(one)}
         if not useless:
@@ -401,6 +401,7 @@ def trimmed(
         worst = min(useless, key=lambda e: useless[e])
         reasons[worst] = f"with a load part, {now.verdict(trials[worst])}"
         remaining.remove(worst)
+        now = trials[worst] if remaining else None
     return (), reasons, ""
 
 
