@@ -102,9 +102,19 @@ class Client:
             self.state(node)
 
     def spin_until(self, condition: Callable[[], bool], what: str, timeout: float = TIMEOUT) -> None:
-        """Listen until a condition holds; fail the test when it does not."""
+        """Listen until a condition holds, which may ask for the newest message of a list that is still empty.
+
+        Fails the test when it does not.
+        """
+
+        def holds() -> bool:
+            try:
+                return condition()
+            except IndexError:
+                return False
+
         deadline = time.monotonic() + timeout
-        while not condition():
+        while not holds():
             if time.monotonic() > deadline:
                 pytest.fail(f"waited {timeout:g} s in vain for {what}")
             self._executor.spin_once(timeout_sec=0.05)
