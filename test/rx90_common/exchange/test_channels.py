@@ -9,8 +9,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,7 @@ from std_srvs.srv import Trigger
 from rx90_common.base.errors import ConfigError, ExchangeError
 from rx90_common.exchange.arrivals import count_arrivals
 from rx90_common.exchange.cdr import JointStateCodec
-from rx90_common.exchange.channel import Channel, LocalLink, lock_publisher
+from rx90_common.exchange.channel import Channel, LocalLink, TickChannel, lock_publisher
 from rx90_common.exchange.endpoints import TICK_QOS, wait_until_matched
 from rx90_common.exchange.parameters import declare_robot_files
 
@@ -119,26 +120,51 @@ def test_messages_come_in_order_and_from_the_peer_alone(client: Client, monkeypa
 def test_a_wait_ends_with_a_message_or_a_wake(client: Client) -> None:
     """Who waits gets the message that another thread sends, and comes back empty-handed when woken.
 
-    The announcement of a message that has been taken already, by a sender that was held up, ends no wait, and a wait
-    in vain takes its time asleep, over DDS as well.
+    The announcement of a message that has been taken already, by a sender that was held up, ends no wait.
     """
     link = LocalLink()
     first = link.end(client.node, "waited_states", "waited_commands", QOS)
     second = link.end(client.node, "waited_commands", "waited_states", QOS)
-    got: list[bytes | None] = []
-    for act in (lambda: first.publish(RAW[0]), second.wake):
-        thread = threading.Thread(target=lambda: got.append(second.receive(30.0)))
-        thread.start()
-        act()
-        thread.join(20.0)
-    assert got == [RAW[0], None]
+    assert waited_for(second, lambda: first.publish(RAW[0])) == RAW[0]
+    assert waited_for(second, second.wake) is None
     second._arrived.set()
-    with closing(Channel(client.node, "quiet_commands", "quiet_states", QOS)) as over_dds:
-        for end in (second, over_dds):
+    began = time.monotonic()
+    assert second.receive(0.05) is None
+    assert time.monotonic() - began >= 0.05
+
+
+def waited_for(end: TickChannel, act: Callable[[], object]) -> bytes | None:
+    """Return what another thread, which waits, receives when something is done."""
+    got: list[bytes | None] = []
+    thread = threading.Thread(target=lambda: got.append(end.receive(30.0)))
+    thread.start()
+    time.sleep(0.02)  # it most likely waits by then
+    act()
+    thread.join(20.0)
+    (received,) = got
+    return received
+
+
+@pytest.mark.parametrize("polls", [True, False])
+def test_a_wait_over_dds_ends_with_a_message_or_a_wake(
+    client: Client, monkeypatch: pytest.MonkeyPatch, polls: bool
+) -> None:
+    """So does who waits over DDS, while it polls and while it sleeps; a wait in vain takes its time, asleep."""
+    monkeypatch.setattr("rx90_common.exchange.channel._BUSY_WAIT_NS", 10**11 if polls else 0)
+    topics = f"dds_states_{polls}", f"dds_commands_{polls}"
+    with (
+        closing(Channel(client.node, *topics, QOS)) as first,
+        closing(Channel(client.node, *topics[::-1], QOS)) as second,
+    ):
+        wait_until(lambda: first.matches().subscriptions == second.matches().publishers == 1, "the other end")
+        for raw in RAW[:2]:
+            assert waited_for(second, partial(first.publish, raw)) == raw
+        if not polls:
+            assert waited_for(second, second.wake) is None
             began, worked = time.monotonic(), time.thread_time()
-            assert end.receive(0.2) is None
+            assert second.receive(0.2) is None
             assert time.monotonic() - began >= 0.2
-            assert time.thread_time() - worked < 0.1  # it sleeps
+            assert time.thread_time() - worked < 0.1
 
 
 def test_ends_that_do_not_meet_are_refused(client: Client) -> None:
