@@ -238,10 +238,15 @@ class Path(TipTask):
         """Return distances at which the path is examined, m: as of a line, and closer where it bends."""
         distance = np.linspace(0.0, self.length, max(least, math.ceil(self.length / step)) + 1)
         turn = np.linalg.norm(self.curve.at(distance, 2), axis=1) * (distance[1] - distance[0])
-        between = np.linalg.norm(np.diff(self.curve.at(distance, 1), axis=0), axis=1)  # of a bend that lies between two
-        parts = np.ceil(np.maximum(np.maximum(turn[1:], turn[:-1]), between) / _TURN)
+        # A bend may lie between two of them, with another one that turns back.
+        short = np.diff(self.curve.starts) < 2.0 * distance[1]
+        low, high = self.curve.starts[:-1][short], self.curve.starts[1:][short]
+        inside = np.linspace(low, high, 9)[1:-1]
+        bend = np.linalg.norm(self.curve.at(inside.ravel(), 2), axis=1).reshape(inside.shape).max(axis=0, initial=0.0)
+        begins, ends = np.append(distance[:-1], low), np.append(distance[1:], high)
+        parts = np.ceil(np.append(np.maximum(turn[1:], turn[:-1]), bend * (high - low)) / _TURN)
         parts = np.minimum(parts.astype(int), _MAX_PARTS)
-        inner = [np.linspace(distance[k], distance[k + 1], parts[k] + 1)[1:-1] for k in np.flatnonzero(parts > 1)]
+        inner = [np.linspace(begins[k], ends[k], parts[k] + 1) for k in np.flatnonzero(parts > 1)]
         return np.unique(np.concatenate([distance, *inner]))
 
     def poses(self, distance: Array) -> Pose:

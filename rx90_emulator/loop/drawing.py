@@ -42,6 +42,11 @@ _HEAD = re.compile(r"\s*(\w+)\s*(?:\[\s*(\w+)\s*\])?\s*")
 _IGNORED_G_CODES = {17.0, 40.0, 49.0, 54.0, 61.0, 64.0, 69.0, 80.0, 94.0}
 _IGNORED_WORDS = frozenset("MSTENO")
 _PRINTERS_M = {73.0, 84.0, 92.0}  # and from M100 on: they set up a printer; the X of M201 X500 is a limit, no move
+_SUBPROGRAM_M = 198.0  # in another file
+
+
+def _sets_up_a_printer(letter: str, value: float) -> bool:
+    return letter == "M" and (value >= 100.0 or value in _PRINTERS_M) and value != _SUBPROGRAM_M
 
 
 def _lines_of(file: Path) -> list[str]:
@@ -200,15 +205,15 @@ class Drawing:
         try:
             document = readfile(self.file)
             space = document.modelspace()
+            unit = self._unit(_DXF_UNITS.get(document.header.get("$INSUNITS", 0)))
+            drawn = [
+                one
+                for entity in space
+                if self.layer is None or entity.dxf.layer == self.layer
+                for one in self._entity(entity)
+            ]
         except (OSError, ValueError, LookupError, ArithmeticError, TypeError, AttributeError, DXFError) as error:
             raise ConfigError(f"{plain(self.file)}: cannot be read ({error}); accepted: a DXF file") from error
-        unit = self._unit(_DXF_UNITS.get(document.header.get("$INSUNITS", 0)))
-        drawn = [
-            one
-            for entity in space
-            if self.layer is None or entity.dxf.layer == self.layer
-            for one in self._entity(entity)
-        ]
         if not drawn:
             known = sorted({entity.dxf.layer for entity in space})
             where = "" if self.layer is None else f" on the layer {quoted(self.layer)} (there are {', '.join(known)})"
@@ -246,6 +251,8 @@ class Drawing:
         from scipy.spatial import cKDTree
 
         ends = np.array([end for start, one in drawn for end in (start, one.points[-1])], dtype=np.float64)
+        if not np.isfinite(ends).all():
+            self._refuse("has an end that is no place; accepted: finite coordinates")
         touching: list[list[int]] = list(cKDTree(ends).query_ball_point(ends, _JOIN_TOLERANCE))  # type: ignore[arg-type]
         crowded = max(touching, key=len)
         if len(crowded) > 2:
@@ -314,8 +321,8 @@ class _Program:
     def execute(self, line: int, words: list[tuple[str, float]]) -> None:
         """Execute the words of a line."""
         self._number, numbers, motion = line, dict[str, float](), False
-        letters = [letter for letter, _ in words if letter != "N"]
-        if letters[:1] == ["M"] and "G" not in letters and ((m := dict(words)["M"]) >= 100.0 or m in _PRINTERS_M):
+        own = [word for word in words if word[0] != "N"]
+        if own and _sets_up_a_printer(*own[0]) and all(letter != "G" for letter, _ in own):
             return
         for letter, value in words:
             if letter == "G":

@@ -197,13 +197,32 @@ def test_speed_is_lowered_where_joints_ask_for_it_and_said(shipped: Setup, seam:
     assert plan_path(shipped, seam).duration < 4.0 * plan.duration
 
 
-def test_a_bend_shorter_than_the_distance_between_examined_places_is_slowed_down(shipped: Setup) -> None:
-    """A turn by 135 degrees within 0.6 mm, with no curvature 1 mm beside it: set-points keep the limits."""
-    corner = (0.6506, -0.05, 0.2)
-    path = Path((0.55, -0.05, 0.2), (Segment((corner,), zone=3e-4), Segment(((0.6006, 0.0, 0.2),))), 0.04, 1.0)
-    plan, limits = plan_path(shipped, path), shipped.controller.limits(shipped.robot)
+@pytest.mark.parametrize(
+    "segments",
+    [
+        (Segment(((0.6506, -0.05, 0.2),), zone=3e-4), Segment(((0.6006, 0.0, 0.2),))),
+        (
+            Segment(((0.60025, -0.05, 0.2),), zone=5e-5),
+            Segment(((0.60025, -0.0498, 0.2),), zone=5e-5),
+            Segment(((0.65, -0.0498, 0.2),)),
+        ),
+    ],
+    ids=["a turn by 135 degrees within 0.6 mm", "a step aside by 0.2 mm"],
+)
+def test_a_bend_shorter_than_the_distance_between_examined_places_is_slowed_down(
+    shipped: Setup, segments: tuple[Segment, ...]
+) -> None:
+    """With no curvature 1 mm beside it, and none between the directions there: set-points keep the limits."""
+    plan = plan_path(shipped, Path((0.55, -0.05, 0.2), segments, 0.04, 1.0))
     setpoints = plan.setpoints(np.arange(0.0, plan.duration, 5e-4))
-    assert (np.abs(setpoints[:, 2]) <= limits.acceleration).all()
+    assert (np.abs(setpoints[:, 2]) <= shipped.controller.limits(shipped.robot).acceleration).all()
+
+
+def test_a_stop_at_a_corner_needs_no_places() -> None:
+    """The path is examined as closely as one without corners: nothing is to be lowered where the tip rests."""
+    zigzag = tuple(Segment(((0.6 + 0.001 * (k % 2), -0.1 + 0.0033 * k, 0.2),)) for k in range(1, 41))
+    path = Path((0.6, -0.1, 0.2), zigzag, 0.05)
+    assert len(path.places(1e-3, 50)) == len(np.linspace(0.0, path.length, math.ceil(path.length / 1e-3) + 1))
 
 
 def _tips(setup: Setup, q: Array) -> tuple[Array, Array]:

@@ -50,7 +50,7 @@ GCODE = {
         2 * math.pi * 0.01,
     ),
     "settings of a printer are no moves, a coolant is no setting": (
-        "M73 P0 R5\nM201 X500 Y500 Z100 E5000\nG0 X0 Y0\nG1 X10 F600\nN7 M205 X8 Y8\nM8 Y5\nG1 X20 M106\n",
+        "M73 P0 R5\nM201 X500 Y500 Z100 E5000\nG0 X0 Y0\nG1 X10 F600\nN7 M205 X8 Y8\nM8 Y5 M106\nG1 X20 M106\n",
         [(1.0, (0.02, 5e-3, 0.0))],
         0.025,
     ),
@@ -127,6 +127,7 @@ REFUSED = {
     "no path": ("p.nc", "G0 X10 Y0\nM30\n", {}, "holds no path"),
     "another axis": ("p.nc", "G0 X10 A5\n", {}, "line 1: A5"),
     "a subprogram": ("p.nc", "G0 X10\nM98 P1000\n", {}, "line 2: P1000"),
+    "one of another file": ("p.nc", "G0 X10\nM198 P1000\n", {}, "line 2: P1000"),
     "another kind": ("p.svg", "", {}, "ends with '.svg'; accepted: .csv, .nc"),
     "a layer": ("p.nc", "G0 X1\n", {"layer": "a"}, "layer of a file without layers"),
 }
@@ -248,8 +249,10 @@ def test_dxf_branches_and_gaps_are_refused(tmp_path: File, drawing: Any) -> None
         "hello\nworld\n",
         "0\nSECTION\n2\nTABLES\n0\nTABLE\n2\nDWGMGR\n70\n1\n0\nENDTAB\n0\nENDSEC\n0\nEOF\n",
         "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n9\n$INSUNITS\n70\n1e400\n0\nENDSEC\n0\nEOF\n",
+        "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1015\n9\n$INSUNITS\n70\n4\n0\nENDSEC\n0\nSECTION\n2\nENTITIES\n0\n"
+        "SPLINE\n5\n1F\n100\nAcDbEntity\n8\n0\n100\nAcDbSpline\n71\n3\n0\nENDSEC\n0\nEOF\n",
     ],
-    ids=["text", "an unknown table", "a number without end"],
+    ids=["text", "an unknown table", "a number without end", "a spline without points"],
 )
 def test_dxf_that_is_none_is_one_line(tmp_path: File, text: str) -> None:
     """Text that is no drawing, and drawings that ezdxf stumbles over, are refused in one line."""
