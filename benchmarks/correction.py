@@ -84,7 +84,7 @@ class Circle:
         points = TrajectoryPoints.create(names, names, times.tolist(), *tables)
         return cls(points, (REST, REST + profile.duration + 0.3))
 
-    def distance(self, tip: Array) -> Array:
+    def distance(self, tip: Array, times: Array | None = None) -> Array:  # noqa: ARG002 - one formula for all places
         """Return the distance of the tip, m, shape (n, 3), from the circle, m, shape (n,)."""
         from_centre = tip - CENTRE
         return np.hypot(np.hypot(from_centre[:, 0], from_centre[:, 1]) - RADIUS, from_centre[:, 2])
