@@ -147,8 +147,8 @@ def true_error(learner: Learner, measured: Measured) -> float:
     """Return the largest distance of the true tip from the path, m."""
     counts = learner.nominal.counts
     assert measured.tip is not None
-    times = np.arange(len(counts)) * learner.nominal.period
-    return float(learner.path.distance((learner.nominal.tip - measured.tip)[counts], times[counts]).max())
+    difference = (learner.nominal.tip - measured.tip)[counts]
+    return float(learner.path.distance(difference, learner.nominal.counted_times).max())
 
 
 def noisy(setup: Setup, task: LineTask) -> dict[str, Array]:

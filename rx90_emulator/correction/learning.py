@@ -167,8 +167,7 @@ class Learner:
 
     def distance(self, measured: Measured) -> Array:
         """Return the measured distance of the tip from the path at the counted set-points, m."""
-        counts = self.nominal.counts
-        times = np.arange(len(counts), dtype=np.float64)[counts] * self.nominal.period
+        counts, times = self.nominal.counts, self.nominal.counted_times
         if self.tip:
             assert measured.tip is not None
             return self.path.distance(self.nominal.tip[counts] - measured.tip[counts], times)
@@ -426,6 +425,5 @@ def precompensate(
         assert remaining is not None
         tip = (one.tip - remaining)[:count]
         counts = nominal.counts[: len(tip)]
-        at = np.arange(len(tip), dtype=np.float64)[counts] * period
-        errors.append(float(path.distance(tip[counts], at).max()))
+        errors.append(float(path.distance(tip[counts], nominal.counted_times[: counts.sum()]).max()))
     return Precompensation(points, *errors)

@@ -83,6 +83,11 @@ class TrajectoryPath:
         return path
 
     @cached_property
+    def counted_times(self) -> Array:
+        """Return the times of the set-points at which the path error counts, s from the trajectory's start."""
+        return np.asarray(np.flatnonzero(self.counts) * self.period, dtype=np.float64)
+
+    @cached_property
     def _moves(self) -> Mask:
         """Return at which of the counted set-points the tip has moved on, the first of them included."""
         steps = np.linalg.norm(np.diff(self.tip[self.counts], axis=0), axis=1)
