@@ -1,62 +1,167 @@
-"""Print lines, modules and statements of each folder beside its budget.
+"""Print how large the project is, by folder, beside what it is to be.
 
     python -m tools.sizes
 
-Lines are those of all tracked Python files, docstrings and blank lines included. Statements are nodes of the syntax
-tree, without imports and docstrings, so that neither formatting nor documentation counts. Exit code 1 above a budget.
+Tokens are those of Python's tokenizer in tracked product files, without comments, docstrings, blank lines and
+indentation: neither formatting nor documentation counts. An option is a call of `add_argument` with a name that begins
+with a dash, wherever it is declared. Words are those of the Markdown pages of docs/, as `wc -w` counts them.
 """
 
 from __future__ import annotations
 
 import ast
+import io
+import re
 import subprocess
 import sys
+import tokenize
+from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("rx90_common", "rx90_sim", "rx90_controller", "friction_bench", "rx90_emulator")
-LINES = {
-    "rx90_common": 14_500, "rx90_common/bags": 4_400, "rx90_common/exchange": 2_800, "rx90_common/report": 500,
-    "rx90_sim": 2_600, "rx90_controller": 5_000, "friction_bench": 4_500, "rx90_emulator": 20_000,
-    "rx90_emulator/identification": 9_000, "rx90_emulator/view": 2_800, "test": 30_000, "benchmarks": 5_000,
-}  # fmt: skip
-MODULES = {"rx90_common": 95, "rx90_sim": 18, "rx90_controller": 30, "friction_bench": 30, "rx90_emulator": 105}
-PRODUCT_LINES, PRODUCT_MODULES, PRODUCT_STATEMENTS = 46_000, 300, 21_500
-FRAGMENT_LINES = 60
+FOLDERS = (
+    "rx90_common",
+    "rx90_common/bags",
+    "rx90_common/exchange",
+    "rx90_common/report",
+    "rx90_sim",
+    "rx90_controller",
+    "friction_bench",
+    "rx90_emulator",
+    "rx90_emulator/cli",
+    "rx90_emulator/configuration",
+    "rx90_emulator/conformance",
+    "rx90_emulator/correction",
+    "rx90_emulator/export",
+    "rx90_emulator/identification",
+    "rx90_emulator/loop",
+    "rx90_emulator/sweep",
+    "rx90_emulator/view",
+)
+TOKEN_GOALS = {
+    "": 345_000,
+    "rx90_emulator/identification": 62_000,
+    "rx90_common/bags": 22_000,
+    "rx90_emulator/view": 12_000,
+    "friction_bench": 28_000,
+}
+_LAYOUT = {
+    tokenize.COMMENT,
+    tokenize.NL,
+    tokenize.NEWLINE,
+    tokenize.INDENT,
+    tokenize.DEDENT,
+    tokenize.ENDMARKER,
+}
 
 
-def statements(tree: ast.AST) -> int:
-    """Count the statements of a syntax tree that are neither imports nor docstrings."""
-    nodes = (node for node in ast.walk(tree) if isinstance(node, ast.stmt))
-    return sum(not isinstance(node, ast.Import | ast.ImportFrom) and not _is_text(node) for node in nodes)
+@dataclass(frozen=True)
+class Size:
+    """How large a product file is.
+
+    Attributes:
+        tokens: without comments, docstrings and layout.
+        code_lines: lines on which a token stands.
+        lines: all of them.
+    """
+
+    tokens: int
+    code_lines: int
+    lines: int
 
 
-def _is_text(node: ast.stmt) -> bool:
-    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+def measure(source: str) -> Size:
+    """Measure the source text of a Python file."""
+    docstrings = docstring_lines(ast.parse(source))
+    tokens = 0
+    code_lines = set()
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        is_docstring = token.type == tokenize.STRING and token.start[0] in docstrings
+        if token.type in _LAYOUT or is_docstring:
+            continue
+        tokens += 1
+        code_lines.add(token.start[0])
+    return Size(tokens, len(code_lines), source.count("\n"))
+
+
+def docstring_lines(tree: ast.AST) -> set[int]:
+    """Return the lines on which the docstrings of modules, classes and functions begin."""
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    lines = set()
+    for node in ast.walk(tree):
+        if isinstance(node, documented) and ast.get_docstring(node, clean=False) is not None:
+            lines.add(node.body[0].lineno)
+    return lines
+
+
+def count_options(source: str) -> int:
+    """Count the options that a Python file declares for command lines."""
+    return sum(_declares_option(node) for node in ast.walk(ast.parse(source)))
+
+
+def _declares_option(node: ast.AST) -> bool:
+    if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.args):
+        return False
+    name = node.args[0]
+    if isinstance(name, ast.JoinedStr):
+        name = name.values[0]
+    if not (isinstance(name, ast.Constant) and isinstance(name.value, str)):
+        return False
+    return node.func.attr == "add_argument" and name.value.startswith("-")
+
+
+def tracked(*patterns: str) -> list[str]:
+    """Return the tracked files of these patterns that are there."""
+    command = ["git", "ls-files", *patterns]
+    listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    return [name for name in listed.splitlines() if (ROOT / name).is_file()]
 
 
 def main() -> int:
-    """Print the table."""
-    listed = subprocess.run(["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    texts = {name: (ROOT / name).read_text(encoding="utf-8") for name in listed.split() if (ROOT / name).is_file()}
-    product = [name for name in texts if name.split("/")[0] in ROOMS]
-    rows = [("all product", product, PRODUCT_LINES, PRODUCT_MODULES)]
-    for folder, budget in LINES.items():
-        within = [name for name in texts if name.startswith(f"{folder}/")]
-        rows.append((folder, within, budget, MODULES.get(folder, 0)))
-    above = False
-    print(f"{'':30} {'lines':>7} {'budget':>7} {'modules':>8} {'budget':>7} {'statements':>11} {'fragments':>10}")
-    for title, names, most_lines, most_modules in rows:
-        lines = {name: len(texts[name].splitlines()) for name in names}
-        count = sum(statements(ast.parse(texts[name])) for name in names)
-        fragments = sum(size < FRAGMENT_LINES for name, size in lines.items() if not name.endswith("__init__.py"))
-        total = sum(lines.values())
-        above |= total > most_lines or (most_modules > 0 and len(names) > most_modules)
-        above |= title == "all product" and count > PRODUCT_STATEMENTS
-        shown = str(most_modules) if most_modules else ""
-        print(f"{title:30} {total:7} {most_lines:7} {len(names):8} {shown:>7} {count:11} {fragments:10}")
-    print(f"statements of the product: at most {PRODUCT_STATEMENTS}; fragments: modules below {FRAGMENT_LINES} lines")
-    return int(above)
+    """Print the tables."""
+    sources = {name: _read(name) for name in tracked(*(f"{room}/*.py" for room in ROOMS))}
+    sizes = {name: measure(source) for name, source in sources.items()}
+    print(f"{'':30} {'tokens':>8} {'goal':>8} {'a line':>7} {'lines':>7} {'modules':>8}")
+    for folder in ("", *FOLDERS):
+        inside = [size for name, size in sizes.items() if folder == "" or name.startswith(f"{folder}/")]
+        tokens = sum(size.tokens for size in inside)
+        code_lines = sum(size.code_lines for size in inside)
+        lines = sum(size.lines for size in inside)
+        goal = TOKEN_GOALS.get(folder, "")
+        title = folder or "all product code"
+        print(f"{title:30} {tokens:8} {goal:>8} {tokens / max(code_lines, 1):7.2f} {lines:7} {len(inside):8}")
+
+    options = sum(count_options(source) for source in sources.values())
+    words = sum(len(_read(name).split()) for name in tracked("docs/*.md"))
+    test_lines = sum(_read(name).count("\n") for name in tracked("test/*.py"))
+    print()
+    print(f"{'':30} {'now':>8} {'goal':>8}")
+    print(f"{'commands':30} {len(_commands()):8} {5:8}")
+    print(f"{'options':30} {options:8} {150:8}")
+    print(f"{'names of the Python API':30} {len(_api_names()):8} {70:8}")
+    print(f"{'words of docs':30} {words:8} {55_000:8}")
+    print(f"{'lines of tests':30} {test_lines:8} {33_000:8}")
+    return 0
+
+
+def _read(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def _commands() -> list[str]:
+    listed = re.search(r"EXECUTABLES = \((.*?)\)", _read("setup.py"), re.DOTALL)
+    return re.findall(r'"(\w+)"', listed[1]) if listed else []
+
+
+def _api_names() -> set[str]:
+    return set(re.findall(r"\bas (\w+)", "\n".join(_type_checking_imports(_read("rx90_emulator/__init__.py")))))
+
+
+def _type_checking_imports(source: str) -> list[str]:
+    tree = ast.parse(source)
+    guards = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    return [ast.unparse(statement) for guard in guards for statement in guard.body]
 
 
 if __name__ == "__main__":
