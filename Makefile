@@ -8,18 +8,19 @@ unexport AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH ROS_DISTRO RMW_I
 # Without kept bytecode each worker rewrites the assertions of all tests, and each process compiles all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo view action test test-jazzy bench docs firmware lint clean environment-run environment-dev environment-docs environment-jazzy suitable
+.PHONY: help demo view action test test-fast test-jazzy bench docs firmware lint clean environment-run environment-dev environment-docs environment-jazzy packages suitable
 
 help:
 	@echo "make demo     run the emulated robot along the reference line and write the report"
 	@echo "make view     the same arm on a page in the browser, moving along the reference line until Ctrl-C"
 	@echo "make action   build control_msgs, controller_manager_msgs and tf2_msgs into the environment: the action, found as a controller, /tf"
-	@echo "make test     run all tests"
+	@echo "make test     install what the tests need, as far as that may be, and run all of them"
+	@echo "make test-fast  run within a minute those that need no DDS, no browser and no firmware: while editing"
 	@echo "make test-jazzy  run the tests of models, loop, bags and identification with the versions of Ubuntu 24.04"
 	@echo "make bench    measure speed and accuracy into out/bench.json"
 	@echo "make docs     build the site of the documentation into out/docs"
 	@echo "make firmware build the friction rig's firmware: 8051, ATmega328P, native"
-	@echo "make lint     ruff and mypy"
+	@echo "make lint     ruff, mypy, and the counts of habits that may only fall"
 	@echo "make clean    remove the environment and what was built; results in out/ stay"
 	@echo "ARGS='...' is handed on: make test ARGS='-k lugre'; PYTHON=python3.12 chooses the interpreter"
 
@@ -34,9 +35,14 @@ action: environment-run
 
 # Exit code 1: it cannot be built here, and has said why; the tests that need it are skipped.
 # Three at once on two cores: many tests wait for nodes and pages that are paced by a clock.
-test: environment-dev
+test: packages environment-dev
 	@$(BIN)/python -m tools.interfaces || [ $$? -eq 1 ]
-	@$(BIN)/python -m pytest -n 3 --dist worksteal $(ARGS)
+	@$(BIN)/python -m pytest -n 3 --dist worksteal --durations=10 $(ARGS)
+
+FAST := test/rx90_sim test/rx90_controller test/rx90_common test/rx90_emulator/loop
+test-fast: environment-dev
+	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not ros and not firmware and not browser and not slow" \
+	  $(or $(ARGS),$(FAST))
 
 # What does not hang on the versions of libraries (DDS, firmware, processes) is left to `make test`.
 JAZZY := test/rx90_sim test/rx90_controller test/rx90_common/bags test/rx90_common/friction test/rx90_common/description \
@@ -61,6 +67,7 @@ lint: environment-dev
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
+	@$(BIN)/python -m tools.habits
 
 clean:
 	@rm -rf .venv .venv-jazzy build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
@@ -68,6 +75,9 @@ clean:
 
 environment-run environment-dev environment-docs environment-jazzy: environment-%: suitable
 	@"$(PYTHON)" tools/environment.py $*
+
+packages: suitable
+	@"$(PYTHON)" -m tools.packages $(if $(TESTS_REQUIRE_PACKAGES),--required)
 
 # Asked for here, because an older interpreter cannot even parse the set-up script.
 suitable:

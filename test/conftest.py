@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import yaml
 from hypothesis import HealthCheck, settings
+from needs import give_up
 
 # Small matrices: a second thread of the BLAS waits in a loop, and takes the core from the worker beside this one. NumPy
 # reads this once, when it is imported, and so do the processes that tests start.
@@ -47,6 +48,13 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that look at a page in a browser, so that `make test-fast` can leave them out."""
+    for item in items:
+        if isinstance(item, pytest.Function) and "chromium" in item.fixturenames:
+            item.add_marker("browser")
+
+
 @pytest.fixture(autouse=True)
 def _handlers_stay() -> Iterator[None]:
     """Put the signal handlers back that a command run within the test set for a process of its own."""
@@ -77,29 +85,29 @@ def shipped_files() -> RobotFiles:
 
 @pytest.fixture(scope="session")
 def needs_action() -> None:
-    """Skip where control_msgs is not built, which a compiler is needed for; fail where ACTION_REQUIRED is set."""
+    """Skip where control_msgs is not built, which a compiler is needed for; fail where packages are required."""
     from rx90_common.exchange.ros_start import missing_control_msgs
 
     if line := missing_control_msgs():
-        (pytest.fail if os.environ.get("ACTION_REQUIRED") else pytest.skip)(line)
+        give_up(line)
 
 
 @pytest.fixture(scope="session")
 def needs_manager() -> None:
-    """Skip where controller_manager_msgs is not built; fail where ACTION_REQUIRED is set."""
+    """Skip where controller_manager_msgs is not built; fail where packages are required."""
     from rx90_common.exchange.ros_start import missing_controller_manager_msgs
 
     if line := missing_controller_manager_msgs():
-        (pytest.fail if os.environ.get("ACTION_REQUIRED") else pytest.skip)(line)
+        give_up(line)
 
 
 @pytest.fixture(scope="session")
 def needs_tf() -> None:
-    """Skip where tf2_msgs is not there, which a compiler is needed for; fail where ACTION_REQUIRED is set."""
+    """Skip where tf2_msgs is not there, which a compiler is needed for; fail where packages are required."""
     try:
         import tf2_msgs.msg  # noqa: F401
     except ImportError as error:
-        (pytest.fail if os.environ.get("ACTION_REQUIRED") else pytest.skip)(missing_module(error) or str(error))
+        give_up(missing_module(error) or str(error))
 
 
 @pytest.fixture

@@ -1,0 +1,147 @@
+"""Install the system's packages that the tests need; where that may not be, say what is missing and what it skips.
+
+    python -m tools.packages               # installs what it may, says what stays missing, and ends with 0
+    python -m tools.packages --required    # ends with 1 where something stays missing, as CI asks for
+
+This table is the only list of these packages. Needs nothing but the standard library.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+REQUIRED = "TESTS_REQUIRE_PACKAGES"
+"""Environment variable: where it is set, tests whose packages are missing fail; else they are skipped."""
+_PYTHON = f"python{sys.version_info[0]}.{sys.version_info[1]}"
+
+
+@dataclass(frozen=True)
+class Need:
+    """What some tests need of the system.
+
+    Attributes:
+        title: what it is, for a line to the user.
+        packages: Debian's names of the packages that bring it.
+        tests: which tests are skipped without it, for that line.
+        is_there: whether it is there.
+    """
+
+    title: str
+    packages: tuple[str, ...]
+    tests: str
+    is_there: Callable[[], bool]
+
+
+def _program(*names: str) -> Callable[[], bool]:
+    return lambda: any(shutil.which(name) for name in names)
+
+
+def _programs(*names: str) -> Callable[[], bool]:
+    return lambda: all(shutil.which(name) for name in names)
+
+
+def _has_venv() -> bool:
+    return all(importlib.util.find_spec(module) for module in ("venv", "ensurepip"))
+
+
+def _has_avr_compiler() -> bool:
+    return _programs("avr-gcc", "avr-objcopy")() and Path("/usr/lib/avr/include/avr/io.h").exists()
+
+
+def _has_python_headers() -> bool:
+    return Path(sysconfig.get_path("include"), "Python.h").exists()
+
+
+NEEDS = {
+    "make": Need("make", ("make",), "all of them", _program("make")),
+    "venv": Need("Python's venv", (f"{_PYTHON}-venv",), "all of them", _has_venv),
+    "native": Need("a C compiler", ("gcc", "libc6-dev"), "the rig's firmware, lossy networks", _program("cc")),
+    "mcs51": Need("sdcc", ("sdcc",), "the rig's firmware on the 8051", _program("sdcc")),
+    "ucsim": Need("uCsim", ("sdcc-ucsim",), "the rig's firmware on the 8051", _program("s51", "ucsim_51")),
+    "avr": Need("avr-gcc", ("gcc-avr", "avr-libc"), "the rig's firmware on the ATmega328P", _has_avr_compiler),
+    "simavr": Need(
+        "simavr",
+        ("libsimavr-dev",),
+        "the rig's firmware on the ATmega328P",
+        lambda: Path("/usr/include/simavr/sim_avr.h").exists(),
+    ),
+    "chromium": Need("Chromium", ("chromium",), "pages in a browser", _program("chromium")),
+    "c++": Need("a C++ compiler", ("g++",), "the action, controller_manager's services, /tf", _program("c++")),
+    "headers": Need(
+        "Python's headers",
+        (f"lib{_PYTHON}-dev",),
+        "the action, controller_manager's services, /tf",
+        _has_python_headers,
+    ),
+}
+
+
+def missing() -> list[Need]:
+    """Return what is not there."""
+    return [need for need in NEEDS.values() if not need.is_there()]
+
+
+def install(packages: Sequence[str]) -> bool:
+    """Install packages with apt-get, as root or by a sudo that asks for no password; return whether it went well."""
+    prefix = _root()
+    if prefix is None or shutil.which("apt-get") is None:
+        return False
+    _say(f"installing {' '.join(packages)}")
+    environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+    commands = (
+        ["apt-get", "update", "-qq"],
+        ["apt-get", "install", "-y", "-qq", "--no-install-recommends", *packages],
+    )
+    for command in commands:
+        done = subprocess.run(
+            [*prefix, *command], env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+        )
+        if done.returncode:
+            errors = [line for line in done.stderr.splitlines() if line.strip()]
+            _say(f"apt-get {command[1]} ended with {done.returncode}: {errors[-1] if errors else 'without a word'}")
+            return False
+    return True
+
+
+def _root() -> list[str] | None:
+    """Return what a command of root's begins with, None where this user may not run one."""
+    if os.geteuid() == 0:
+        return []
+    if shutil.which("sudo") is None:
+        return None
+    allowed = subprocess.run(["sudo", "-n", "true"], capture_output=True, check=False).returncode == 0
+    return ["sudo", "-n"] if allowed else None
+
+
+def _say(text: str) -> None:
+    print(f"packages: {text}", file=sys.stderr, flush=True)
+
+
+def main() -> int:
+    """Install what is missing; say in one line each what stays so."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--required", action="store_true", help="end with 1 where something stays missing")
+    options = parser.parse_args()
+    needs = missing()
+    if not needs:
+        return 0
+    install([package for need in needs for package in need.packages])
+    still_missing = missing()
+    for need in still_missing:
+        consequence = "required here" if options.required else f"skipped: {need.tests}"
+        _say(f"{need.title} is missing ({consequence}); to get it: apt-get install {' '.join(need.packages)}")
+    return int(options.required and bool(still_missing))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
