@@ -15,6 +15,7 @@ FAILING = "#!/bin/sh\necho 'E: no network' >&2\nexit 100\n"
 INSTALLING = """#!/bin/sh
 [ "$1" = install ] || exit 0
 shift
+case "$*" in *sdcc*UNKNOWN*) echo "E: Unable to locate package UNKNOWN" >&2; exit 100 ;; esac
 for word in "$@"; do
   case $word in
     sdcc) programs="$programs sdcc" ;;
@@ -49,9 +50,10 @@ def test_what_cannot_be_installed_is_a_line_each(tmp_path: Path, words: tuple[st
     assert any("no network" in line for line in lines)
 
 
-def test_what_can_be_installed_is(tmp_path: Path) -> None:
-    """What apt-get brings is missing no more; what it does not bring still is."""
-    done = run(tmp_path, INSTALLING)
+@pytest.mark.parametrize("unknown", ["none", "g++"])
+def test_what_can_be_installed_is(tmp_path: Path, unknown: str) -> None:
+    """What apt-get brings is missing no more; what it does not bring, or does not know, still is."""
+    done = run(tmp_path, INSTALLING.replace("UNKNOWN", unknown))
     assert done.returncode == 0
     assert (tmp_path / "sdcc").exists()
     assert "sdcc is missing" not in done.stderr

@@ -91,26 +91,31 @@ def missing() -> list[Need]:
     return [need for need in NEEDS.values() if not need.is_there()]
 
 
-def install(packages: Sequence[str]) -> bool:
-    """Install packages with apt-get, as root or by a sudo that asks for no password; return whether it went well."""
+def install(needs: Sequence[Need]) -> None:
+    """Install what is needed with apt-get, as root or by a sudo that asks for no password; nothing where neither is."""
     prefix = _root()
     if prefix is None or shutil.which("apt-get") is None:
-        return False
+        return
+    packages = [package for need in needs for package in need.packages]
     _say(f"installing {' '.join(packages)}")
+    arguments = ("install", "-y", "-qq", "--no-install-recommends")
+    if not _apt_get(prefix, "update", "-qq") or _apt_get(prefix, *arguments, *packages):
+        return
+    # A single package that the system does not know keeps the others out.
+    for need in needs:
+        _apt_get(prefix, *arguments, *need.packages)
+
+
+def _apt_get(prefix: Sequence[str], *arguments: str) -> bool:
     environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
-    commands = (
-        ["apt-get", "update", "-qq"],
-        ["apt-get", "install", "-y", "-qq", "--no-install-recommends", *packages],
+    command = [*prefix, "apt-get", *arguments]
+    done = subprocess.run(
+        command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
     )
-    for command in commands:
-        done = subprocess.run(
-            [*prefix, *command], env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
-        )
-        if done.returncode:
-            errors = [line for line in done.stderr.splitlines() if line.strip()]
-            _say(f"apt-get {command[1]} ended with {done.returncode}: {errors[-1] if errors else 'without a word'}")
-            return False
-    return True
+    if done.returncode:
+        errors = [line for line in done.stderr.splitlines() if line.strip()]
+        _say(f"apt-get {arguments[0]} ended with {done.returncode}: {errors[-1] if errors else 'without a word'}")
+    return done.returncode == 0
 
 
 def _root() -> list[str] | None:
@@ -135,7 +140,7 @@ def main() -> int:
     needs = missing()
     if not needs:
         return 0
-    install([package for need in needs for package in need.packages])
+    install(needs)
     still_missing = missing()
     for need in still_missing:
         consequence = "required here" if options.required else f"skipped: {need.tests}"
