@@ -27,7 +27,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.perturbation import scaled
 from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, timed
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.config import load_yaml, yaml_text
@@ -64,6 +63,16 @@ WORKSPACE = np.dtype(
         ("held", np.float64, 6),
     ]
 )
+
+
+def scaled(friction: FrictionSet, scale: float) -> FrictionSet:
+    """Return a friction set with all torques scaled; deflections and velocities stay."""
+    names = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
+    elements = tuple(
+        dataclasses.replace(element, **{name: scale * getattr(element, name) for name in names})
+        for element in friction.elements
+    )
+    return FrictionSet(friction.names, elements)
 
 
 def run_measured(setup: Setup, task: LineTask, gain: float) -> tuple[PathAccuracy, Array]:

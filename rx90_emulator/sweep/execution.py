@@ -34,7 +34,6 @@ from rx90_emulator.sweep.store import ResultStore
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 LARGEST_CHUNK = 8
-_PERTURBATION_CHUNK = 16, 64  # runs of a chunk by the perturbation method, which has 16 side by side
 MOST_WORKERS = 1024
 _CHUNKS_PER_WORKER = 32
 _QUEUED_PER_WORKER = 3
@@ -107,8 +106,7 @@ def run_sweep(
             disable=True if quiet else None,  # None: shown on a terminal only
         )  # fmt: skip
         with pool_of as pool, shown as bar:
-            sizes = _PERTURBATION_CHUNK if sweep.perturbs else (1, LARGEST_CHUNK)
-            for outcomes in run_all(pool, missing, sizes):
+            for outcomes in run_all(pool, missing):
                 store.add(outcomes)
                 computed += len(outcomes)
                 failed += sum(outcome.error is not None for outcome in outcomes)
@@ -117,15 +115,14 @@ def run_sweep(
     return SweepCounts(computed, failed)
 
 
-def run_all(pool: Pool, indices: Sequence[int], sizes: tuple[int, int] = (1, LARGEST_CHUNK)) -> Iterator[Outcomes]:
+def run_all(pool: Pool, indices: Sequence[int]) -> Iterator[Outcomes]:
     """Run runs on a pool; yield the outcomes of a chunk as soon as it is done, in any order.
 
     Args:
         pool: where they are computed.
         indices: of the runs.
-        sizes: least and most runs in a chunk.
     """
-    size = min(sizes[1], max(sizes[0], len(indices) // (_CHUNKS_PER_WORKER * pool.workers)))
+    size = min(LARGEST_CHUNK, max(1, len(indices) // (_CHUNKS_PER_WORKER * pool.workers)))
     chunks = (indices[first : first + size] for first in range(0, len(indices), size))
     running = {pool.submit(chunk) for chunk in islice(chunks, _QUEUED_PER_WORKER * pool.workers)}
     while running:

@@ -23,7 +23,6 @@ from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.entries import LEFT_OUT, Entry, Integer, ListOf, Number, Numbers, Other, Switch, Text
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Either, Entries, Group
-from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import DESCRIPTIONS, FILES, MODEL_FILES, RobotFiles
@@ -31,7 +30,6 @@ from rx90_emulator.loop.parameters import Value
 
 MOST_VALUES, MOST_RUNS = 1_000_000, 10_000_000
 LARGEST_SEED = 2**63 - 1
-METHODS = ("closed_loop", "perturbation")
 _ROLES = (*MODEL_FILES, "task")
 _LEAST_SHARE = 1e-3
 _Thing = TypeVar("_Thing")
@@ -231,23 +229,11 @@ class SweepBase:
         files: robot, tool, drives, friction, controller and task.
         rates: of the loops.
         substeps: plant steps in a tick; None for as many as the arm of each run needs.
-        method: `closed_loop`, or `perturbation`: deviations from the prescribed motion, linear in the arm
-            (docs/explanation/perturbation.md), several times as fast where friction and controller alone are swept.
-
-    Raises:
-        ConfigError: for another method, or more than one plant step with the perturbation method.
     """
 
     files: RobotFiles = field(default_factory=RobotFiles)
     rates: Rates = field(default_factory=Rates)
     substeps: int | None = None
-    method: str = METHODS[0]
-
-    def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise ConfigError(f"method is {quoted(self.method)}; accepted: {' or '.join(METHODS)}")
-        if self.method == "perturbation" and self.substeps not in (None, 1):
-            raise ConfigError(f"substeps is {self.substeps}; accepted by the perturbation method: 1, or left out")
 
     def hashes(self) -> dict[str, dict[str, str] | None]:
         """Return name and SHA-256 of each file by its role; a shipped file's name is its path below config/.
@@ -323,8 +309,6 @@ class SweepPlan:
             "base_rate": self.base.rates.base_hz,
             "position_rate": self.base.rates.position_hz,
             "substeps": self.base.substeps,
-            # Results of earlier versions, which had no other method, can be taken up.
-            **({} if self.base.method == METHODS[0] else {"method": self.base.method}),
             "files": self.base.hashes(),
             "blocks": [
                 {
@@ -448,10 +432,6 @@ PLAN = Group(
                     "Plant steps in a tick; left out: as many as the arm of each run needs.",
                     low=1, high=1000, default=LEFT_OUT,
                 ),
-                "method": Text(
-                    "How runs are computed: the closed loop, or the perturbation method.",
-                    choices=METHODS, default=METHODS[0],
-                ),
             },
             default=LEFT_OUT,
         ),
@@ -512,7 +492,7 @@ def _base(section: Section, content: dict[str, Any], robot: str | None) -> Sweep
     own = names.pop("robot", None) if robot is None else robot
     files = _built(section, "robot", lambda: RobotFiles.named(own, **names))
     rates = _built(section, "base_rate", lambda: Rates(content["base_rate"], content["position_rate"]))
-    return _built(section, "substeps", lambda: SweepBase(files, rates, content.get("substeps"), content["method"]))
+    return SweepBase(files, rates, content.get("substeps"))
 
 
 def _block(blocks: Section, name: str, content: dict[str, Any]) -> Block:
