@@ -4,7 +4,7 @@
 
 The plant keeps its parameters; the controller's model is right or wrong by what the conditions say. For the CS7B's own
 feed-forward they concern its Coulomb and viscous values. Cold and hot are made by the temperature part of the plant's
-friction: as warm as the room, and as warm as four hours of work make it; the model has that part, or has the friction at the
+friction: as warm as the room, and as warm as hours of work make it; the model has that part, or has the friction at the
 reference temperature. The numbers are exact: the closed loop gives the same bits on each run. Speed is in CPU time, in
 turns.
 
