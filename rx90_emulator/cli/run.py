@@ -59,9 +59,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "gives the same bits (0; with --from-bag that of the bag's run)")  # fmt: skip
     parser.add_argument("--base-rate", type=whole_number, default=4000, help="Hz (%(default)s)")
     parser.add_argument("--position-rate", type=whole_number, default=1000, help="Hz (%(default)s)")
-    parser.add_argument("--temperature-rate", type=whole_number, metavar="HZ",
-                        help="of temperatures in bag and arrays, Hz (1; with --from-bag that of the bag's "
-                        "run)")  # fmt: skip
     add_robot_arguments(parser)
 
 
@@ -78,8 +75,7 @@ def main(options: argparse.Namespace) -> None:
     from rx90_emulator.loop.result import save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup
 
-    temperature_hz = Rates.temperature_hz if options.temperature_rate is None else options.temperature_rate
-    rates = Rates(options.base_rate, options.position_rate, temperature_hz)
+    rates = Rates(options.base_rate, options.position_rate)
     setup = Setup.load(RobotFiles.of_options(options), rates, options.seed or 0)
     if options.no_feed_forward:
         setup = with_parameters(setup, {"controller.feed_forward.*": False})
@@ -103,9 +99,8 @@ def _check(options: argparse.Namespace) -> None:
     if options.decimation is not None and options.decimation < 1:
         raise ConfigError(f"--decimation is {options.decimation}; accepted: a whole number >= 1")
     check_needs(options, ("storage", "decimation"), ("output",))
-    check_needs(options, ("slow_only", "temperature_rate"), ("output", "arrays"))
+    check_needs(options, ("slow_only",), ("output", "arrays"))
     check_apart(options, ("start_time",), "from_bag", "the times in the bag")
-    check_apart(options, ("temperature_rate",), "from_bag", "the rate in the bag")
     check_needs(options, ("initial_position",), ("trajectory", "from_bag"))
 
 

@@ -235,9 +235,6 @@ def test_negative_numbers_with_exponents_are_no_options() -> None:
 CASES = [
     ("rx90_run", "--decimation 5", "--decimation without --output; accepted: with it"),
     ("rx90_run", "--storage mcap --arrays run.npz", "--storage without --output; accepted: with it"),
-    ("rx90_run", "--temperature-rate 10", "--temperature-rate without --output or --arrays; accepted: with one"),
-    ("rx90_run", "--temperature-rate 10 --from-bag bag --output again", "--temperature-rate with --from-bag; accepted"),
-    ("rx90_run", "--temperature-rate 3 --output bag", "temperature_rate is 3 Hz; accepted: a rate that divides 4000"),
     ("rx90_line", "--reference --approach-speed 0.1", "--approach-speed without --approach; accepted: with it"),
     ("rx90_bag", "plot bag --align start", "--align start with one bag; accepted: with two"),
     ("rx90_bag", "export bag -o t.npz --format csv", "--format csv with the file t.npz; accepted: with a folder"),
