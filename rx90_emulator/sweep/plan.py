@@ -48,11 +48,8 @@ class Values:
     def __post_init__(self) -> None:
         if not self.values:
             raise ConfigError("the list of values is empty; accepted: at least one value")
-        for value in self.values:
-            if not math.isfinite(value):
-                raise ConfigError(f"a value is {value}; accepted: finite numbers, or true and false")
-        if (twice := _twice(self.values)) is not None:
-            raise ConfigError(f"the value {twice} stands twice; accepted: each value once")
+        _refuse_twice("value", self.values)
+        _refuse_infinite(*self.values)
 
     @classmethod
     def linspace(cls, start: float, stop: float, count: float) -> Values:
@@ -67,8 +64,16 @@ class Values:
         return cls(tuple(np.geomspace(start, stop, _count(count)).tolist()))
 
 
-def _twice(values: Iterable[_Thing]) -> _Thing | None:
-    return next((value for value, count in Counter(values).items() if count > 1), None)
+def _refuse_twice(what: str, values: Iterable[object]) -> None:
+    for value, count in Counter(values).items():
+        if count > 1:
+            raise ConfigError(f"the {what} {value} stands twice; accepted: once")
+
+
+def _refuse_infinite(*values: float) -> None:
+    for value in values:
+        if not math.isfinite(value):
+            raise ConfigError(f"a value is {value}; accepted: finite numbers, or true and false")
 
 
 def _count(count: float) -> int:
@@ -77,12 +82,9 @@ def _count(count: float) -> int:
     return int(count)
 
 
-def _check(low: float, high: float, *finite: float) -> None:
+def _check_bounds(low: float, high: float) -> None:
     if not low < high:
         raise ConfigError(f"the bounds are {low:g} and {high:g}; accepted: a lower one below the higher one")
-    for value in finite:
-        if not math.isfinite(value):
-            raise ConfigError(f"a distribution has the value {value}; accepted: finite numbers")
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,8 @@ class Uniform:
     high: float
 
     def __post_init__(self) -> None:
-        _check(self.low, self.high, self.low, self.high)
+        _refuse_infinite(self.low, self.high)
+        _check_bounds(self.low, self.high)
 
     def quantile(self, share: float) -> float:
         """Return the value below which `share` of the distribution lies."""
@@ -128,7 +131,8 @@ class Normal:
     high: float = math.inf
 
     def __post_init__(self) -> None:
-        _check(self.low, self.high, self.mean, self.deviation)
+        _refuse_infinite(self.mean, self.deviation)
+        _check_bounds(self.low, self.high)
         if self.deviation <= 0.0:
             raise ConfigError(f"deviation is {self.deviation:g}; accepted: a number > 0")
         first, last = self._ends()
@@ -201,14 +205,10 @@ class Block:
             raise ConfigError(f"draws is {self.draws}; accepted: an integer >= 1")
         if self.draws > 1 and not self.random:
             raise ConfigError(f"draws is {self.draws} without random parameters; accepted: parameters to draw")
-        if (name := _twice(parameter.name for parameter in (*self.grid, *self.random))) is not None:
-            raise ConfigError(f"the parameter '{name}' stands twice; accepted: once in a block")
-        for parameter in self.grid:
-            if not isinstance(parameter.space, Values):
-                raise ConfigError(f"'{parameter.name}' of a grid is drawn; accepted: a list of values")
-        for parameter in self.random:
-            if isinstance(parameter.space, Values):
-                raise ConfigError(f"'{parameter.name}' of the random draws is a list; accepted: a distribution")
+        _refuse_twice("parameter", (parameter.name for parameter in (*self.grid, *self.random)))
+        listed = all(isinstance(parameter.space, Values) for parameter in self.grid)
+        if not listed or any(isinstance(parameter.space, Values) for parameter in self.random):
+            raise ConfigError(f"block '{self.name}'; accepted: lists of values in grid, distributions in random")
 
     @property
     def points(self) -> int:
@@ -236,22 +236,14 @@ class SweepBase:
     substeps: int | None = None
 
     def hashes(self) -> dict[str, dict[str, str] | None]:
-        """Return name and SHA-256 of each file by its role; a shipped file's name is its path below config/.
-
-        Raises:
-            ConfigError: if one cannot be read.
-        """
+        """Return name and SHA-256 of each file by its role; a shipped file's name is its path below config/."""
         found: dict[str, dict[str, str] | None] = dict.fromkeys(_ROLES)
         for role in _ROLES:
             path: Path | None = getattr(self.files, role)
             if path is not None:
-                try:
-                    content = path.read_bytes()
-                except OSError as error:
-                    raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
                 # Wherever the user's own file is, the results are the same.
                 name = path.name if (text := self.files.text(role)) == str(path) else text
-                found[role] = {"name": name, "sha256": hashlib.sha256(content).hexdigest()}
+                found[role] = {"name": name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
         return found
 
 
@@ -277,8 +269,7 @@ class SweepPlan:
             raise ConfigError("the sweep has no blocks; accepted: at least one")
         if not 0 <= self.seed <= LARGEST_SEED:
             raise ConfigError(f"seed is {self.seed}; accepted: an integer in [0, {LARGEST_SEED}]")
-        if (name := _twice(block.name for block in self.blocks)) is not None:
-            raise ConfigError(f"the block '{name}' stands twice; accepted: names that differ")
+        _refuse_twice("block", (block.name for block in self.blocks))
         if self.runs > MOST_RUNS:
             raise ConfigError(f"the sweep has {self.runs} runs; accepted: up to {MOST_RUNS}")
 
@@ -360,7 +351,6 @@ _VALUES = Either(
     plain=ListOf("The values.", item=_VALUE, least=1, accepted=_SPACES),
     default=LEFT_OUT,
 )
-_bound = partial(Number, default=LEFT_OUT)
 _DISTRIBUTION = Group(
     "The distribution that values are drawn from.",
     keys={
@@ -371,8 +361,8 @@ _DISTRIBUTION = Group(
             keys={
                 "mean": Number("Mean."),
                 "deviation": Number("Standard deviation.", low=0.0, above=True),
-                "low": _bound("Lower bound; none if left out."),
-                "high": _bound("Upper bound; none if left out."),
+                "low": Number("Lower bound; none if left out.", default=LEFT_OUT),
+                "high": Number("Upper bound; none if left out.", default=LEFT_OUT),
             },
             default=LEFT_OUT,
         ),
@@ -383,8 +373,9 @@ _DISTRIBUTION = Group(
 )
 
 
-def _swept(space: Entry, each: Entry) -> Group:
+def _swept(space: Entry) -> Group:
     path = Text("A path, such as friction.*.c0.")
+    each = "Whether every place that a * stands for is drawn on its own; of random draws only."
     return Group(
         "A swept quantity; its name is the path that it sets, unless there are paths.",
         keys={
@@ -394,18 +385,10 @@ def _swept(space: Entry, each: Entry) -> Group:
             ),
             "value": replace(space, about=f"{space.about} They replace what the files have."),
             "factor": replace(space, about=f"{space.about} They multiply what the files have."),
-            "each": each,
+            "each": Switch(each, default=False),
         },
         one_of=("value", "factor"),
     )  # fmt: skip
-
-
-_GRID = _swept(
-    _VALUES,
-    Other("Of random draws only.", accepted="in random draws only", good=lambda value: value is False,
-          fragment={"const": False}, default=False),
-)  # fmt: skip
-_RANDOM = _swept(_DISTRIBUTION, Switch("Whether every place that a * stands for is drawn on its own.", default=False))
 
 
 def _name(role: str) -> Text:
@@ -442,10 +425,11 @@ PLAN = Group(
                 keys={
                     "grid": Entries(
                         "Parameters with lists of values, the last one varying fastest.",
-                        of=_GRID, least=1, what="parameter", default=LEFT_OUT,
+                        of=_swept(_VALUES), least=1, what="parameter", default=LEFT_OUT,
                     ),
                     "random": Entries(
-                        "Parameters with distributions.", of=_RANDOM, least=1, what="parameter", default=LEFT_OUT
+                        "Parameters with distributions.", of=_swept(_DISTRIBUTION), least=1, what="parameter",
+                        default=LEFT_OUT,
                     ),
                     "draws": Integer("How often the random ones are drawn.", low=1, high=MOST_RUNS, default=1),
                 },
@@ -473,11 +457,11 @@ def load_sweep_plan(name: Path | str, *, robot: Path | str | None = None) -> Swe
     root = load_yaml(resolve_config(str(name)))
     content = PLAN.read(root)
     given = None if robot is None else str(robot)
-    base = _base(root.section("base"), content["base"], given) if "base" in content else None
+    base = SweepBase(RobotFiles.named(given))
+    if "base" in content:
+        base = _base(root.section("base"), content["base"], given)
     blocks = tuple(_block(root.section("blocks"), name, block) for name, block in content["blocks"].items())
-    return _built(
-        root, "blocks", lambda: SweepPlan(blocks, content["seed"], base or SweepBase(RobotFiles.named(given)))
-    )
+    return _built(root, "blocks", lambda: SweepPlan(blocks, content["seed"], base))
 
 
 def _base(section: Section, content: dict[str, Any], robot: str | None) -> SweepBase:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -31,12 +29,13 @@ from rx90_emulator.sweep.runs import RunDescription, RunList
 PLANNED_LINES = 64
 _ORIENTATION_STRIDE = 10  # position ticks: the orientation costs as much as all else; its peak is 0.2 % less
 _KEPT_SETPOINTS = 4
+_Key = TypeVar("_Key")
+_Kept = TypeVar("_Kept")
 RUN_COLUMNS = ("index", "block", "seed", "error")
 """Columns of the results beside parameters and metrics."""
 
 
-@dataclass(frozen=True)
-class Metric:
+class Metric(NamedTuple):
     """One number of a run.
 
     Attributes:
@@ -72,7 +71,9 @@ def metrics_of(joints: Sequence[str], elements: Sequence[str]) -> tuple[Metric, 
 
 def measure(task: TipTask, result: RunResult) -> tuple[float | int, ...]:
     """Return the metrics of a run of `task`."""
-    rows = _window(task, result.times)
+    begin, end = task.counted
+    first = int(np.searchsorted(result.times, begin))
+    rows = slice(first, int(np.searchsorted(result.times, end, side="right")))
     slow = result.slow
     peaks, work = np.zeros((3, slow.joint_states.shape[2])), np.zeros(slow.friction_states.shape[2])
     peaks_and_work(
@@ -95,12 +96,6 @@ def _path_errors(task: TipTask, robot: RobotModel, position: Array, times: Array
     turned = turned_by(robot, forward(robot.chain, position[few]), there)
     across = error.perpendicular
     return float(across.max()), _rms(across), float(np.abs(error.along - asked).max()), float(turned.max())
-
-
-def _window(task: TipTask, times: Array) -> slice:
-    begin, end = task.counted
-    first, last = np.searchsorted(times, begin), np.searchsorted(times, end, side="right")
-    return slice(int(first), int(last))
 
 
 def _rms(values: Array) -> float:
@@ -140,12 +135,12 @@ class Sweep:
             ConfigError, LineError: naming file or parameter, value and what is accepted.
         """
         self.plan = plan
+        self.setup = Setup.load(plan.base.files, plan.base.rates)
+        self.task = load_motion(plan.base.files.required("task"))
         self.description = plan.description()
         self.identity = plan_hash(self.description)
         self.versions = versions()
         self.sources = run_hash()
-        self.setup = Setup.load(plan.base.files, plan.base.rates)
-        self.task = load_motion(plan.base.files.required("task"))
         self.provenance = provenance_of(plan.base.files)
         self.metrics = metrics_of(self.setup.robot.joint_names, self.setup.friction.names)
         self.runs = RunList(plan, Catalogue(self.setup, self.task))
@@ -154,28 +149,21 @@ class Sweep:
             if column.title in taken:
                 raise ConfigError(f"a parameter has the name '{column.title}' of a result; accepted: another name")
             taken.add(column.title)
-        self._prepare()
+        self._motions: dict[LineTask | Path, tuple[TrajectoryPoints, LineTask | Path]] = {}
+        self._setpoints: dict[tuple[object, ...], Array] = {}
 
     def __len__(self) -> int:
         return len(self.runs)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_motion", "_setpoints")}
+    def _motion(self, task: LineTask | Path) -> tuple[TrajectoryPoints, LineTask | Path]:
+        """Return points of the motion, and the task as it is travelled: paths as slowly as the joints ask for."""
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._prepare()
+        def plan() -> tuple[TrajectoryPoints, LineTask | Path]:
+            planned = plan_path(self.setup, task)
+            return planned.points, planned.task if isinstance(planned.task, Path) else task
 
-    def _prepare(self) -> None:
         # A sweep changes masses and inertias, never the kinematics: the task alone decides the line.
-        @lru_cache(maxsize=PLANNED_LINES)
-        def motion(task: LineTask | Path) -> tuple[TrajectoryPoints, LineTask | Path]:
-            """Return points of the motion, and the task as it is travelled: paths as slowly as the joints ask for."""
-            plan = plan_path(self.setup, task)
-            return plan.points, plan.task if isinstance(plan.task, Path) else task
-
-        self._motion = motion
-        self._setpoints: dict[tuple[object, ...], Array] = {}
+        return _remembered(self._motions, task, PLANNED_LINES, plan)
 
     def warm_up(self) -> None:
         """Compile, or load, every kernel that a run calls, and plan the line of the task.
@@ -201,11 +189,7 @@ class Sweep:
             """Return set-points, which runs of the same task, limits and start share."""
             limits = (np.asarray(value).tobytes() for value in vars(generator.limits).values())
             key = task, count, generator.setpoints(0).tobytes(), *limits
-            if key not in self._setpoints:
-                if len(self._setpoints) == _KEPT_SETPOINTS:
-                    del self._setpoints[next(iter(self._setpoints))]
-                self._setpoints[key] = setpoints_of(generator, commands, count)
-            return self._setpoints[key]
+            return _remembered(self._setpoints, key, _KEPT_SETPOINTS, lambda: setpoints_of(generator, commands, count))
 
         end = float(points.times[-1]) if duration is None else duration
         return simulate_commands(
@@ -223,10 +207,6 @@ class Sweep:
         except Exception as error:  # the sweep goes on whatever a value has led to
             return RunOutcome(run, None, " ".join(f"{type(error).__name__}: {error}".split()))
 
-    def compute(self, indices: Sequence[int], stop: Callable[[], bool] = lambda: False) -> list[RunOutcome]:
-        """Run runs, until `stop` says so."""
-        return [self.run(index) for index in indices if not stop()]
-
     def values(self, run: RunDescription) -> tuple[Value | None, ...]:
         """Return a run's value for each of `runs.columns`; None where its block leaves it as in the files."""
         given = dict(run.values)
@@ -241,6 +221,15 @@ class Sweep:
         here = run_hash()
         if here != self.sources:
             raise SweepError(f"{platform.node()} runs other sources of the emulator ({here}); accepted: {self.sources}")
+
+
+def _remembered(kept: dict[_Key, _Kept], key: _Key, most: int, make: Callable[[], _Kept]) -> _Kept:
+    """Return what belongs to a key, made once; of more keys than `most` the newest are kept."""
+    if key not in kept:
+        if len(kept) == most:
+            del kept[next(iter(kept))]
+        kept[key] = make()
+    return kept[key]
 
 
 def run_hash() -> str:
