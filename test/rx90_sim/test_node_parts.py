@@ -16,7 +16,6 @@ from benchmarks.any_arm import write_arm
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.cdr import cdr_stamp_ns
-from rx90_common.exchange.pacing import OnceLog
 from rx90_emulator.loop.own_controller import run_controller
 from rx90_emulator.loop.setup import Setup, load_setup
 from rx90_sim.node import publications
@@ -196,24 +195,6 @@ def test_what_cannot_be_kept_is_refused(given: dict[str, object], words: str) ->
     """Rates that do not divide, a rate of the motor side, and limits that leave no time to answer are one line."""
     with pytest.raises(ConfigError, match=words):
         SimulationParameters(Rates(), **given)  # type: ignore[arg-type]
-
-
-def test_a_fault_is_said_once() -> None:
-    """However often it comes and whatever its numbers; another fault, and one that comes back later, have lines."""
-    said: list[str] = []
-    now = [0.0]
-    once = OnceLog(said.append, lambda: now[0])
-    for k in range(1000):
-        now[0] += 0.5
-        once.say(f"/joint_commands: the stamp is {1.79e9 + k} s at {k:g} s")
-    once.say("/joint_commands: joint name 'elbow' is unknown")
-    now[0] += 31.0
-    once.say("/joint_commands: the stamp is 7 s at 9 s")
-    assert [line.split(" is ")[0] for line in said] == [
-        "/joint_commands: the stamp",
-        "/joint_commands: joint name 'elbow'",
-        "/joint_commands: the stamp",
-    ]
 
 
 def test_the_arm_may_have_another_number_of_joints_and_another_coupling(seven: Setup) -> None:

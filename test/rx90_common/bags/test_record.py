@@ -171,7 +171,7 @@ def record_suite(start: Start, ros_domain: int, folder: Path, storage: str) -> P
         suite.publish(TICKS, 4000, SUITE_TOPICS)
         code, out, err = recorder.finish(signal.SIGINT)
     assert (code, err) == (0, "")
-    count = TICKS * len(FAST) + TICKS // 4 * len(SLOW) + 6
+    count = TICKS * len(FAST) + TICKS // 4 * len(SLOW) + 5
     counted = f"recorded {count} messages of {len(SUITE_TOPICS)} topics to {folder / 'bag'}"
     assert f"{counted}; {TICKS // 500 * len(SLOW)} repetitions" in out
     return folder / "bag"

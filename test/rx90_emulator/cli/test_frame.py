@@ -116,35 +116,12 @@ def test_options_say_what_they_take(options: dict[str, list[argparse.Action]]) -
     assert (kinds["--robot"].pop()[1], kinds["--node"].pop()[1]) == ("ROBOT", "NAME")
 
 
-LONG = "x" * 5000
-CALLS_WITH_LONG_NAMES = (
-    ("rx90_run", "--output"),
-    ("rx90_run", "--arrays"),
-    ("rx90_run", "--task"),
-    ("rx90_bag", "info"),
-    ("rx90_sweep", "info"),
-    ("rx90_demo", "--output"),
-    ("friction_ramp", "--output"),
-)
-
-
-@pytest.mark.parametrize("words", CALLS_WITH_LONG_NAMES)
-def test_a_name_that_the_system_refuses_is_one_line(words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
-    """A file name longer than the system takes is refused with 2 and a line, by every command."""
-    code = run(words[0], [*words[1:], LONG])
-    said = capsys.readouterr().err.splitlines()
-    assert (code, len(said)) == (REFUSED, 1), said
-    assert said[0].startswith(f"{words[0]}: ")
-    assert any(why in said[0] for why in ("File name too long", "its name has 5000 bytes; accepted: up to 243"))
-
-
 WRITTEN = {
     "--output": {
         "friction_bench": ["check", "--port", "nowhere"],
         "friction_presliding": [],
         "friction_ramp": [],
         "rx90_bag": ["record"],
-        "rx90_config": ["friction", "nowhere"],
         "rx90_controller_check": [],
         "rx90_correct": ["learn", "nowhere"],
         "rx90_demo": [],

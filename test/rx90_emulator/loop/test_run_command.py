@@ -12,7 +12,7 @@ import pytest
 from rx90_common.bags.reading import read_bag
 from rx90_common.bags.recorded import ParameterChange
 from rx90_common.base.config import load_yaml
-from rx90_common.base.errors import BagError, ConfigError, Rx90Warning
+from rx90_common.base.errors import BagError, Rx90Warning
 from rx90_common.base.share import config_path
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
@@ -22,7 +22,7 @@ from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.line import run_line
 from rx90_emulator.loop.parameters import with_parameters
-from rx90_emulator.loop.result import MotionCommand, save_arrays
+from rx90_emulator.loop.result import MotionCommand
 from rx90_emulator.loop.setup import Setup
 
 
@@ -74,39 +74,6 @@ def test_a_trajectory_of_a_file_runs_into_arrays_with_units(tmp_path: Path, caps
         assert stored["motor_commands effort [Nm]"].shape == (2800, 6)
         assert stored["base time [s]"][1] == 250e-6
         assert all("[" in name or name.endswith("names") for name in stored.files)
-
-
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("", "the YAML of a trajectory_msgs/JointTrajectory"),
-        ("points: 3", "the YAML of a trajectory_msgs/JointTrajectory"),
-        ("a: [", "not valid YAML"),
-        (TRAJECTORY.replace("joint_6", "elbow"), "elbow"),
-        (TRAJECTORY.replace("0.5, 0.0, 0.1", ".nan, 0.0, 0.1"), "points[0].positions[0] is nan"),
-    ],
-)
-def test_a_file_that_is_no_trajectory_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, complaint: str
-) -> None:
-    """What cannot be followed is refused in one line that names the file."""
-    file = tmp_path / "move.yaml"
-    file.write_text(text)
-    assert run("rx90_run", ["--trajectory", str(file)]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith(f"rx90_run: {file}: ")
-    assert complaint in err
-    assert err.count("\n") == 1
-
-
-def test_arrays_replace_no_file(tmp_path: Path, shipped: Setup) -> None:
-    """From Python, too, a file that exists is refused and stays as it is."""
-    result, file = simulate_commands(shipped, (), np.zeros(6), 0.002, warn=False), tmp_path / "run.npz"
-    file.write_text("mine", encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"run\.npz exists; accepted: a new file"):
-        save_arrays(result, file)
-    assert file.read_text(encoding="utf-8") == "mine"
 
 
 @pytest.mark.parametrize(("fault", "code"), [(OSError(errno.ENOSPC, "No space"), 3), (KeyboardInterrupt(), 130)])
