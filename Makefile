@@ -46,7 +46,7 @@ test-fast: environment-dev
 
 # What does not hang on the versions of libraries (DDS, firmware, processes) is left to `make test`.
 JAZZY := test/rx90_sim test/rx90_controller test/rx90_common/bags test/rx90_common/friction test/rx90_common/description \
-  test/rx90_emulator/loop test/rx90_emulator/identification test/rx90_emulator/perturbation
+  test/rx90_emulator/loop test/rx90_emulator/identification
 test-jazzy: environment-jazzy
 	@.venv-jazzy/bin/python -m tools.digests
 	@.venv-jazzy/bin/python -m pytest -n 2 --dist worksteal -m "not ros and not firmware" \

@@ -27,7 +27,6 @@ COMMANDS = {
     "mujoco_lugre": "mujoco_lugre",
     "exported_arm": "exported_arm",
     "friction_parts": "friction_parts",
-    "perturbation": "perturbation",
     "lockstep": "nodes lockstep",
     "composition": "nodes composition",
     "speed": "nodes speed",

@@ -27,7 +27,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.perturbation import scaled
 from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, timed
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.config import load_yaml, yaml_text
@@ -51,7 +50,6 @@ from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import LineRun, PathAccuracy, path_accuracy, plan_line, run_line
 from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.working_day import RepeatedLine, repeat_line
 from rx90_sim.plant_step import plant_step
 
 WORKSPACE = np.dtype(
@@ -64,6 +62,16 @@ WORKSPACE = np.dtype(
         ("held", np.float64, 6),
     ]
 )
+
+
+def scaled(friction: FrictionSet, scale: float) -> FrictionSet:
+    """Return a friction set with all torques scaled; deflections and velocities stay."""
+    names = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
+    elements = tuple(
+        dataclasses.replace(element, **{name: scale * getattr(element, name) for name in names})
+        for element in friction.elements
+    )
+    return FrictionSet(friction.names, elements)
 
 
 def run_measured(setup: Setup, task: LineTask, gain: float) -> tuple[PathAccuracy, Array]:
@@ -162,9 +170,8 @@ WARMTH = TemperaturePart(
 )  # fmt: skip
 RESISTANCES = (0.6, 0.6, 0.6, 2.5, 4.0, 8.0, 6.0)  # K/W of the seven elements; assumed
 TIME_CONSTANT = 5400.0  # capacity times resistance, s; assumed
-WORK_SPEED, WORK_ACCELERATION = 0.6, 4.0  # of the line while the arm works, m/s and m/s^2
-WORK_HOURS = 4.0
-DAY_ROWS = (0.0, 0.5, 1.0, 2.0, 4.0)  # h
+HOT_JOINTS = (51.57, 42.78, 42.38, 40.0, 42.6, 50.58, 44.55)
+"""Temperatures after four hours of the line there and back at 0.6 m/s and 4 m/s^2 in the hot hall, degrees Celsius."""
 GAINS = (0.0, 30.0)  # of the bristles that follow the measured velocity, 1/s
 ROUNDS = 15
 SETTLED = 300  # position ticks
@@ -326,36 +333,6 @@ def own_budget(setup: Setup, task: LineTask) -> list[tuple[str, float, float]]:
     return [(name, path.worst, path.rms) for name, path in paths.items()]
 
 
-def working_days(models: Models, task: LineTask) -> dict[str, RepeatedLine]:
-    """Return hours of fast work in the hot hall: by the CS7B's own, and by both without and with temperatures."""
-    begin = np.full(7, HOT_HALL)
-    work = dataclasses.replace(
-        task, speed=WORK_SPEED, acceleration=WORK_ACCELERATION, rest_before=0.05, rest_after=0.05
-    )
-    laws = {
-        OWN: with_law(models.at(HOT_HALL, begin, None), LAWS[OWN]),
-        BOTH: with_law(models.at(HOT_HALL, begin, None), LAWS[BOTH]),
-        BOTH + KNOWN: with_law(models.at(HOT_HALL, begin, begin), LAWS[BOTH]),
-    }
-    return {name: repeat_line(setup, work, 3600.0 * WORK_HOURS) for name, setup in laws.items()}
-
-
-def print_days(days: Mapping[str, RepeatedLine]) -> None:
-    """Print path errors over the hours, and how warm the joints and those of the model get."""
-    rows = []
-    for hour in DAY_ROWS:
-        errors = (np.interp(3600.0 * hour, day.times, day.worst) for day in days.values())
-        rows.append((f"{hour:g}", *(f"{error * 1e3:.4f}" for error in errors)))
-    print_table(("fast work, h: worst path error, mm", *days), rows)
-    print()
-    known = days[BOTH + KNOWN]
-    names = known.setup.friction.names
-    degrees = {"the arm": known.temperatures[-1], "the model believes": known.believed[-1]}
-    print_table((f"after {WORK_HOURS:g} h, degrees Celsius", *names),
-                [(who, *(f"{value:.2f}" for value in values)) for who, values in degrees.items()])  # fmt: skip
-    print()
-
-
 def print_budget(title: str, found: Sequence[tuple[str, float, float]]) -> None:
     """Print what is left."""
     print_table((title, "worst, um", "RMS, um"), [(n, f"{w * 1e6:.2f}", f"{r * 1e6:.3f}") for n, w, r in found])
@@ -415,20 +392,19 @@ def main() -> int:
     setup, task = Setup.load(), load_task()
     with tempfile.TemporaryDirectory() as folder:
         models = Models(setup, Path(folder))
-        days, cold = working_days(models, task), np.full(7, COLD_HALL)
-        hot, believed = days[BOTH + KNOWN].temperatures[-1], days[BOTH + KNOWN].believed[-1]
+        cold = np.full(7, COLD_HALL)
+        hot = np.array(HOT_JOINTS)
         setups = models.all() | {
             COLD: models.at(COLD_HALL, cold, None),
             COLD + KNOWN: models.at(COLD_HALL, cold, cold),
             HOT: models.at(HOT_HALL, hot, None),
-            HOT + KNOWN: models.at(HOT_HALL, hot, believed),
+            HOT + KNOWN: models.at(HOT_HALL, hot, hot),
         }
         runs = {
             name: {law: run_line(with_law(one, switches), task) for law, switches in LAWS.items()}
             for name, one in setups.items()
         }
         print_conditions(runs)
-        print_days(days)
         print_budget("both of the right model, what is left", budget(setup, task))
         print_budget("CS7B's own, what is left", own_budget(setup, task))
         print_measured(setups, task)
@@ -442,11 +418,6 @@ def main() -> int:
             "path_error_model_cold_known_mm": runs[COLD + KNOWN][BOTH].path_accuracy.worst * 1e3,
             "path_error_model_hot_mm": runs[HOT][BOTH].path_accuracy.worst * 1e3,
             "path_error_model_hot_known_mm": runs[HOT + KNOWN][BOTH].path_accuracy.worst * 1e3,
-            **{
-                f"path_error_work_{when}{known}_mm": days[law].worst[row] * 1e3
-                for law, known in ((BOTH, ""), (BOTH + KNOWN, "_known"))
-                for when, row in (("first", 0), ("last", -1))
-            },
         }
     )
     return 0

@@ -1,6 +1,6 @@
 """The rigid arm in compiled code: base parameters, and from them mass matrix and bias torques of a serial chain.
 
-The joints are revolute. It is in rx90_common because plant, controller and perturbation method share it.
+The joints are revolute. It is in rx90_common because plant and controller share it.
 
 **Base parameters** are the inertial parameters that the motion depends on (Gautier and Khalil 1990).
 Mass on a joint axis moves in the same way whether it belongs to the link before or after the joint. From the tip to

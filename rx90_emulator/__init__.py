@@ -13,9 +13,8 @@ Setups          load_setup, parameters, with_parameters, Setup, Rates
 Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints; of lines, arcs and splines:
                 load_path, plan_path, Path, Segment
 Runs            run_line, run_path, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; of set-points in a bag:
-                followed_accuracy; for hours: repeat_line, RepeatedLine; with a controller of one's own:
-                run_controller, ControllerRun; small deviations from a motion: prepare_perturbation,
-                PerturbationModel, PerturbationResult
+                followed_accuracy; with a controller of one's own:
+                run_controller, ControllerRun
 Corrections     learn_correction, load_correction, write_correction, precompensate, NormOptimal, Filtered,
                 TrajectoryPath, Correction, CorrectionFile, LearnedCorrection; from a record: Learner, measured,
                 learn_from_record
@@ -173,12 +172,6 @@ if TYPE_CHECKING:
     from rx90_emulator.loop.result import RunResult as RunResult, save_arrays as save_arrays, write_bag as write_bag
     from rx90_emulator.loop.setup import Setup as Setup, load_setup as load_setup
     from rx90_emulator.loop.path_file import load_trajectory as load_trajectory
-    from rx90_emulator.loop.working_day import RepeatedLine as RepeatedLine, repeat_line as repeat_line
-    from rx90_emulator.perturbation.model import (
-        PerturbationModel as PerturbationModel,
-        PerturbationResult as PerturbationResult,
-        prepare_perturbation as prepare_perturbation,
-    )
     from rx90_emulator.sweep.execution import run_sweep as run_sweep
     from rx90_emulator.sweep.plan import (
         Block as Block,

@@ -21,10 +21,8 @@ from rx90_common.friction.arm_elements import fill_arm_parts
 from rx90_common.friction.compiled_elements import element_arrays, elements_dtype
 from rx90_common.friction.parts.scatter import check_seed
 from rx90_common.friction.parts.step import parts_dtype, parts_state_dtype
-from rx90_common.friction.parts.temperature import follow_temperatures
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.elementary import exponential_of
-from rx90_common.kernels.lanes import size
 from rx90_sim.drives import (
     cogging_dtype,
     cogging_state_dtype,
@@ -243,7 +241,7 @@ class Plant:
         self._joint_states = state["q"][0], state["v"][0], state["drive_torque"][0]
         self._friction_states = state["z"][0], np.zeros(len(friction.names)), np.zeros(len(friction.names))
         self._no_command = np.zeros(len(self.joint_names))
-        self.temperatures = JointTemperatures(friction, self.constants, state)
+        self.temperatures = JointTemperatures(friction, state)
         self.reset(np.clip(self._no_command, self._lower, self._upper))
 
     def reset(self, position: ArrayLike) -> None:
@@ -358,28 +356,17 @@ class JointTemperatures:
 
     Args:
         friction: the elements.
-        constants: of the plant, shape (1,), of `plant_dtype`.
         state: of the plant, shape (1,), of `state_dtype`.
 
     Attributes:
         elements: places of the elements that have a temperature in `FrictionSet.names`.
         now: degrees Celsius, shape (e,); 0 for the other elements.
-        heat: of friction and motors since the last reset, J, shape (e,).
     """
 
-    def __init__(self, friction: FrictionSet, constants: np.ndarray[Any, Any], state: np.ndarray[Any, Any]) -> None:
-        self._friction, self._constants, self._state = friction, constants, state
+    def __init__(self, friction: FrictionSet, state: np.ndarray[Any, Any]) -> None:
+        self._friction = friction
         self.elements = tuple(i for i, element in enumerate(friction.elements) if element.temperature is not None)
-        warmth = state["parts"]["temperature"]
-        self.now: Array = warmth["temperature"][0]
-        self.heat: Array = warmth["heat"][0]
-
-    def set(self, temperatures: ArrayLike) -> None:
-        """Make the joints so warm, degrees Celsius, shape (e,); those without a temperature take none."""
-        values = np.broadcast_to(np.asarray(temperatures, dtype=np.float64), self.now.shape)
-        for i in self.elements:
-            self.now[i] = values[i]
-        _follow(self._constants, self._state)
+        self.now: Array = state["parts"]["temperature"]["temperature"][0]
 
     def beyond_law(self) -> str:
         """Return in words which joints are warmer than the law of their friction holds; '' if none is."""
@@ -393,12 +380,6 @@ def beyond_law(friction: FrictionSet, temperatures: Array) -> str:
         for name, element, now in zip(friction.names, friction.elements, temperatures, strict=True)
         if (part := element.temperature) is not None and now > part.highest
     )
-
-
-@kernel
-def _follow(plants: Record, states: Record) -> None:
-    """Give the elements the friction of their temperatures."""
-    follow_temperatures(plants[0].parts.temperature, states[0].parts.temperature, size(states[0].z))
 
 
 class JointInterface:

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.base.errors import ExchangeError
-from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr import ENCAPSULATION, HEAD, CdrBody, JointStateCodec
+from rx90_common.exchange.cdr import ENCAPSULATION, HEAD, JointStateCodec
 
 Int64Array = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
-
-_STAMP, _VALUES = struct.Struct("<iI"), struct.Struct("<dd")  # the latter temperature, variance
-_END_NS = (1 << 31) * NANOSECONDS  # stamps are int32 seconds
 
 
 class MessageBatch:
@@ -97,47 +91,13 @@ def series_encoder(series: JointSeries) -> tuple[Int64Array, Callable[[Int64Arra
 
     The function raises ExchangeError for a name or a stamp that a message cannot contain.
     """
-    if series.temperature is None:
-        codec = JointStateCodec(series.names)
-        arrays = (series.position, series.velocity, series.effort)
+    codec = JointStateCodec(series.names)
+    arrays = (series.position, series.velocity, series.effort)
 
-        def joint_states(rows: Int64Array) -> MessageBatch:
-            fields = (None if array is None else array[rows] for array in arrays)
-            data = codec.encode_many(series.stamp_ns[rows], *fields)
-            count, size = data.shape
-            return MessageBatch(data.reshape(-1), np.arange(count) * size, np.full(count, size))
+    def joint_states(rows: Int64Array) -> MessageBatch:
+        fields = (None if array is None else array[rows] for array in arrays)
+        data = codec.encode_many(series.stamp_ns[rows], *fields)
+        count, size = data.shape
+        return MessageBatch(data.reshape(-1), np.arange(count) * size, np.full(count, size))
 
-        return series.stamp_ns, joint_states
-    row, column = np.nonzero(~np.isnan(series.temperature))
-    stamp_ns, values = series.stamp_ns[row], series.temperature[row, column]
-
-    def temperatures(rows: Int64Array) -> MessageBatch:
-        columns = (field[rows].tolist() for field in (stamp_ns, column, values))
-        return MessageBatch.of(
-            [temperature_cdr(stamp, series.names[k], value) for stamp, k, value in zip(*columns, strict=True)]
-        )
-
-    return stamp_ns, temperatures
-
-
-def temperature_cdr(stamp_ns: int, name: str, temperature: float) -> bytes:
-    """Return a sensor_msgs/Temperature as CDR, little endian, with variance 0, which means an exact value.
-
-    Args:
-        stamp_ns: 0 up to 2^31 seconds.
-        name: of a joint or motor, for the frame_id.
-        temperature: degrees Celsius.
-
-    Raises:
-        ExchangeError: for a name or a stamp that a message cannot contain.
-    """
-    if not 0 <= stamp_ns < _END_NS:
-        raise ExchangeError(f"stamp is {stamp_ns} ns; accepted: 0 to {_END_NS - 1}")
-    if "\0" in name:
-        raise ExchangeError(f"name {quoted(name)}; accepted: text without NUL")
-    body = CdrBody()
-    body.raw += _STAMP.pack(*divmod(stamp_ns, NANOSECONDS))
-    body.string(name)
-    body.align(8)
-    body.raw += _VALUES.pack(temperature, 0.0)
-    return bytes(body.message())
+    return series.stamp_ns, joint_states

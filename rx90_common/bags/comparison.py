@@ -15,7 +15,7 @@ from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.reading import read_joint_bag, series_topics_text
 from rx90_common.bags.recorded import START, TRAJECTORY, time_shift
 from rx90_common.bags.tolerance import Tolerances
-from rx90_common.bags.topics import SERIES_FIELDS, absolute
+from rx90_common.bags.topics import FIELDS, absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, check_type
 from rx90_common.base.quoting import listed, plain, quoted
@@ -58,7 +58,7 @@ class ValueDifference:
 
     Attributes:
         joint: joint name.
-        field: position, velocity, effort or temperature.
+        field: position, velocity or effort.
         unit: of both and of the difference.
         maximum: largest absolute difference of finite values.
         at_ns: stamp of that difference; None when it is 0.
@@ -115,7 +115,7 @@ class BagComparison:
         path_a: the first one.
         path_b: the second one.
         topics: the comparison of each topic.
-        skipped: names of the topics that are no JointState or Temperature.
+        skipped: names of the topics that are no JointState.
         notes: remarks for the user about the reading of the bags.
         shift_ns: offset added to the stamps of the second one.
     """
@@ -138,8 +138,8 @@ class Scope:
     """The scope of a comparison.
 
     Attributes:
-        topics: only these; by default all JointState and Temperature topics, each of which must then be in both bags.
-        fields: some of position, velocity, effort, temperature.
+        topics: only these; by default all JointState topics, each of which must then be in both bags.
+        fields: some of position, velocity, effort.
         start_ns: messages before this stamp are left out.
         end_ns: messages after this stamp are left out.
         common_range: stamps outside the common range are ignored.
@@ -148,17 +148,17 @@ class Scope:
     """
 
     topics: tuple[str, ...] | None = None
-    fields: tuple[str, ...] = SERIES_FIELDS
+    fields: tuple[str, ...] = FIELDS
     start_ns: int | None = None
     end_ns: int | None = None
     common_range: bool = False
     align: int | str = 0
 
     def __post_init__(self) -> None:
-        unknown = [field for field in self.fields if field not in SERIES_FIELDS]
+        unknown = [field for field in self.fields if field not in FIELDS]
         if unknown or not self.fields:
             what = f"field {quoted(unknown[0])}" if unknown else "no fields to compare"
-            raise BagError(f"{what}; accepted: {', '.join(SERIES_FIELDS)}")
+            raise BagError(f"{what}; accepted: {', '.join(FIELDS)}")
         if self.start_ns is not None and self.end_ns is not None and self.start_ns > self.end_ns:
             window = f"{self.start_ns / NANOSECONDS:g} s to {self.end_ns / NANOSECONDS:g} s"
             raise BagError(f"time window from {window}; accepted: a start before the end")
@@ -179,7 +179,7 @@ class Scope:
 def compare_bags(
     path_a: Path | str, path_b: Path | str, tolerances: Tolerances | None = None, scope: Scope | None = None
 ) -> BagComparison:
-    """Compare the JointState and Temperature topics of two bags.
+    """Compare the JointState topics of two bags.
 
     Args:
         path_a: a bag.
@@ -195,13 +195,13 @@ def compare_bags(
     chosen = None if scope.topics is None else [absolute(topic) for topic in scope.topics]
     bags = bag_a, bag_b = read_joint_bag(path_a, chosen), read_joint_bag(path_b, chosen)
     every = [topic for bag in bags for topic in bag.topics]
-    there = {topic.name for topic in every if topic.holds_series}
+    there = {topic.name for topic in every if topic.is_joint_state}
     for bag in bags:
         if not any(topic.count for topic in bag.topics):
             raise BagError(f"{plain(bag.path)}: holds no messages")
-        if not any(topic.holds_series for topic in bag.topics):
+        if not any(topic.is_joint_state for topic in bag.topics):
             others = listed(sorted({topic.name for topic in bag.topics}))
-            raise BagError(f"{plain(bag.path)}: holds no JointState or Temperature topic, only {others}")
+            raise BagError(f"{plain(bag.path)}: holds no JointState topic, only {others}")
     wanted = sorted(there) if chosen is None else chosen
     for topic in wanted:
         if topic not in there:
@@ -218,12 +218,12 @@ def compare_bags(
     ]
     if not results:
         neither = " nor ".join(plain(bag.path) for bag in bags)
-        raise BagError(f"neither {neither} has a JointState or Temperature message in the time window")
-    if set(scope.fields) < set(SERIES_FIELDS) and not any(r.values or r.verdict is not Verdict.SAME for r in results):
+        raise BagError(f"neither {neither} has a JointState message in the time window")
+    if set(scope.fields) < set(FIELDS) and not any(r.values or r.verdict is not Verdict.SAME for r in results):
         # Bags would be the same by stamps alone.
         recorded = listed(dict.fromkeys(field for one in series for field in one.fields)) or "none"
         raise BagError(f"fields {', '.join(scope.fields)}: no message has any of them; accepted: some of {recorded}")
-    skipped = tuple(sorted({topic.name for topic in every if not topic.holds_series}))
+    skipped = tuple(sorted({topic.name for topic in every if not topic.is_joint_state}))
     notes = tuple(f"{plain(bag.path)}: {note}" for bag in bags for note in bag.notes)
     return BagComparison(bag_a.path, bag_b.path, tuple(results), skipped, notes, shift)
 
@@ -297,7 +297,7 @@ def compare_series(
         if side.outside and not scope.common_range:
             reasons.append(f"only the {where} bag has {side.outside} messages outside the common range")
     values: list[ValueDifference] = []
-    for field in SERIES_FIELDS:
+    for field in FIELDS:
         if field in a.fields and field in b.fields and a.units[field] == b.units[field]:
             columns_a, columns_b = a.fields[field][alignment.rows_a], b.fields[field][alignment.rows_b]
             for joint in joints:

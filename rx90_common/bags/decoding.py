@@ -1,8 +1,7 @@
-"""Turn the messages of one topic into arrays: temperatures, or joint states, thousands of equal layout at a time."""
+"""Turn the joint states of one topic into arrays, thousands of equal layout at a time."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
@@ -194,49 +193,3 @@ class SeriesBuilder:
         if self._cdr and len(self._patterns) < _MAX_PATTERNS:
             with suppress(ExchangeError):
                 self._patterns.append(_MessagePattern(raw, layout, message.header.frame_id))
-
-
-class TemperatureBuilder:
-    """Collects the messages of one Temperature topic; its series has a row for each moment, a column for each name.
-
-    A message contains one temperature, of the joint or winding that its frame_id names. A name without a message in a
-    row is NaN there, and a NaN is not written as a message. The variance of a message is dropped.
-
-    Args:
-        topic: absolute topic name.
-        deserialize: by rosbags; returns an object with the message's fields.
-    """
-
-    def __init__(self, topic: str, deserialize: Deserialize) -> None:
-        self._topic, self._deserialize = topic, deserialize
-        self._names: dict[str, None] = {}  # in the order of their first messages
-        self._stamps: list[int] = []
-        self._rows: list[dict[str, float]] = []
-        self._moment: int | None = None  # of the last row, by the header
-
-    def add(self, message: bytes, stamp_ns: int | None = None) -> None:
-        """Add the next message.
-
-        Args:
-            message: as in the bag.
-            stamp_ns: time to use as the stamp of a row that it begins; None for that in its header.
-
-        Raises:
-            BagError: if it is no Temperature.
-        """
-        read = self._deserialize(message)
-        moment, name = message_time_ns(read.header.stamp), str(read.header.frame_id)
-        if moment != self._moment or name in self._rows[-1]:
-            self._moment = moment
-            self._stamps.append(moment if stamp_ns is None else stamp_ns)
-            self._rows.append({})
-        self._names.setdefault(name)
-        self._rows[-1][name] = float(read.temperature)
-
-    def build(self) -> list[JointSeries]:
-        """Return the series; none without messages."""
-        if not self._rows:
-            return []
-        values = np.array([[row.get(name, math.nan) for name in self._names] for row in self._rows], dtype=np.float64)
-        stamps = np.array(self._stamps, dtype=np.int64)
-        return [JointSeries(self._topic, tuple(self._names), stamps, temperature=values)]

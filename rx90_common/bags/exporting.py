@@ -1,4 +1,4 @@
-"""Write the joint states and temperatures of a bag as tables for other programs.
+"""Write the joint states of a bag as tables for other programs.
 
 CSV and Parquet hold one topic each, NPZ any number of them.
 """
@@ -38,7 +38,7 @@ class ExportedBag:
     Attributes:
         files: that were written.
         topics: names and numbers of messages.
-        left_out: topics that hold no joint states or temperatures, or no messages.
+        left_out: topics that hold no joint states, or no messages.
     """
 
     files: tuple[Path, ...]
@@ -49,7 +49,7 @@ class ExportedBag:
 def export_bag(
     path: Path, output: Path, *, topics: Sequence[str] | None = None, kind: str = ".csv", progress: Progress = silent
 ) -> ExportedBag:
-    """Write JointState and Temperature topics of a bag as tables. An interrupted export leaves no files.
+    """Write JointState topics of a bag as tables. An interrupted export leaves no files.
 
     Args:
         path: a bag.
@@ -124,7 +124,7 @@ def _write_csv(path: Path, tables: Sequence[JointSeries], written: Callable[[int
                 f"{stamp // NANOSECONDS}.{stamp % NANOSECONDS:09d},{','.join(map(words, row))}\n"
                 for stamp, row in zip(block.stamp_ns.tolist(), values.tolist(), strict=True)
             )
-            written(block.messages)
+            written(len(block.stamp_ns))
 
 
 def _write_parquet(path: Path, tables: Sequence[JointSeries], written: Callable[[int], None]) -> None:
@@ -141,7 +141,7 @@ def _write_parquet(path: Path, tables: Sequence[JointSeries], written: Callable[
         arrays.append(pa.array(np.ascontiguousarray(series.fields[field][:, series.names.index(joint)])))
     table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, {"topic": series.topic}))
     pq.write_table(table, path, write_page_checksum=True)
-    written(series.messages)
+    written(len(series.stamp_ns))
 
 
 def _write_npz(path: Path, tables: Sequence[JointSeries], written: Callable[[int], None]) -> None:
@@ -164,7 +164,7 @@ def _write_npz(path: Path, tables: Sequence[JointSeries], written: Callable[[int
             arrays[name] = values
     with path.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]  # its stub takes them for its own options
-    written(sum(series.messages for series in tables))
+    written(sum(len(series.stamp_ns) for series in tables))
 
 
 FORMATS: Final[Mapping[str, Callable[[Path, Sequence[JointSeries], Callable[[int], None]], None]]] = {

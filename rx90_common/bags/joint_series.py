@@ -1,4 +1,4 @@
-"""A recorded topic of joint states or temperatures as arrays."""
+"""A recorded topic of joint states as arrays."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.bags.topics import JOINT_STATE, SERIES_FIELDS, TEMPERATURE, quantities
+from rx90_common.bags.topics import FIELDS, quantities
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
@@ -29,12 +29,10 @@ class JointSeries:
         position: rad, float64 of shape (n, k); None if the messages contain none.
         velocity: rad/s, as position.
         effort: Nm, or `effort_unit`; as position.
-        temperature: degrees Celsius, as position, in a series of Temperature messages, which has no other array: NaN
-            if a name has no message of that stamp.
         effort_unit: of effort if it differs from the usual unit of the topic's name, such as A.
 
     Raises:
-        BagError: if names repeat, an array has another shape or type, or there are temperatures and other arrays.
+        BagError: if names repeat, an array has another shape or type.
     """
 
     topic: str
@@ -43,7 +41,6 @@ class JointSeries:
     position: Array | None = None
     velocity: Array | None = None
     effort: Array | None = None
-    temperature: Array | None = None
     effort_unit: str = ""
 
     def __post_init__(self) -> None:
@@ -57,23 +54,11 @@ class JointSeries:
             if values.shape != shape or values.dtype != np.float64:
                 found = f"{values.dtype} of shape {values.shape}"
                 raise BagError(f"{self.topic}: {field} is {found}; accepted: float64 {shape}")
-        if self.temperature is not None and len(self.fields) > 1:
-            raise BagError(f"{self.topic}: {', '.join(self.fields)}; accepted: temperature alone, or none")
 
     @property
     def fields(self) -> dict[str, Array]:
         """Return the arrays that are there, by field name."""
-        return {field: values for field in SERIES_FIELDS if (values := getattr(self, field)) is not None}
-
-    @property
-    def msgtype(self) -> str:
-        """Return the type of its messages."""
-        return JOINT_STATE if self.temperature is None else TEMPERATURE
-
-    @property
-    def messages(self) -> int:
-        """Return the number of messages: one for each row, or for each temperature that is not NaN."""
-        return len(self.stamp_ns) if self.temperature is None else int((~np.isnan(self.temperature)).sum())
+        return {field: values for field in FIELDS if (values := getattr(self, field)) is not None}
 
     @property
     def quantities(self) -> dict[str, str]:

@@ -32,7 +32,7 @@ from rx90_common.bags.batch import Int64Array, series_encoder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import ARRAYS, DELIMITERS, SECONDS, UNITS, Column, LogMapping, mapping_of
 from rx90_common.bags.storage_files import BagTopic, DamagedError, LoggedMessage, StorageFile, library_errors
-from rx90_common.bags.topics import absolute
+from rx90_common.bags.topics import JOINT_STATE, absolute
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
@@ -486,7 +486,7 @@ class TableFile(StorageFile):
     def __init__(self, path: Path, mapping: LogMapping | None) -> None:
         self.kind = path.suffix.lower().removeprefix(".")
         self._series = read_logs([path], mapping, lambda _: None).series
-        self.topics = {k: BagTopic(one.topic, one.msgtype, one.messages) for k, one in enumerate(self._series)}
+        self.topics = {k: BagTopic(one.topic, JOINT_STATE, len(one.stamp_ns)) for k, one in enumerate(self._series)}
         self.effort_units = {one.topic: one.effort_unit for one in self._series if one.effort_unit}
 
     def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
@@ -529,7 +529,7 @@ def import_logs(
     storage: str = "mcap",
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[ReadLog]:
-    """Write a bag with the joint states and temperatures of logs in columns.
+    """Write a bag with the joint states of logs in columns.
 
     Args:
         logs: files with their mappings; the rows of several files of one mapping belong together, one by one.

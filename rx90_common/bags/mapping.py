@@ -15,9 +15,8 @@ as `topics: {NAME: {names: ..., position: ...}}`; without a name it is `joint_st
 
 Columns are numbers from 1 on, or names in the log's header. If several logs were written together row by row,
 `file: 2` selects columns of the second. `exact: true`, as `rx90_bag export` writes it, keeps numbers and times
-unchanged. Position, velocity and effort may each be left out;
-a topic of temperatures has `temperature: {columns: [8, 9], unit: °C}` alone. `delimiter`, `decimal` and
-`header` (its number of lines) are detected, and may be given.
+unchanged. Position, velocity and effort may each be left out. `delimiter`, `decimal` and `header` (its number
+of lines) are detected, and may be given.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.topics import SERIES_FIELDS, quantities
+from rx90_common.bags.topics import FIELDS, quantities
 from rx90_common.base.config import Section, load_yaml, yaml_text
 from rx90_common.base.entries import LEFT_OUT, Integer, ListOf, Number, Numbers, Other, Switch, Text, Texts
 from rx90_common.base.errors import BagError, ConfigError
@@ -48,9 +47,8 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = {
         "rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0, f"{COUNTS}/s": 2.0 * math.pi,
     },
     "effort": {"Nm": 1.0, "mNm": 1e-3, "A": 1.0, "mA": 1e-3, "rad/s^2": 1.0},
-    "temperature": {"°C": 1.0},
 }  # fmt: skip
-"""What a unit of each field is in rad, rad/s, Nm, A and °C; of counts, a whole turn."""
+"""What a unit of each field is in rad, rad/s, Nm and A; of counts, a whole turn."""
 DELIMITERS: Final = {",": ",", ";": ";", "|": "|", "tab": "\t", "space": None}
 ARRAYS: Final = (".parquet", ".npz")
 """Suffixes of logs of arrays."""
@@ -128,14 +126,14 @@ MAPPING = Group(
             "Rows per second, where no column holds the times.", "Hz", low=1e-3, high=1e6, default=LEFT_OUT
         ),
         "topics": Entries(
-            "Topics of joint states or temperatures, by name, of a table that holds several.",
+            "Topics of joint states, by name, of a table that holds several.",
             of=Group(
                 "What becomes the messages of the topic.",
                 keys={
                     "names": Texts("Names of the joints.", once=True),
-                    **{name: _of_field(name) for name in SERIES_FIELDS},
+                    **{name: _of_field(name) for name in FIELDS},
                 },
-                some_of=SERIES_FIELDS,
+                some_of=FIELDS,
             ),
             least=1, what="topic", names=_NAMES, default=LEFT_OUT,
         ),
@@ -176,7 +174,7 @@ class TopicMapping:
 
     Attributes:
         names: of the joints.
-        fields: by name, of position, velocity and effort, one at least, or temperature alone.
+        fields: by name, of position, velocity and effort, one at least.
     """
 
     names: tuple[str, ...]
@@ -188,9 +186,7 @@ class TopicMapping:
         names = content["names"]
         if any("\0" in name for name in names):
             section.refuse("names", list(names), "texts without NUL")
-        given = [name for name in SERIES_FIELDS if name in content]
-        if "temperature" in given and len(given) > 1:
-            section.fault("temperature", " stands beside others; accepted: temperatures in a topic of their own")
+        given = [name for name in FIELDS if name in content]
         fields: dict[str, FieldMapping] = {}
         for name in given:
             part, columns, unit = section.section(name), content[name]["columns"], content[name]["unit"]

@@ -67,7 +67,7 @@ def plot_bags(
 
     Args:
         paths: one bag or two.
-        topics: of joint states or temperatures; by default the first `most` of USUAL that the bags have, or else their
+        topics: of joint states; by default the first `most` of USUAL that the bags have, or else their
             first topic.
         joints: names; by default all.
         align: moves the stamps of the second bag, as in `compare_bags`.
@@ -190,7 +190,7 @@ def _topic_plot(words: Sequence[str], series: Sequence[JointSeries], robots: tup
                 rms = float(np.sqrt(np.nanmean(values**2))) if known else np.nan
                 found = float(abs(values[at])), float(apart.time[at]), rms, len(values)
                 differences.append((apart.quantities[field], name, *found))
-    messages = tuple(one.messages for one in series)
+    messages = tuple(len(one.stamp_ns) for one in series)
     return TopicPlot(first.topic, Plot(panels, height=_HEIGHT, share_x=True), messages, differences, robots)
 
 
@@ -198,10 +198,8 @@ def _curves(series: JointSeries, field: str, zero: int, suffix: str = "", *, sec
     time, values = (series.stamp_ns - zero) / NANOSECONDS, series.fields[field]
     curves = []
     for k, name in enumerate(series.names):
-        # A temperature that has no message at a stamp is no gap in its curve.
-        drawn = ~np.isnan(values[:, k]) if series.temperature is not None else slice(None)
         colour = INK if second and len(series.names) == 1 else COLOURS[k % len(COLOURS)]
         width = 1.0 if second or not suffix else 2.0
-        label, points = f"{plain(name)}{suffix}", (time[drawn], values[drawn, k])
-        curves.append(Curve(*points, label, colour, width, "dashed" if second else "solid"))
+        label = f"{plain(name)}{suffix}"
+        curves.append(Curve(time, values[:, k], label, colour, width, "dashed" if second else "solid"))
     return curves

@@ -1,4 +1,4 @@
-"""Read bags and tables: their messages, and recorded joint states and temperatures as arrays; needs no ROS.
+"""Read bags and tables: their messages, and recorded joint states as arrays; needs no ROS.
 
 series = read_bag("bag")["joint_states"]
 series.stamp_ns, series.names, series.position  # (n,), k names, (n, k)
@@ -19,7 +19,7 @@ from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
 
-from rx90_common.bags.decoding import SeriesBuilder, TemperatureBuilder
+from rx90_common.bags.decoding import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping, is_table
 from rx90_common.bags.storage_files import ACCEPTED, BagTopic, DamagedError, StorageFile, full_type, open_storage
@@ -151,13 +151,11 @@ class BagReader:
             what = f"a message of {plain(topic.name)} is no {plain(topic.msgtype)} ({type(error).__name__})"
             raise BagError(f"{plain(self.path)}: damaged: {what}") from error
 
-    def series_builder(self, topic: BagTopic, fields: Sequence[str] = FIELDS) -> SeriesBuilder | TemperatureBuilder:
-        """Return the collector of series for the messages of a topic, for joint states with these fields."""
+    def series_builder(self, topic: BagTopic, fields: Sequence[str] = FIELDS) -> SeriesBuilder:
+        """Return the collector of series for the messages of a topic of joint states with these fields."""
         deserialize = partial(self.deserialize, topic)
-        if topic.is_joint_state:
-            unit = self.effort_units.get(topic.name, "")
-            return SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit, fields=fields)
-        return TemperatureBuilder(topic.name, deserialize)
+        unit = self.effort_units.get(topic.name, "")
+        return SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit, fields=fields)
 
     def series_topics(self, topics: Collection[str] | None = None, *, filled: bool = True) -> list[BagTopic]:
         """Return the topics with these names, or all that hold series with messages.
@@ -167,15 +165,15 @@ class BagReader:
             filled: whether those with these names must have messages.
 
         Raises:
-            BagError: if one is not there as JointState or Temperature, or has no messages; or if there are none.
+            BagError: if one is not there as JointState, or has no messages; or if there are none.
         """
         there = self.topics
-        by_name = {topic.name: topic for topic in there if topic.holds_series}
+        by_name = {topic.name: topic for topic in there if topic.is_joint_state}
         if topics is None:
             chosen = [topic for topic in by_name.values() if topic.count]
             if not chosen:
                 others = listed(topic.name for topic in there) or "nothing"
-                raise BagError(f"{plain(self.path)}: holds no joint states or temperatures, only {others}")
+                raise BagError(f"{plain(self.path)}: holds no joint states, only {others}")
             return chosen
         chosen = []
         for name in dict.fromkeys(map(absolute, topics)):
@@ -289,13 +287,11 @@ class JointBag:
         """Return the first stamp, ns.
 
         Raises:
-            BagError: if it holds no message of joint states or temperatures.
+            BagError: if it holds no message of joint states.
         """
         stamps = [int(one.stamp_ns.min()) for found in self.series.values() for one in found if len(one.stamp_ns)]
         if not stamps:
-            raise BagError(
-                f"{plain(self.path)}: holds no JointState or Temperature message, so it has no start to be aligned"
-            )
+            raise BagError(f"{plain(self.path)}: holds no JointState message, so it has no start to be aligned")
         return min(stamps)
 
     def one(self, topic: str, names: Sequence[str] | None = None, remedy: str = "say which joints") -> JointSeries:
@@ -331,11 +327,11 @@ def read_joint_bag(
     record_time: bool = False,
     all_there: bool = False,
 ) -> JointBag:
-    """Read JointState and Temperature topics of a bag in one pass, with a list of all it holds.
+    """Read JointState topics of a bag in one pass, with a list of all it holds.
 
     Args:
         path: as `read_joint_states`.
-        topics: topic names; by default all JointState and Temperature topics of the bag.
+        topics: topic names; by default all JointState topics of the bag.
         progress: called with the numbers of messages that are read and that there are.
         mapping: as `read_joint_states`.
         record_time: as `read_joint_states`.
@@ -347,7 +343,7 @@ def read_joint_bag(
     with BagReader(path, mapping) as bag:
         held = bag.topics
         names = None if topics is None else {*map(absolute, topics)}
-        wanted = [topic for topic in held if topic.holds_series and (names is None or topic.name in names)]
+        wanted = [topic for topic in held if topic.is_joint_state and (names is None or topic.name in names)]
         if topics is not None and all_there:
             wanted = bag.series_topics(topics, filled=False)
         builders = {id(topic): bag.series_builder(topic) for topic in wanted}  # to hash a topic takes 0.5 us
@@ -394,18 +390,18 @@ def read_joint_states(
 def read_bag(
     path: Path | str, topics: Sequence[str] | None = None, *, record_time: bool = False
 ) -> dict[str, JointSeries]:
-    """Read the JointState and Temperature topics of a bag in one pass.
+    """Read the JointState topics of a bag in one pass.
 
     Args:
         path: as `read_joint_states`.
-        topics: topic names; by default all JointState and Temperature topics of the bag that hold messages.
+        topics: topic names; by default all JointState topics of the bag that hold messages.
         record_time: as `read_joint_states`.
 
     Returns:
-        A series by topic, without the leading slash: `joint_states`, `temperatures`, `rx90_controller/reference`, ...
+        A series by topic, without the leading slash: `joint_states`, `rx90_controller/reference`, ...
 
     Raises:
-        BagError: if the bag cannot be read, or a topic is not there as JointState or Temperature, has no messages, or
+        BagError: if the bag cannot be read, or a topic is not there as JointState, has no messages, or
             carries several sets of joints (`read_joint_states` picks from these).
     """
     bag = read_joint_bag(path, topics, record_time=record_time, all_there=True)
@@ -414,8 +410,6 @@ def read_bag(
 
 
 def series_topics_text(topics: Iterable[BagTopic]) -> str:
-    """Return the names of those topics that hold series, by type, for a message."""
-    series = {topic.name: topic.is_joint_state for topic in topics if topic.holds_series}
-    joints, others = ([name for name in sorted(series) if series[name] is kind] for kind in (True, False))
-    temperatures = f"; Temperature topics: {listed(others)}" if others else ""
-    return f"JointState topics: {listed(joints) or 'none'}{temperatures}"
+    """Return the names of those topics that hold series, for a message."""
+    names = sorted({topic.name for topic in topics if topic.is_joint_state})
+    return f"JointState topics: {listed(names) or 'none'}"

@@ -31,7 +31,7 @@ from numba import carray, types  # type: ignore[attr-defined]  # numba exports w
 from rosbags.rosbag1 import Reader as Ros1Reader
 
 from rx90_common.bags.batch import Int64Array
-from rx90_common.bags.topics import JOINT_STATE, TEMPERATURE
+from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.base.errors import BagError, write_error
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
@@ -92,11 +92,6 @@ class BagTopic:
     def is_joint_state(self) -> bool:
         """Return whether its messages can be read as joint states."""
         return self.msgtype == JOINT_STATE and self.is_known
-
-    @property
-    def holds_series(self) -> bool:
-        """Return whether its messages can be read as a series: joint states or temperatures."""
-        return self.msgtype in (JOINT_STATE, TEMPERATURE) and self.is_known
 
     @property
     def description(self) -> str:

@@ -23,14 +23,14 @@ def comparison_text(comparison: BagComparison) -> str:
     if comparison.shift_ns:
         blocks.insert(0, f"stamps of {plain(comparison.path_b)} moved by {comparison.shift_ns / NANOSECONDS:+.9f} s")
     if comparison.skipped:
-        blocks.append(f"not compared, as they are no JointState or Temperature: {listed(comparison.skipped)}")
+        blocks.append(f"not compared, as they are no JointState: {listed(comparison.skipped)}")
     blocks += comparison.notes
     blocks.append(f"{plain(comparison.path_a)} against {plain(comparison.path_b)}: {_WORDS[comparison.verdict]}")
     return "\n\n".join(blocks)
 
 
 def comparison_json(comparison: BagComparison) -> str:
-    """Return all figures as JSON: stamps in ns, values in rad, rad/s, Nm and °C."""
+    """Return all figures as JSON: stamps in ns, values in rad, rad/s and Nm."""
     content = {
         "a": str(comparison.path_a),
         "b": str(comparison.path_b),

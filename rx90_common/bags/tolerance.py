@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from rx90_common.bags.topics import SERIES_FIELDS, USUAL_UNITS, absolute
+from rx90_common.bags.topics import FIELDS, USUAL_UNITS, absolute
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import LEFT_OUT, Number
 from rx90_common.base.errors import BagError
@@ -47,8 +47,8 @@ class ToleranceRule:
     value: float
 
     def __post_init__(self) -> None:
-        if self.field not in SERIES_FIELDS:
-            raise BagError(f"tolerance for the field {quoted(self.field)}; accepted: {', '.join(SERIES_FIELDS)}")
+        if self.field not in FIELDS:
+            raise BagError(f"tolerance for the field {quoted(self.field)}; accepted: {', '.join(FIELDS)}")
         if not (math.isfinite(self.value) and self.value >= 0.0):
             raise BagError(f"tolerance {self.value} for {self.field}; accepted: a finite number >= 0")
 
@@ -134,6 +134,6 @@ def load_rules(path: Path) -> list[ToleranceRule]:
         ToleranceRule(None if name == ANY else absolute(name), joint, field, limits[field])
         for name, given in TOLERANCES.read(load_yaml(path)).items()
         for joint, limits in ((None, given), *given.get("joints", {}).items())
-        for field in SERIES_FIELDS
+        for field in FIELDS
         if field in limits
     ]

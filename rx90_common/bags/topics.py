@@ -11,7 +11,6 @@ from rx90_common.exchange.topics import (
     MOTOR_CURRENT,
     PARAMETERS,
     REFERENCE_ACCELERATION,
-    TEMPERATURES,
     TRAJECTORY_ACCEPTED,
 )
 
@@ -20,24 +19,20 @@ CLOCK: Final = "rosgraph_msgs/msg/Clock"
 STRING: Final = "std_msgs/msg/String"
 JOINT_TRAJECTORY: Final = "trajectory_msgs/msg/JointTrajectory"
 TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
-TEMPERATURE: Final = "sensor_msgs/msg/Temperature"
 PARAMETER_EVENT: Final = "rcl_interfaces/msg/ParameterEvent"
 
 
 FIELDS: Final = ("position", "velocity", "effort")
 """The arrays of a JointState."""
-SERIES_FIELDS: Final = (*FIELDS, "temperature")
-"""Those of a series, which a JointState topic or a Temperature topic becomes."""
 POINT_FIELDS: Final = ("positions", "velocities", "accelerations", "effort")
 """The arrays of a JointTrajectoryPoint, in the order of the message."""
 EFFORT_UNIT: Final = "rx90_emulator effort unit of "
 """Prefix of the key in rosbag2's custom_data that states the unit of a topic's efforts."""
-USUAL_UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm", "temperature": "°C"}
+USUAL_UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm"}
 
 SUITE_TOPICS: Final = (
     "joint_states",
     "friction_states",
-    TEMPERATURES,
     "motor_states",
     "motor_commands",
     "rx90_controller/joint_trajectory",
@@ -73,7 +68,7 @@ def reports_changes(topic: str, msgtype: str) -> bool:
 def quantities(topic: str) -> dict[str, tuple[str, str]]:
     """Return the quantity of each field of a topic's messages, and its unit, unless a bag states others."""
     own = _QUANTITIES.get(topic.rpartition("/")[2], {})
-    return {field: own.get(field, (field, USUAL_UNITS[field])) for field in SERIES_FIELDS}
+    return {field: own.get(field, (field, USUAL_UNITS[field])) for field in FIELDS}
 
 
 def absolute(topic: str) -> str:

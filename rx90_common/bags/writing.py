@@ -31,7 +31,15 @@ from rosbags.typesys.store import Typestore
 
 from rx90_common.bags.batch import Int64Array, MessageBatch, series_encoder
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.topics import EFFORT_UNIT, JOINT_TRAJECTORY, PARAMETER_EVENT, POINT_FIELDS, STRING, absolute
+from rx90_common.bags.topics import (
+    EFFORT_UNIT,
+    JOINT_STATE,
+    JOINT_TRAJECTORY,
+    PARAMETER_EVENT,
+    POINT_FIELDS,
+    STRING,
+    absolute,
+)
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_bag_name
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
@@ -475,7 +483,7 @@ def write_joint_states(
         raise BagError(f"{path}: topics {', '.join(topics)}; accepted: each topic once")
     check_bag_name(path)
     with named_at_the_end(path) as folder, BagWriter(folder / path.name, storage, named=path) as bag:
-        numbers = [bag.add_topic(one.topic, one.msgtype, [offered_qos()]).id for one in series]
+        numbers = [bag.add_topic(one.topic, JOINT_STATE, [offered_qos()]).id for one in series]
         for one in series:
             bag.say_unit(one.topic, one.effort_unit)
         others: dict[str, int] = {}

@@ -41,7 +41,7 @@ class Rates:
     Attributes:
         base_hz: velocity loop, current loop and plant tick, Hz (4 kHz in the CS7B).
         position_hz: position loop and set-points, Hz (1 kHz in the CS7B).
-        temperature_hz: rate of the temperatures of joints and windings, Hz.
+        temperature_hz: rate at which results have the temperatures of joints and windings, Hz.
     """
 
     base_hz: int = 4000
@@ -55,7 +55,7 @@ class Rates:
                 "number of nanoseconds, such as 2000, 4000, 8000 or 10000"
             )
         ticks_per("position_rate", self.base_hz, self.position_hz)
-        ticks_per("temperature_rate", self.base_hz, self.temperature_hz)
+        ticks_per("temperature_hz", self.base_hz, self.temperature_hz)
 
     @property
     def period(self) -> float:
@@ -74,7 +74,7 @@ class Rates:
 
     @property
     def temperature_ticks(self) -> int:
-        """Return the base ticks from one message of temperatures to the next."""
+        """Return the base ticks from one row of temperatures to the next."""
         return self.base_hz // self.temperature_hz
 
     @property

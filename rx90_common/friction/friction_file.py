@@ -192,7 +192,7 @@ def refuse_parts(
 
     Args:
         elements: by their names.
-        what: that does not support them, such as "the perturbation method".
+        what: that does not support them, such as "the emulated rig".
         where: prefix of their names in the message: the file and the path in it.
         held: the supported parts.
 

@@ -328,36 +328,3 @@ def cool_model(laws: Record, states: Record, count: int) -> None:
         store(state.parts.temperature.stored, nothing)
         for _ in range(count):
             _heat(model, state, nothing, nothing)
-
-
-class ModelTemperatures:
-    """Views of a controller's state; all stays at 0 where its model has no temperatures, or its friction is off.
-
-    Args:
-        law: constants, shape (1,), `controller_dtype`.
-        state: of the law, shape (1,), `law_state_dtype`.
-
-    Attributes:
-        now: of the friction elements, degrees Celsius, shape (e,).
-        heat: of friction and motors since they were set, or since the start, J, shape (e,).
-    """
-
-    def __init__(self, law: np.ndarray[Any, Any], state: np.ndarray[Any, Any]) -> None:
-        self._law, self._state = law, state
-        warmth = state["model"]["friction"]["parts"]["temperature"]
-        self.now: Array = warmth["temperature"][0]
-        self.heat: Array = warmth["heat"][0]
-
-    def set(self, temperatures: Array) -> None:
-        """Let them go on from these, degrees Celsius, shape (e,), instead of the start that the file gives."""
-        _set(self._law, self._state, np.ascontiguousarray(temperatures))
-
-
-@kernel
-def _set(laws: Record, states: Record, temperatures: Array) -> None:
-    part, state = laws[0].model.friction.parts.temperature, states[0].model.friction
-    n = size(state.z)
-    start_temperatures(part, state.parts.temperature, n)
-    store(state.parts.temperature.temperature, load(temperatures, n))
-    follow_temperatures(part, state.parts.temperature, n)
-    state.warm = 1

@@ -161,13 +161,6 @@ class TrajectoryGenerator:
         motion = self._next or self._current
         return motion.at(tick)[0] - motion.path.begin, motion.path.last - motion.path.begin
 
-    def refined(self, ratio: int) -> TrajectoryGenerator:
-        """Return a generator of the same motions, at full speed, whose ticks are `ratio` times as frequent."""
-        finer = TrajectoryGenerator(self.limits, self.period / ratio, self._current.path.spline.final)
-        finer._current = self._current.refined(ratio)
-        finer._next = self._next and self._next.refined(ratio)
-        return finer
-
     # Speed scaling.
 
     def speed_scaling(self, tick: int) -> float:

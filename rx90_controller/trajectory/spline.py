@@ -440,10 +440,6 @@ class FollowedPath:
         times = np.arange(count + 1, dtype=np.float64) * self.period
         return interpolate(times, states[:, 0], states[:, 1], states[:, 2])
 
-    def refined(self, ratio: int) -> FollowedPath:
-        """Return it at full speed, on ticks that are `ratio` times as frequent."""
-        return replace(self, start=self.start * ratio, period=self.period / ratio, laws=[], oldest=None)
-
     def delay(self, count: int) -> None:
         """Shift it by `count` ticks."""
         self.start += count

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rx90_common.bags.tolerance import GRAMMAR, Tolerances, load_rules, parse_rule
-from rx90_common.bags.topics import SERIES_FIELDS, SUITE_TOPICS
+from rx90_common.bags.topics import FIELDS, SUITE_TOPICS
 from rx90_common.base.errors import BagError, ConfigError, check_replaced
 from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
@@ -126,8 +126,8 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tolerances", metavar="FILE", help="YAML file of tolerances; --tolerance goes before it")
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="compare only these")
     parser.add_argument(
-        "--fields", nargs="+", choices=SERIES_FIELDS, default=list(SERIES_FIELDS), metavar="FIELD",
-        help=f"compare only these of {', '.join(SERIES_FIELDS)}",
+        "--fields", nargs="+", choices=FIELDS, default=list(FIELDS), metavar="FIELD",
+        help=f"compare only these of {', '.join(FIELDS)}",
     )  # fmt: skip
     parser.add_argument("--from", dest="start", metavar="S", help="leave out stamps before this time in s")
     parser.add_argument("--to", dest="end", metavar="S", help="leave out stamps after this time in s")
@@ -146,7 +146,7 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
 
 
 def _compare(args: argparse.Namespace) -> int:
-    """Compare the joint states and temperatures of two bags and judge: exit 0 same, 1 differs, 2 cannot be compared.
+    """Compare the joint states of two bags and judge: exit 0 same, 1 differs, 2 cannot be compared.
 
     Messages are paired by header.stamp and joints by name. Of several messages with one stamp, exact repetitions
     count once, and different ones are paired in their order. Stamps, joints and arrays that only one bag has make a
@@ -222,7 +222,7 @@ def _add_plot(parser: argparse.ArgumentParser) -> None:
                         help=".html, .png, .svg or .pdf (the bag's name with .html, here)")  # fmt: skip
     parser.add_argument("--force", action="store_true", help="replace a file that exists")
     parser.add_argument("--topic", **_TOPIC,
-                        help="topics of joint states or temperatures (joint_states; on a page friction, tracking "
+                        help="topics of joint states (joint_states; on a page friction, tracking "
                         "error, too)")  # fmt: skip
     parser.add_argument("--joint", nargs="+", dest="joints", metavar="JOINT", help="joints (all)")
     parser.add_argument("--align", metavar="start|trajectory|S",
@@ -230,7 +230,7 @@ def _add_plot(parser: argparse.ArgumentParser) -> None:
 
 
 def _plot(args: argparse.Namespace) -> None:
-    """Draw joint states or temperatures of a bag, or of two bags and their difference: a page to zoom in, or a picture.
+    """Draw joint states of a bag, or of two bags and their difference: a page to zoom in, or a picture.
 
     The suffix of --output says which: .html, .png, .svg or .pdf. Without options a page shows joint states, friction
     and tracking error, as far as the bag has them.
@@ -262,12 +262,12 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", "--output", type=new_folder, required=True, metavar="FILE|FOLDER",
                         help="FILE.csv, FILE.parquet (one topic), FILE.npz, or a folder; must not exist")  # fmt: skip
     parser.add_argument("--topic", **_TOPIC,
-                        help="topics of joint states or temperatures (all)")  # fmt: skip
+                        help="topics of joint states (all)")  # fmt: skip
     parser.add_argument("--format", choices=_KINDS, help=f"of the files in a folder ({_KINDS[0]})")
 
 
 def _export(args: argparse.Namespace) -> None:
-    """Write joint states and temperatures of a bag as tables: CSV, Parquet, or NPZ with names that MATLAB takes.
+    """Write joint states of a bag as tables: CSV, Parquet, or NPZ with names that MATLAB takes.
 
     The suffix of --output says the format; without one it is a folder with a file for each topic. Every number keeps
     all its bits: `rx90_bag import` makes an equal bag of exported CSV files.
@@ -285,7 +285,7 @@ def _export(args: argparse.Namespace) -> None:
     for topic, count in done.topics:
         print(f"{plain(topic)}: {counted(count, 'message')}")
     if done.left_out:
-        print(f"left out, as they hold no joint states or temperatures: {listed(done.left_out)}")
+        print(f"left out, as they hold no joint states: {listed(done.left_out)}")
     print(f"written: {listed(done.files)}")
 
 
@@ -328,7 +328,7 @@ def _import(args: argparse.Namespace) -> None:
             print(one.text)
             continue
         for series in one.series:
-            joints, messages = counted(len(series.names), "joint"), counted(series.messages, "message")
+            joints, messages = counted(len(series.names), "joint"), counted(len(series.stamp_ns), "message")
             print(f"{plain(series.topic)}: {joints}, {messages}")
         if one.corrupt:
             print(f"{plain(one.paths[0])}: left out: {corrupt_text(one.corrupt)}")

@@ -1,4 +1,4 @@
-"""Check configuration files, show what a setup comes to, compare friction, and print the completion for a shell."""
+"""Check configuration files, show what a setup comes to, and print the completion for a shell."""
 
 from __future__ import annotations
 
@@ -6,27 +6,17 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, check_replaced
-from rx90_common.base.quoting import one_line, plain, quoted
+from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
+from rx90_common.base.quoting import one_line, quoted
 from rx90_common.base.share import SHIPPED_RIG
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_common.process.files import write_text
 from rx90_emulator.cli.completion import SHELLS, completion
-from rx90_emulator.cli.options import (
-    POSITIVE,
-    CommandParser,
-    add_robot_arguments,
-    add_verbs,
-    check_picture,
-    new_file,
-    place,
-)
+from rx90_emulator.cli.options import CommandParser, add_robot_arguments, add_verbs
 
 if TYPE_CHECKING:
     from rx90_emulator.configuration.origins import ShownValue
 
 _KINDS = "controller, drives, friction, rig, sweep_plan …"
-_HEAD = "# Elements of several files; each says below `note` where it was taken from.\n"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -147,51 +137,8 @@ def _values_of_files(options: argparse.Namespace) -> list[ShownValue]:
     return [*setup_values(files, chosen), steps, *rig_values(rig, origin)]
 
 
-def _add_friction(friction: argparse.ArgumentParser) -> None:
-    friction.add_argument("friction", nargs="+", metavar="FRICTION", help="a name or a file, or an element of it")
-    friction.add_argument("--speed", type=POSITIVE, default=1.0, metavar="RAD/S",
-                          help="highest velocity of table and plot (%(default)s)")  # fmt: skip
-    friction.add_argument("--plot", type=place, metavar="FILE",
-                          help="draw the torque over velocity: .png, .svg or .pdf")  # fmt: skip
-    friction.add_argument("--force", action="store_true", help="replace a plot that exists")
-    friction.add_argument("--take", action="append", default=[], metavar="[ELEMENT=]FRICTION[:ELEMENT]",
-                          help="put an element into the first FRICTION, or all of equal names; needs -o")  # fmt: skip
-    friction.add_argument("-o", "--output", type=new_file, metavar="FILE", help="where to write what --take makes")
-    friction.add_argument("--json", action="store_true", help="print JSON instead of a table")
-
-
-def _friction(options: argparse.Namespace) -> int:
-    """Show friction elements beside each other, each number with its source, and put elements of one file into another.
-
-    FRICTION is a shipped robot (rx90b), published friction (puma560), friction identified from an open recording
-    (panda_gaz), a friction file or a robot folder, and FRICTION:ELEMENT one element of it.
-    """
-    # Here, because --help must not wait for them.
-    from rx90_common.report.picture import write_picture
-    from rx90_emulator.configuration import friction
-
-    if bool(options.take) != (options.output is not None):
-        raise ConfigError("--take and --output: only one of them is there; accepted: both, or none")
-    plot: Path | None = options.plot
-    if plot is not None:
-        check_picture(plot)
-        check_replaced(plot, force=options.force)
-    choices = [friction.FrictionChoice.named(text) for text in options.friction]
-    if options.output is not None:
-        write_text(options.output, friction.replace_elements(choices[0], options.take).text(_HEAD))
-        choices.insert(1, friction.FrictionChoice.named(str(options.output)))
-    show = friction.comparison_json if options.json else friction.comparison_table
-    print(show(choices, options.speed))
-    if plot is not None:
-        write_picture(friction.comparison_plot(choices, options.speed), plot, "Friction torque at constant velocity")
-        if not options.json:
-            print(f"plot: {plain(plot.resolve())}")
-    return DONE
-
-
 _VERBS = (
     (_add_check, _check, "say what is wrong in configuration files"),
     (_add_completion, _completion, "print the completion of all commands for a shell"),
     (_add_show, _show, "show what a setup comes to, and where each value comes from"),
-    (_add_friction, _friction, "show friction elements beside each other, and put elements of one file into another"),
 )

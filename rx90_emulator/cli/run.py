@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rx90_common.base.errors import ConfigError, located
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import Rates
 from rx90_emulator.cli.options import (
@@ -20,24 +20,14 @@ from rx90_emulator.cli.options import (
     add_robot_arguments,
     check_apart,
     check_needs,
-    check_picture,
     new_file,
     new_folder,
-    progress_bar,
     whole_number,
 )
 
 if TYPE_CHECKING:
-    from rx90_common.base.arrays import Array
     from rx90_emulator.loop.result import RunResult
     from rx90_emulator.loop.setup import Setup
-    from rx90_emulator.loop.working_day import RepeatedLine
-
-_TABLE_ROWS = 12  # of the tables of --hours
-_NOT_WITH_HOURS = (
-    "path", "trajectory", "from_bag", "initial_position", "start_time", "output", "arrays", "storage", "decimation",
-    "slow_only", "temperature_rate", "substeps",
-)  # fmt: skip
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,10 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="where the arm rests at time 0 (of a trajectory its first point, of a bag the first "
                         "joint_states)")  # fmt: skip
     parser.add_argument("--start-time", type=FINITE, help="start of the task or trajectory, s (0)")
-    parser.add_argument("--hours", type=FINITE, metavar="H",
-                        help="run the task there and back for so long, as the joints get warm: friction and path error "
-                        "over a working day; for friction with temperature")  # fmt: skip
-    parser.add_argument("--plot", type=new_file, metavar="FILE", help="picture of it (.png, .svg); must not exist")
     parser.add_argument("--output", type=new_folder, help="bag folder to write; must not exist")
     parser.add_argument("--arrays", type=new_file, help="NumPy file to write (.npz), names with units; must not exist")
     parser.add_argument("--storage", choices=("mcap", "sqlite3"), help=f"of the bag ({STORAGE})")
@@ -73,9 +59,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "gives the same bits (0; with --from-bag that of the bag's run)")  # fmt: skip
     parser.add_argument("--base-rate", type=whole_number, default=4000, help="Hz (%(default)s)")
     parser.add_argument("--position-rate", type=whole_number, default=1000, help="Hz (%(default)s)")
-    parser.add_argument("--temperature-rate", type=whole_number, metavar="HZ",
-                        help="of temperatures in bag and arrays, Hz (1; with --from-bag that of the bag's "
-                        "run)")  # fmt: skip
     add_robot_arguments(parser)
 
 
@@ -92,16 +75,12 @@ def main(options: argparse.Namespace) -> None:
     from rx90_emulator.loop.result import save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup
 
-    temperature_hz = Rates.temperature_hz if options.temperature_rate is None else options.temperature_rate
-    rates = Rates(options.base_rate, options.position_rate, temperature_hz)
+    rates = Rates(options.base_rate, options.position_rate)
     setup = Setup.load(RobotFiles.of_options(options), rates, options.seed or 0)
     if options.no_feed_forward:
         setup = with_parameters(setup, {"controller.feed_forward.*": False})
     if options.no_velocity_feed_forward:
         setup = with_parameters(setup, {"controller.feed_forward.velocity": False})
-    if options.hours is not None:
-        _run_hours(setup, options)
-        return
     result = _simulate(setup, options)
     if result.substeps > 1:
         print(f"plant steps in a tick: {result.substeps}")
@@ -117,16 +96,11 @@ def main(options: argparse.Namespace) -> None:
 
 def _check(options: argparse.Namespace) -> None:
     """Refuse what can be seen to be wrong before anything is read."""
-    check_needs(options, ("plot",), ("hours",))
-    check_apart(options, _NOT_WITH_HOURS, "hours", "--task and --plot")
-    if options.plot is not None:
-        check_picture(options.plot)
     if options.decimation is not None and options.decimation < 1:
         raise ConfigError(f"--decimation is {options.decimation}; accepted: a whole number >= 1")
     check_needs(options, ("storage", "decimation"), ("output",))
-    check_needs(options, ("slow_only", "temperature_rate"), ("output", "arrays"))
+    check_needs(options, ("slow_only",), ("output", "arrays"))
     check_apart(options, ("start_time",), "from_bag", "the times in the bag")
-    check_apart(options, ("temperature_rate",), "from_bag", "the rate in the bag")
     check_needs(options, ("initial_position",), ("trajectory", "from_bag"))
 
 
@@ -193,58 +167,3 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
 
 def _warn(text: str) -> None:
     print(f"rx90_run: warning: {text}", file=sys.stderr)
-
-
-def _run_hours(setup: Setup, options: argparse.Namespace) -> None:
-    """Run the task there and back for hours; print the results, also after an interrupt, and draw them if asked to."""
-    from rx90_common.description.robot_files import RobotFiles
-    from rx90_controller.lines.task import load_task
-    from rx90_emulator.loop.working_day import ThermalRun
-
-    day = ThermalRun(setup, load_task(RobotFiles.of_options(options).required("task")))
-    with located(f"--hours {options.hours:g}"):
-        total = day.whole_cycles(3600.0 * options.hours)
-    try:
-        with progress_bar("cycles") as progress:
-            while day.advance(total):
-                progress(day.done, total)
-            progress(total, total)
-    finally:  # also for who interrupts
-        if day.done:
-            _show_hours(day.result(), day.done, options.plot)
-
-
-def _show_hours(result: RepeatedLine, cycles: int, plot: Path | None) -> None:
-    import numpy as np
-
-    from rx90_common.report.picture import write_picture
-    from rx90_common.report.plot import COLOURS, Curve, Panel, Plot
-
-    hours, count, friction = result.times / 3600.0, len(result.times), result.setup.friction
-    print(f"{cycles} times there and back in {cycles * result.cycle / 3600.0:.3g} h, of which {count} were simulated")
-    rows = np.unique(np.linspace(0, count - 1, _TABLE_ROWS).round().astype(int))
-    head = "".join(f"{name:>11}" for name in friction.names)
-    warm = [element.temperature is not None for element in friction.elements]
-    print(f"\n{'':8}{'path error, mm':>18}  temperature of the joints, °C\n{'h':>8}{'worst':>9}{'RMS':>9}{head}")
-    for i in rows:
-        cells = (f"{t:11.1f}" if known else f"{'-':>11}" for t, known in zip(result.temperatures[i], warm, strict=True))
-        print(f"{hours[i]:8.3f}{result.worst[i] * 1e3:9.4f}{result.rms[i] * 1e3:9.4f}{''.join(cells)}")
-    print(f"\n{'':8}{'':18}  mean friction torque, Nm\n{'h':>8}{'':18}{head}")
-    for i in rows:
-        print(f"{hours[i]:8.3f}{'':18}{''.join(f'{torque:11.3f}' for torque in result.friction[i])}")
-    if plot is None:
-        return
-
-    def curves(values: Array, names: Sequence[str]) -> list[Curve]:
-        return [Curve(hours, one, name, colour) for one, name, colour in zip(values.T, names, COLOURS, strict=False)]
-
-    errors = 1e3 * np.stack([result.worst, result.rms], axis=1)
-    warmth = [curve for curve, known in zip(curves(result.temperatures, friction.names), warm, strict=True) if known]
-    panels = [
-        Panel(warmth, "", "time, h", "temperature of the joints, °C"),
-        Panel(curves(result.friction / result.friction[0], friction.names), "", "time, h",
-              "mean friction torque, over that at the start"),
-        Panel(curves(errors, ("worst", "RMS")), "", "time, h", "path error, mm", from_zero=True),
-    ]  # fmt: skip
-    write_picture(Plot(panels, columns=3, height=3.6), plot)
-    print(one_line(f"plot: {plot}"))

@@ -37,7 +37,7 @@ def _run(options: argparse.Namespace) -> None:
     from rx90_emulator.sweep.execution import run_sweep
     from rx90_emulator.sweep.plan import load_sweep_plan
     from rx90_emulator.sweep.store import read_sweep
-    from rx90_emulator.sweep.sweep import DEVIATION, Sweep
+    from rx90_emulator.sweep.sweep import Sweep
 
     if options.robot is not None:
         options.interrupted += " --robot {robot}"
@@ -63,8 +63,6 @@ def _run(options: argparse.Namespace) -> None:
             runs = "the run" if len(errors) == 1 else f"each of the {len(errors)} runs"
             more = f"rx90_sweep info {plain(options.output)} says more"
             raise FailureError(f"{runs} failed, for example: {errors[0].as_py()}; {more}")
-    if sweep.perturbs and counts.computed:
-        print(one_line(sweep.check_method(read_sweep(options.output)[DEVIATION].to_pylist())))
     if options.report is not None:
         _write_page(options.output, options.report)
 

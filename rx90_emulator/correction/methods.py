@@ -9,8 +9,8 @@ Control Systems Magazine 26): the lead compensates the lag of the position loop;
 does, nothing is learned.
 
 The norm-optimal method uses the linear response of the joints to offsets of the position set-points along a motion. The
-deviations dq of the arm from its nominal motion are linear in the offsets c: the linear time-varying model of the
-perturbation method, with M0, C0 and K0 along the motion, and around it the CS7B's PI on the position, D on the
+deviations dq of the arm from its nominal motion are linear in the offsets c: the linear time-varying model
+of the arm, with M0, C0 and K0 along the motion, and around it the CS7B's PI on the position, D on the
 velocity, and a lag T of first order for amplifier, velocity observer and sampling, drive by drive (W is the coupling of
 the motors):
 
@@ -51,9 +51,9 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.kinematics import jacobian
 from rx90_common.kernels.compiled import inlined, kernel
+from rx90_emulator.correction.linearise import SPACING, linearise
 from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.model import SPACING, linearise
 
 LEAD_IN = 0.3
 """Time before the path from which errors count, s, gradually: so the error at rest is corrected when the path

@@ -16,7 +16,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, check_type, located
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.topics import SEED, TEMPERATURE_RATE
+from rx90_common.exchange.topics import SEED
 from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.trajectory.points import points_from_message
 from rx90_controller.trajectory.request import GoalOptions
@@ -44,7 +44,6 @@ class RecordedRun:
         given: names of those that had other values than the setup's from the beginning, by the bag, and of options of
             the controller by which it accepted more trajectories than `replay` does.
         seed: of all that was random in the arm, None if the bag tells none: then `replay` has that of the setup.
-        temperature_rate: of the temperatures, Hz; the same.
     """
 
     commands: tuple[MotionCommand, ...]
@@ -53,7 +52,6 @@ class RecordedRun:
     changed: tuple[str, ...] = ()
     given: tuple[str, ...] = ()
     seed: int | None = None
-    temperature_rate: int | None = None
 
 
 def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = None) -> RecordedRun:
@@ -83,9 +81,8 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
     if initial_position is None:
         initial_position = setup.plant().position_of(_position_at_rest(bag, states, setup.robot.joint_names))
     values = read_values(bag)
-    for name in (SEED, TEMPERATURE_RATE):
-        if values.get(name) is not None and type(values[name]) is not int:
-            raise BagError(f"{plain(bag)}: its {name} is {quoted(values[name])}; accepted: a whole number")
+    if values.get(SEED) is not None and type(values[SEED]) is not int:
+        raise BagError(f"{plain(bag)}: its {SEED} is {quoted(values[SEED])}; accepted: a whole number")
     commands = []
     for one in read_trajectories(bag):
         with located(plain(bag)):
@@ -98,12 +95,11 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
         changed=tuple(sorted({change.name for change in read_changes(bag) if change.name.startswith(OF_LAW)})),
         given=tuple(sorted(name for name, value in values.items() if _is_other(name, value, setup.controller))),
         seed=values.get(SEED),
-        temperature_rate=values.get(TEMPERATURE_RATE),
     )
 
 
 def replay(setup: Setup, run: RecordedRun, *, substeps: int | None = None, record_fast: bool = False) -> RunResult:
-    """Do a recorded run again through the closed loop without ROS, with its seed and the rate of its temperatures.
+    """Do a recorded run again through the closed loop without ROS, with its seed.
 
     Raises:
         TrajectoryError: if a trajectory is refused.
@@ -113,8 +109,6 @@ def replay(setup: Setup, run: RecordedRun, *, substeps: int | None = None, recor
     check_type(setup=(setup, Setup), run=(run, RecordedRun))
     if run.seed is not None:
         setup = replace(setup, seed=run.seed)
-    if run.temperature_rate is not None:
-        setup = replace(setup, rates=replace(setup.rates, temperature_hz=run.temperature_rate))
     return simulate_commands(
         setup, run.commands, run.initial_position, run.duration, substeps=substeps, record_fast=record_fast
     )

@@ -24,8 +24,6 @@ from rx90_common.exchange.topics import (
     MOTOR_STATES,
     PARAMETERS,
     SEED,
-    TEMPERATURE_RATE,
-    TEMPERATURES,
     TRAJECTORY_ACCEPTED,
     motor_names,
 )
@@ -34,7 +32,7 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.points import message_content
 from rx90_emulator.loop.setup import Setup
 
-_NOT_DECIMATED = (MOTOR_STATES, MOTOR_COMMANDS, TEMPERATURES)
+_NOT_DECIMATED = (MOTOR_STATES, MOTOR_COMMANDS)
 
 
 class MotionCommand(NamedTuple):
@@ -143,13 +141,6 @@ class RunResult:
         if self.fast is not None:
             series.append(series_of(MOTOR_STATES, motors, self.fast.motor_states, rates.period_ns))
             series.append(series_of(MOTOR_COMMANDS, motors, self.fast.motor_commands, rates.period_ns))
-        if len(slow.temperatures):  # of the elements and windings that get warm, as the nodes publish them
-            warm = [i for i, element in enumerate(friction.elements) if element.temperature is not None]
-            windings = len(joints) * self.setup.drives.winding.used
-            names = (*(friction.names[i] for i in warm), *motors[:windings])
-            values = np.concatenate([slow.temperatures[:, warm], slow.windings[:, :windings]], axis=1)
-            stamps = _stamps(values, rates.period_ns * rates.temperature_ticks)
-            series.append(JointSeries(f"/{TEMPERATURES}", names, stamps, temperature=values))
         return {one.topic.removeprefix("/"): one for one in series}
 
 
@@ -170,7 +161,7 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
         run: the run.
         path: folder to make; must not exist.
         storage: "mcap" or "sqlite3".
-        decimation: keep every n-th message of all topics but those on base ticks and the temperatures.
+        decimation: keep every n-th message of all topics but those on base ticks.
 
     Raises:
         BagError: if the folder exists or cannot be written.
@@ -182,10 +173,9 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
 
     names, rates = run.setup.robot.joint_names, run.setup.rates
     period_ns = rates.period_ns * rates.ratio
-    parameters = {SEED: run.setup.seed, TEMPERATURE_RATE: rates.temperature_hz}
     others = [
         string_message("/robot_description", run.setup.robot.urdf),
-        parameters_message(f"/rx90_sim/{PARAMETERS}", "/rx90_sim", parameters),
+        parameters_message(f"/rx90_sim/{PARAMETERS}", "/rx90_sim", {SEED: run.setup.seed}),
     ]
     for start, points in run.commands:
         content = message_content(names, points) if points else {"joint_names": list(names), "points": []}
@@ -220,8 +210,6 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
         arrays["temperature [degC]"] = run.slow.temperatures
         arrays["winding temperature [degC]"] = run.slow.windings
     for topic, series in run.series.items():
-        if topic == TEMPERATURES:
-            continue
         if topic == MOTOR_STATES:
             arrays["base time [s]"] = np.arange(len(series.stamp_ns)) * run.setup.rates.period
         for field, values in series.fields.items():

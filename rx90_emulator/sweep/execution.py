@@ -28,13 +28,12 @@ import numpy as np
 from tqdm import tqdm
 
 from rx90_common.base.errors import ConfigError, FailureError, SweepError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import one_line, quoted
 from rx90_common.base.requirements import missing_module
 from rx90_emulator.sweep.store import ResultStore
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 LARGEST_CHUNK = 8
-_PERTURBATION_CHUNK = 16, 64  # runs of a chunk by the perturbation method, which has 16 side by side
 MOST_WORKERS = 1024
 _CHUNKS_PER_WORKER = 32
 _QUEUED_PER_WORKER = 3
@@ -99,16 +98,14 @@ def run_sweep(
         missing = np.flatnonzero(~store.done).tolist()
         if not missing:
             return SweepCounts(0, 0)
-        pool_of = local_pool(sweep, workers or len(os.sched_getaffinity(0))) if scheduler is None else dask_pool(
-            sweep, scheduler
-        )  # fmt: skip
-        shown: Any = tqdm(
-            total=len(sweep), initial=len(sweep) - len(missing), desc="sweep", unit="run", smoothing=0.05,
-            disable=True if quiet else None,  # None: shown on a terminal only
-        )  # fmt: skip
-        with pool_of as pool, shown as bar:
-            sizes = _PERTURBATION_CHUNK if sweep.perturbs else (1, LARGEST_CHUNK)
-            for outcomes in run_all(pool, missing, sizes):
+        if scheduler is None:
+            pool_of = local_pool(sweep, workers or len(os.sched_getaffinity(0)))
+        else:
+            pool_of = dask_pool(sweep, scheduler)
+        hidden = True if quiet else None  # None: shown on a terminal only
+        bar = tqdm(total=len(sweep), initial=len(sweep) - len(missing), desc="sweep", unit="run", disable=hidden)
+        with pool_of as pool, bar:
+            for outcomes in run_all(pool, missing):
                 store.add(outcomes)
                 computed += len(outcomes)
                 failed += sum(outcome.error is not None for outcome in outcomes)
@@ -117,15 +114,14 @@ def run_sweep(
     return SweepCounts(computed, failed)
 
 
-def run_all(pool: Pool, indices: Sequence[int], sizes: tuple[int, int] = (1, LARGEST_CHUNK)) -> Iterator[Outcomes]:
+def run_all(pool: Pool, indices: Sequence[int]) -> Iterator[Outcomes]:
     """Run runs on a pool; yield the outcomes of a chunk as soon as it is done, in any order.
 
     Args:
         pool: where they are computed.
         indices: of the runs.
-        sizes: least and most runs in a chunk.
     """
-    size = min(sizes[1], max(sizes[0], len(indices) // (_CHUNKS_PER_WORKER * pool.workers)))
+    size = min(LARGEST_CHUNK, max(1, len(indices) // (_CHUNKS_PER_WORKER * pool.workers)))
     chunks = (indices[first : first + size] for first in range(0, len(indices), size))
     running = {pool.submit(chunk) for chunk in islice(chunks, _QUEUED_PER_WORKER * pool.workers)}
     while running:
@@ -188,9 +184,9 @@ def _end_with_parent() -> None:
 
 
 def _run_in_worker(chunk: Chunk) -> Outcomes:
-    sweep, stop = _in_worker
-    outcomes: Outcomes = sweep.compute(chunk, lambda: bool(stop.value))
-    return outcomes
+    sweep: Sweep = _in_worker[0]
+    stop = _in_worker[1]
+    return [sweep.run(index) for index in chunk if not stop.value]
 
 
 @contextmanager
@@ -207,30 +203,26 @@ def dask_pool(sweep: Sweep, address: str) -> Iterator[Pool]:
         distributed: Any = import_module("distributed")
     except ImportError as error:  # which most sweeps do without
         raise FailureError(missing_module(error) or str(error)) from error
-    # Dask's own tracebacks of a lost connection stay off the terminal; the sweep says it in one line.
-    levels = {logger: logger.level for logger in map(logging.getLogger, _NOISY_LOGGERS)}
-    for logger in levels:
-        logger.setLevel(logging.CRITICAL)
+    for name in _NOISY_LOGGERS:  # the sweep says in one line what is a traceback there
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     client = None
     try:
         try:
             client = distributed.Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
         except (OSError, ValueError) as error:  # TimeoutError is an OSError
-            raise SweepError(f"no Dask scheduler answers at {address} ({_one_line(error)})") from error
+            raise SweepError(f"no Dask scheduler answers at {address} ({one_line(error)})") from error
         workers = sum(client.ncores().values())
         if not workers:
             raise SweepError(f"the Dask scheduler at {address} has no workers; accepted: at least one")
         executor, payload = client.get_executor(pure=False), pickle.dumps(sweep)
         yield Pool(workers, lambda chunk: executor.submit(_run_on_cluster, payload, chunk))
     except (distributed.KilledWorker, CancelledError, OSError) as error:
-        raise SweepError(f"the Dask cluster at {address} failed ({_one_line(error)}); {_RESUME_ADVICE}") from error
+        raise SweepError(f"the Dask cluster at {address} failed ({one_line(error)}); {_RESUME_ADVICE}") from error
     except ImportError as error:
         raise SweepError(f"a Dask worker lacks the emulator ({error}); accepted: the same version") from error
     finally:
         if client is not None:
             client.close()
-        for logger, level in levels.items():
-            logger.setLevel(level)
 
 
 @lru_cache(maxsize=2)
@@ -242,8 +234,5 @@ def _received(payload: bytes) -> Sweep:
 
 
 def _run_on_cluster(payload: bytes, chunk: Chunk) -> Outcomes:
-    return _received(payload).compute(chunk)
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+    sweep = _received(payload)
+    return [sweep.run(index) for index in chunk]

@@ -23,7 +23,6 @@ from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.entries import LEFT_OUT, Entry, Integer, ListOf, Number, Numbers, Other, Switch, Text
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Either, Entries, Group
-from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import DESCRIPTIONS, FILES, MODEL_FILES, RobotFiles
@@ -31,7 +30,6 @@ from rx90_emulator.loop.parameters import Value
 
 MOST_VALUES, MOST_RUNS = 1_000_000, 10_000_000
 LARGEST_SEED = 2**63 - 1
-METHODS = ("closed_loop", "perturbation")
 _ROLES = (*MODEL_FILES, "task")
 _LEAST_SHARE = 1e-3
 _Thing = TypeVar("_Thing")
@@ -50,11 +48,8 @@ class Values:
     def __post_init__(self) -> None:
         if not self.values:
             raise ConfigError("the list of values is empty; accepted: at least one value")
-        for value in self.values:
-            if not math.isfinite(value):
-                raise ConfigError(f"a value is {value}; accepted: finite numbers, or true and false")
-        if (twice := _twice(self.values)) is not None:
-            raise ConfigError(f"the value {twice} stands twice; accepted: each value once")
+        _refuse_twice("value", self.values)
+        _refuse_infinite(*self.values)
 
     @classmethod
     def linspace(cls, start: float, stop: float, count: float) -> Values:
@@ -69,8 +64,16 @@ class Values:
         return cls(tuple(np.geomspace(start, stop, _count(count)).tolist()))
 
 
-def _twice(values: Iterable[_Thing]) -> _Thing | None:
-    return next((value for value, count in Counter(values).items() if count > 1), None)
+def _refuse_twice(what: str, values: Iterable[object]) -> None:
+    for value, count in Counter(values).items():
+        if count > 1:
+            raise ConfigError(f"the {what} {value} stands twice; accepted: once")
+
+
+def _refuse_infinite(*values: float) -> None:
+    for value in values:
+        if not math.isfinite(value):
+            raise ConfigError(f"a value is {value}; accepted: finite numbers, or true and false")
 
 
 def _count(count: float) -> int:
@@ -79,12 +82,9 @@ def _count(count: float) -> int:
     return int(count)
 
 
-def _check(low: float, high: float, *finite: float) -> None:
+def _check_bounds(low: float, high: float) -> None:
     if not low < high:
         raise ConfigError(f"the bounds are {low:g} and {high:g}; accepted: a lower one below the higher one")
-    for value in finite:
-        if not math.isfinite(value):
-            raise ConfigError(f"a distribution has the value {value}; accepted: finite numbers")
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,8 @@ class Uniform:
     high: float
 
     def __post_init__(self) -> None:
-        _check(self.low, self.high, self.low, self.high)
+        _refuse_infinite(self.low, self.high)
+        _check_bounds(self.low, self.high)
 
     def quantile(self, share: float) -> float:
         """Return the value below which `share` of the distribution lies."""
@@ -130,7 +131,8 @@ class Normal:
     high: float = math.inf
 
     def __post_init__(self) -> None:
-        _check(self.low, self.high, self.mean, self.deviation)
+        _refuse_infinite(self.mean, self.deviation)
+        _check_bounds(self.low, self.high)
         if self.deviation <= 0.0:
             raise ConfigError(f"deviation is {self.deviation:g}; accepted: a number > 0")
         first, last = self._ends()
@@ -203,14 +205,10 @@ class Block:
             raise ConfigError(f"draws is {self.draws}; accepted: an integer >= 1")
         if self.draws > 1 and not self.random:
             raise ConfigError(f"draws is {self.draws} without random parameters; accepted: parameters to draw")
-        if (name := _twice(parameter.name for parameter in (*self.grid, *self.random))) is not None:
-            raise ConfigError(f"the parameter '{name}' stands twice; accepted: once in a block")
-        for parameter in self.grid:
-            if not isinstance(parameter.space, Values):
-                raise ConfigError(f"'{parameter.name}' of a grid is drawn; accepted: a list of values")
-        for parameter in self.random:
-            if isinstance(parameter.space, Values):
-                raise ConfigError(f"'{parameter.name}' of the random draws is a list; accepted: a distribution")
+        _refuse_twice("parameter", (parameter.name for parameter in (*self.grid, *self.random)))
+        listed = all(isinstance(parameter.space, Values) for parameter in self.grid)
+        if not listed or any(isinstance(parameter.space, Values) for parameter in self.random):
+            raise ConfigError(f"block '{self.name}'; accepted: lists of values in grid, distributions in random")
 
     @property
     def points(self) -> int:
@@ -231,41 +229,21 @@ class SweepBase:
         files: robot, tool, drives, friction, controller and task.
         rates: of the loops.
         substeps: plant steps in a tick; None for as many as the arm of each run needs.
-        method: `closed_loop`, or `perturbation`: deviations from the prescribed motion, linear in the arm
-            (docs/explanation/perturbation.md), several times as fast where friction and controller alone are swept.
-
-    Raises:
-        ConfigError: for another method, or more than one plant step with the perturbation method.
     """
 
     files: RobotFiles = field(default_factory=RobotFiles)
     rates: Rates = field(default_factory=Rates)
     substeps: int | None = None
-    method: str = METHODS[0]
-
-    def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise ConfigError(f"method is {quoted(self.method)}; accepted: {' or '.join(METHODS)}")
-        if self.method == "perturbation" and self.substeps not in (None, 1):
-            raise ConfigError(f"substeps is {self.substeps}; accepted by the perturbation method: 1, or left out")
 
     def hashes(self) -> dict[str, dict[str, str] | None]:
-        """Return name and SHA-256 of each file by its role; a shipped file's name is its path below config/.
-
-        Raises:
-            ConfigError: if one cannot be read.
-        """
+        """Return name and SHA-256 of each file by its role; a shipped file's name is its path below config/."""
         found: dict[str, dict[str, str] | None] = dict.fromkeys(_ROLES)
         for role in _ROLES:
             path: Path | None = getattr(self.files, role)
             if path is not None:
-                try:
-                    content = path.read_bytes()
-                except OSError as error:
-                    raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
                 # Wherever the user's own file is, the results are the same.
                 name = path.name if (text := self.files.text(role)) == str(path) else text
-                found[role] = {"name": name, "sha256": hashlib.sha256(content).hexdigest()}
+                found[role] = {"name": name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
         return found
 
 
@@ -291,8 +269,7 @@ class SweepPlan:
             raise ConfigError("the sweep has no blocks; accepted: at least one")
         if not 0 <= self.seed <= LARGEST_SEED:
             raise ConfigError(f"seed is {self.seed}; accepted: an integer in [0, {LARGEST_SEED}]")
-        if (name := _twice(block.name for block in self.blocks)) is not None:
-            raise ConfigError(f"the block '{name}' stands twice; accepted: names that differ")
+        _refuse_twice("block", (block.name for block in self.blocks))
         if self.runs > MOST_RUNS:
             raise ConfigError(f"the sweep has {self.runs} runs; accepted: up to {MOST_RUNS}")
 
@@ -323,8 +300,6 @@ class SweepPlan:
             "base_rate": self.base.rates.base_hz,
             "position_rate": self.base.rates.position_hz,
             "substeps": self.base.substeps,
-            # Results of earlier versions, which had no other method, can be taken up.
-            **({} if self.base.method == METHODS[0] else {"method": self.base.method}),
             "files": self.base.hashes(),
             "blocks": [
                 {
@@ -376,7 +351,6 @@ _VALUES = Either(
     plain=ListOf("The values.", item=_VALUE, least=1, accepted=_SPACES),
     default=LEFT_OUT,
 )
-_bound = partial(Number, default=LEFT_OUT)
 _DISTRIBUTION = Group(
     "The distribution that values are drawn from.",
     keys={
@@ -387,8 +361,8 @@ _DISTRIBUTION = Group(
             keys={
                 "mean": Number("Mean."),
                 "deviation": Number("Standard deviation.", low=0.0, above=True),
-                "low": _bound("Lower bound; none if left out."),
-                "high": _bound("Upper bound; none if left out."),
+                "low": Number("Lower bound; none if left out.", default=LEFT_OUT),
+                "high": Number("Upper bound; none if left out.", default=LEFT_OUT),
             },
             default=LEFT_OUT,
         ),
@@ -399,8 +373,9 @@ _DISTRIBUTION = Group(
 )
 
 
-def _swept(space: Entry, each: Entry) -> Group:
+def _swept(space: Entry) -> Group:
     path = Text("A path, such as friction.*.c0.")
+    each = "Whether every place that a * stands for is drawn on its own; of random draws only."
     return Group(
         "A swept quantity; its name is the path that it sets, unless there are paths.",
         keys={
@@ -410,18 +385,10 @@ def _swept(space: Entry, each: Entry) -> Group:
             ),
             "value": replace(space, about=f"{space.about} They replace what the files have."),
             "factor": replace(space, about=f"{space.about} They multiply what the files have."),
-            "each": each,
+            "each": Switch(each, default=False),
         },
         one_of=("value", "factor"),
     )  # fmt: skip
-
-
-_GRID = _swept(
-    _VALUES,
-    Other("Of random draws only.", accepted="in random draws only", good=lambda value: value is False,
-          fragment={"const": False}, default=False),
-)  # fmt: skip
-_RANDOM = _swept(_DISTRIBUTION, Switch("Whether every place that a * stands for is drawn on its own.", default=False))
 
 
 def _name(role: str) -> Text:
@@ -448,10 +415,6 @@ PLAN = Group(
                     "Plant steps in a tick; left out: as many as the arm of each run needs.",
                     low=1, high=1000, default=LEFT_OUT,
                 ),
-                "method": Text(
-                    "How runs are computed: the closed loop, or the perturbation method.",
-                    choices=METHODS, default=METHODS[0],
-                ),
             },
             default=LEFT_OUT,
         ),
@@ -462,10 +425,11 @@ PLAN = Group(
                 keys={
                     "grid": Entries(
                         "Parameters with lists of values, the last one varying fastest.",
-                        of=_GRID, least=1, what="parameter", default=LEFT_OUT,
+                        of=_swept(_VALUES), least=1, what="parameter", default=LEFT_OUT,
                     ),
                     "random": Entries(
-                        "Parameters with distributions.", of=_RANDOM, least=1, what="parameter", default=LEFT_OUT
+                        "Parameters with distributions.", of=_swept(_DISTRIBUTION), least=1, what="parameter",
+                        default=LEFT_OUT,
                     ),
                     "draws": Integer("How often the random ones are drawn.", low=1, high=MOST_RUNS, default=1),
                 },
@@ -493,11 +457,11 @@ def load_sweep_plan(name: Path | str, *, robot: Path | str | None = None) -> Swe
     root = load_yaml(resolve_config(str(name)))
     content = PLAN.read(root)
     given = None if robot is None else str(robot)
-    base = _base(root.section("base"), content["base"], given) if "base" in content else None
+    base = SweepBase(RobotFiles.named(given))
+    if "base" in content:
+        base = _base(root.section("base"), content["base"], given)
     blocks = tuple(_block(root.section("blocks"), name, block) for name, block in content["blocks"].items())
-    return _built(
-        root, "blocks", lambda: SweepPlan(blocks, content["seed"], base or SweepBase(RobotFiles.named(given)))
-    )
+    return _built(root, "blocks", lambda: SweepPlan(blocks, content["seed"], base))
 
 
 def _base(section: Section, content: dict[str, Any], robot: str | None) -> SweepBase:
@@ -512,7 +476,7 @@ def _base(section: Section, content: dict[str, Any], robot: str | None) -> Sweep
     own = names.pop("robot", None) if robot is None else robot
     files = _built(section, "robot", lambda: RobotFiles.named(own, **names))
     rates = _built(section, "base_rate", lambda: Rates(content["base_rate"], content["position_rate"]))
-    return _built(section, "substeps", lambda: SweepBase(files, rates, content.get("substeps"), content["method"]))
+    return SweepBase(files, rates, content.get("substeps"))
 
 
 def _block(blocks: Section, name: str, content: dict[str, Any]) -> Block:

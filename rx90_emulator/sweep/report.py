@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +23,6 @@ from rx90_emulator.sweep.store import about, failures, read_sweep
 _PATH_METRICS = "path_error_worst", "path_error_rms", "along_track_worst", "orientation_worst"
 _MILLI = 1e3
 _MOST_PANELS = 12  # parameters that are drawn
-_MOST_ROWS = 40  # parameters in the table
 _MOST_DOTS = 8000  # in all panels
 _MOST_WORST = 10
 _SHOWN_VALUES = 6  # parameters of a worst run
@@ -31,60 +30,8 @@ _MOST_LEVELS = 12  # different values that are levels by themselves; more are pu
 _BINS = 8
 
 
-@dataclass(frozen=True, eq=False)
-class MainEffect:
-    """Means of a metric over the runs that share a value of a parameter, or lie in one part of its range.
-
-    Attributes:
-        name: of the parameter's column.
-        values: mean value of the parameter at each level, increasing, (levels,).
-        means: mean of the metric there, (levels,).
-        runs: number of runs that set the parameter.
-        share: of the metric's variance over these runs that the levels explain, adjusted for their number (epsilon
-            squared; Kelley 1935); 0 where chance alone would explain as much, NaN with one level.
-    """
-
-    name: str
-    values: Array
-    means: Array
-    runs: int
-    share: float
-
-    @property
-    def span(self) -> float:
-        """Return the largest mean less the smallest."""
-        return float(np.ptp(self.means))
-
-
-def main_effect(name: str, values: Array, metric: Array) -> MainEffect:
-    """Return the main effect of a parameter.
-
-    Args:
-        name: of it.
-        values: of each run, (runs,); NaN where a run does not set it.
-        metric: of each run, (runs,); NaN where it failed.
-    """
-    known = np.isfinite(values) & np.isfinite(metric)
-    x, y = values[known], metric[known]
-    distinct = np.unique(x)
-    if len(distinct) <= _MOST_LEVELS:
-        level = np.searchsorted(distinct, x)
-    else:
-        level = np.searchsorted(np.quantile(x, np.arange(1, _BINS) / _BINS), x, side="right")
-    _, level, counts = np.unique(level, return_inverse=True, return_counts=True)
-    means, centres = (np.bincount(level, weights=each) / counts for each in (y, x))
-    within = float(np.sum((y - means[level]) ** 2))
-    total = float(np.sum((y - y.mean()) ** 2)) if len(y) else 0.0
-    share = np.nan
-    if len(counts) > 1:
-        # With one run at each level there is nothing to tell their scatter from the effect.
-        scatter = within * (len(y) - 1) / (len(y) - len(counts)) if len(y) > len(counts) else 0.0
-        share = max(0.0, 1.0 - scatter / total) if total else 0.0
-    return MainEffect(name, centres, means, len(y), share)
-
-
 class SweptColumn(NamedTuple):
-    """A swept parameter: name of its column, unit ("" for a switch), what it sets, and values, NaN if not set."""
+    """A swept parameter: name of its column, unit, what it sets, and value of each run, (runs,), NaN if not set."""
 
     name: str
     unit: str
@@ -93,32 +40,67 @@ class SweptColumn(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class MainEffect:
+    """Means of a metric over the runs that share a value of a parameter, or lie in one part of its range.
+
+    Attributes:
+        column: the parameter.
+        levels: mean value of the parameter at each level, increasing, (levels,).
+        means: mean of the metric there, (levels,).
+        runs: number of runs that set the parameter.
+        share: of the metric's variance over these runs that the levels explain, adjusted for their number (epsilon
+            squared; Kelley 1935); 0 where chance alone would explain as much, NaN with one level.
+    """
+
+    column: SweptColumn
+    levels: Array
+    means: Array
+    runs: int
+    share: float
+
+
+def main_effect(column: SweptColumn, metric: Array) -> MainEffect:
+    """Return the main effect of a parameter on a metric, (runs,), NaN where a run failed."""
+    known = np.isfinite(column.values) & np.isfinite(metric)
+    x, y = column.values[known], metric[known]
+    distinct = np.unique(x)
+    if len(distinct) <= _MOST_LEVELS:
+        level = np.searchsorted(distinct, x)
+    else:
+        level = np.searchsorted(np.quantile(x, np.arange(1, _BINS) / _BINS), x, side="right")
+    _, level, counts = np.unique(level, return_inverse=True, return_counts=True)
+    levels = np.bincount(level, weights=x) / counts
+    means = np.bincount(level, weights=y) / counts
+    within = float(np.sum((y - means[level]) ** 2))
+    total = float(np.sum((y - y.mean()) ** 2)) if len(y) else 0.0
+    share = np.nan
+    if len(counts) > 1:
+        # With one run at each level there is nothing to tell their scatter from the effect.
+        scatter = within * (len(y) - 1) / (len(y) - len(counts)) if len(y) > len(counts) else 0.0
+        share = max(0.0, 1.0 - scatter / total) if total else 0.0
+    return MainEffect(column, levels, means, len(y), share)
+
+
+@dataclass(frozen=True, eq=False)
 class SweepFigures:
     """What the page shows.
 
     Attributes:
         about: the metadata of the results.
-        index: number of each run.
-        block: of each run.
-        worst: path error, mm; NaN of failed runs.
-        rms: as worst.
-        along: largest distance from the set-point along the path, mm; NaN in results that do not have it.
-        turned: largest orientation error, mrad; likewise.
-        columns: the swept parameters.
-        effects: on the worst path error, the largest share first.
-        errors: kinds of failures with counts and an example.
+        table: the results.
+        errors: of each run by _PATH_METRICS, mm and mrad, (runs,); NaN of failed runs.
+        effects: of the swept parameters on the worst path error, the largest share first.
     """
 
     about: Mapping[str, Any]
-    index: NDArray[np.int64]
-    block: Sequence[str]
-    worst: Array
-    rms: Array
-    along: Array
-    turned: Array
-    columns: Mapping[str, SweptColumn]
+    table: pa.Table
+    errors: Mapping[str, Array]
     effects: Sequence[MainEffect]
-    errors: Sequence[tuple[str, int, str]]
+
+    @property
+    def worst(self) -> Array:
+        """Return the largest path error of each run, mm, (runs,)."""
+        return self.errors[_PATH_METRICS[0]]
 
     @classmethod
     def of(cls, file: Path) -> SweepFigures:
@@ -128,29 +110,25 @@ class SweepFigures:
             SweepError: if there are none, they cannot be read, or no run of them has succeeded.
         """
         table = read_sweep(file)
-        worst, rms, along, turned = (_MILLI * _numbers(table, name) for name in _PATH_METRICS)
+        errors = {name: _MILLI * _numbers(table[name]) for name in _PATH_METRICS}
+        worst = errors[_PATH_METRICS[0]]
         if not np.isfinite(worst).any():
             raise SweepError(f"{plain(file)}: no run has succeeded; accepted: results with a path error")
-        parameters = [field for field in table.schema if field.metadata[b"kind"] == b"parameter"]
-        columns = {field.name: _column(table, field) for field in parameters}
-        effects = [main_effect(name, column.values, worst) for name, column in columns.items()]
-        effects = sorted((one for one in effects if one.runs), key=lambda one: (-np.nan_to_num(one.share), -one.span))
-        return cls(about(table.schema, file), table["index"].to_numpy(), table["block"].to_pylist(), worst, rms,
-                   along, turned, columns, effects, failures(table))  # fmt: skip
+        columns = [_column(table, field) for field in table.schema if field.metadata[b"kind"] == b"parameter"]
+        effects = [effect for effect in (main_effect(column, worst) for column in columns) if effect.runs]
+        effects.sort(key=lambda effect: (-np.nan_to_num(effect.share), -np.ptp(effect.means)))
+        return cls(about(table.schema, file), table, errors, effects)
 
 
-def _numbers(table: pa.Table, name: str) -> Array:
-    if name not in table.column_names:
-        return np.full(len(table), np.nan)
-    column = pc.cast(table[name], pa.float64())
-    return np.asarray(column.fill_null(np.nan).to_numpy(), dtype=np.float64)
+def _numbers(column: pa.ChunkedArray) -> Array:
+    numbers = pc.cast(pc.cast(column, pa.int8()) if pa.types.is_boolean(column.type) else column, pa.float64())
+    return np.asarray(numbers.fill_null(np.nan).to_numpy(), dtype=np.float64)
 
 
 def _column(table: pa.Table, field: pa.Field) -> SweptColumn:
-    unit, meaning = (field.metadata[key].decode() for key in (b"unit", b"meaning"))
-    if pa.types.is_boolean(field.type):
-        table, unit = pa.table({field.name: pc.cast(table[field.name], pa.int8())}), SWITCH
-    return SweptColumn(field.name, unit, meaning.partition(";")[0], _numbers(table, field.name))
+    unit = SWITCH if pa.types.is_boolean(field.type) else field.metadata[b"unit"].decode()
+    meaning, _, _ = field.metadata[b"meaning"].decode().partition(";")
+    return SweptColumn(field.name, unit, meaning, _numbers(table[field.name]))
 
 
 def sweep_page(file: Path) -> str:
@@ -160,37 +138,36 @@ def sweep_page(file: Path) -> str:
         SweepError: as `SweepFigures.of`.
     """
     figures = SweepFigures.of(file)
-    good = figures.worst[np.isfinite(figures.worst)]
+    good = np.flatnonzero(np.isfinite(figures.worst))
+    order = good[np.argsort(-figures.worst[good], kind="stable")]
     drawn = figures.effects[:_MOST_PANELS]
-    shown = _sampled(figures.worst, _MOST_DOTS // max(1, len(drawn)))
+    # Evenly by their rank, the worst one first.
+    shown = order[:: -(-len(order) * max(1, len(drawn)) // _MOST_DOTS)]
     return render_page(
         "rx90_emulator.sweep",
         "sweep.html.j2",
         name=file.name,
         about=figures.about,
         plan=figures.about["plan"],
-        provenance=figures.about.get("provenance", {}),
         done=len(figures.worst),
         good=len(good),
-        median=float(np.median(good)),
-        percentile=float(np.quantile(good, 0.95)),
-        largest=float(good.max()),
-        worst_run=int(figures.index[int(np.nanargmax(figures.worst))]),
+        median=float(np.median(figures.worst[good])),
+        percentile=float(np.quantile(figures.worst[good], 0.95)),
+        largest=float(figures.worst[order[0]]),
         distribution=distribution_plot(figures),
-        effects=effects_plot(figures, drawn, shown) if drawn else None,
+        effects=effects_plot(figures.worst, drawn, shown) if drawn else None,
         sampled=len(shown) if len(shown) < len(good) else 0,
-        rows=[(one, figures.columns[one.name]) for one in figures.effects[:_MOST_ROWS]],
-        left_out=max(0, len(figures.effects) - _MOST_ROWS),
-        panels=len(drawn),
-        worst=list(_worst_runs(figures)),
-        errors=figures.errors,
+        rows=figures.effects,
+        worst=list(_runs(figures, order[:_MOST_WORST])),
+        errors=failures(figures.table),
     )
 
 
 def distribution_plot(figures: SweepFigures) -> Plot:
     """Show which share of the runs stays below a path error, for the worst and the RMS error of each run."""
     curves: list[Curve | Level] = [Level(0.5, "median", GREY, "dotted")]
-    for values, label, colour in ((figures.worst, "worst", COLOURS[1]), (figures.rms, "RMS", COLOURS[0])):
+    for metric, label, colour in zip(_PATH_METRICS, ("worst", "RMS"), (COLOURS[1], COLOURS[0]), strict=False):
+        values = figures.errors[metric]
         known = np.sort(values[np.isfinite(values)])
         share = np.arange(1, len(known) + 1) / len(known)
         curves.append(Curve(np.repeat(known, 2)[1:], np.repeat(share, 2)[:-1], label, colour, 1.4))
@@ -198,46 +175,32 @@ def distribution_plot(figures: SweepFigures) -> Plot:
     return Plot([Panel(curves, title, "path error, mm", "share of runs at or below", from_zero=True)], height=2.8)
 
 
-def effects_plot(figures: SweepFigures, effects: Sequence[MainEffect], shown: NDArray[np.intp]) -> Plot:
+def effects_plot(worst: Array, effects: Sequence[MainEffect], shown: NDArray[np.intp]) -> Plot:
     """Show the worst path error of runs against each parameter, with the means that are its main effect."""
     panels = []
-    for one in effects:
-        column = figures.columns[one.name]
-        unit = {SWITCH: " (0 off, 1 on)", "1": ""}.get(column.unit, f", {column.unit}")
-        rows = shown[np.isfinite(column.values[shown])]
+    for effect in effects:
+        name, unit, _, values = effect.column
+        unit = {SWITCH: " (0 off, 1 on)", "1": ""}.get(unit, f", {unit}")
+        rows = shown[np.isfinite(values[shown])]
         marks: list[Mark] = [
-            Dots(column.values[rows], figures.worst[rows], "runs", COLOURS[5]),
-            Curve(one.values, one.means, "mean", INK, 1.8, dots=True),
+            Dots(values[rows], worst[rows], "runs", COLOURS[5]),
+            Curve(effect.levels, effect.means, "mean", INK, 1.8, dots=True),
         ]
-        panels.append(Panel(marks, "", f"{one.name}{unit}", "worst path error, mm"))
+        panels.append(Panel(marks, "", f"{name}{unit}", "worst path error, mm"))
     return Plot(panels, columns=min(2, len(panels)), height=2.4)
 
 
-def _sampled(worst: Array, most: int) -> NDArray[np.intp]:
-    """Return runs to be drawn as dots: all, or every so many and the worst ones."""
-    good = np.flatnonzero(np.isfinite(worst))
-    if len(good) <= most:
-        return good
-    top = good[np.argsort(worst[good])[-min(50, most // 2) :]]
-    spread = good[np.linspace(0, len(good) - 1, most - len(top)).astype(np.intp)]
-    return np.unique(np.concatenate([top, spread]))
-
-
-def _worst_runs(figures: SweepFigures) -> list[tuple[int, str, str, list[float]]]:
-    """Return the worst runs: index, block, values of the parameters of largest effect, and path errors, mm and mrad."""
-
-    def text(column: SweptColumn, value: float) -> str:
-        if column.unit == SWITCH:
-            return f"{column.name} {'on' if value else 'off'}"
-        return f"{column.name} {value:.4g}{'' if column.unit == '1' else f' {column.unit}'}"
-
-    good = np.flatnonzero(np.isfinite(figures.worst))
-    order = good[np.argsort(-figures.worst[good], kind="stable")][:_MOST_WORST]
-    columns, found = [figures.columns[one.name] for one in figures.effects], []
-    for row in order.tolist():
-        values = [text(c, c.values[row]) for c in columns if np.isfinite(c.values[row])]
-        more = [f"and {len(values) - _SHOWN_VALUES} more"] * (len(values) > _SHOWN_VALUES)
-        shown = ", ".join([*values[:_SHOWN_VALUES], *more])
-        errors = [float(each[row]) for each in (figures.worst, figures.rms, figures.along, figures.turned)]
-        found.append((int(figures.index[row]), figures.block[row], shown, errors))
-    return found
+def _runs(figures: SweepFigures, rows: NDArray[np.intp]) -> Iterator[tuple[int, str, str, list[float]]]:
+    """Yield index, block, values of the parameters of largest effect, and errors, mm and mrad, of some runs."""
+    for row in rows.tolist():
+        values = []
+        for effect in figures.effects:
+            name, unit, _, numbers = effect.column
+            if unit == SWITCH and np.isfinite(numbers[row]):
+                values.append(f"{name} {'on' if numbers[row] else 'off'}")
+            elif np.isfinite(numbers[row]):
+                values.append(f"{name} {numbers[row]:.4g} {unit.removeprefix('1')}".rstrip())
+        if len(values) > _SHOWN_VALUES:
+            values[_SHOWN_VALUES:] = [f"and {len(values) - _SHOWN_VALUES} more"]
+        run = figures.table.slice(row, 1).to_pylist()[0]
+        yield run["index"], run["block"], ", ".join(values), [float(error[row]) for error in figures.errors.values()]

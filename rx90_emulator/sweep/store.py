@@ -36,6 +36,7 @@ _FLUSH_SHARE = 0.01
 KEY = b"rx90_sweep"
 """Under which the file's metadata hold JSON: plan, runs, identity, versions, sources."""
 
+_NAMES = {"identity": "plan and files", "sources": "sources", "versions": "versions"}
 _PANDAS = b"PANDAS_ATTRS"  # pandas puts what it finds here into DataFrame.attrs
 
 
@@ -89,9 +90,8 @@ def about(schema: pa.Schema, file: Path) -> dict[str, Any]:
     except (TypeError, KeyError, ValueError) as error:
         raise SweepError(f"{file} is not a result of rx90_sweep; accepted: a file that it wrote") from error
     if schema.names != written:
-        lacking = listed([name for name in written if name not in schema.names])
-        what = f"lacks the columns {lacking}" if lacking else "has other columns, or in another order"
-        raise SweepError(f"{file} {what}; accepted: the file as rx90_sweep wrote it")
+        lacking = listed([name for name in written if name not in schema.names]) or "none"
+        raise SweepError(f"{file} has other columns, lacking {lacking}; accepted: the file as rx90_sweep wrote it")
     return found
 
 
@@ -120,9 +120,11 @@ def read_sweep(file: Path | str) -> pa.Table:
                     pq.read_table(stream, use_threads=False, pre_buffer=False, page_checksum_verification=True)
                 )
         except (OSError, pa.ArrowException) as error:
-            advice = "; accepted: remove this part, resume (--resume) computes its runs again" * (source != file)
+            accepted = "a result of rx90_sweep run"
+            if source != file:
+                accepted = "remove this part, resume (--resume) computes its runs again"
             reason = " ".join(str(error).split())
-            raise SweepError(f"{source}: cannot be read as Parquet ({reason}){advice}") from error
+            raise SweepError(f"{source}: cannot be read as Parquet ({reason}); accepted: {accepted}") from error
     identities = {about(t.schema, s)["identity"] for t, s in zip(tables, sources, strict=True)}
     if len(identities) > 1:
         raise SweepError(f"{file} and {parts_folder(file)} hold results of different plans")
@@ -174,15 +176,12 @@ class ResultStore:
 
     def _take_up(self) -> None:
         table = read_sweep(self.file)
-        there, own = (about(schema, self.file) for schema in (table.schema, self._schema))
-        kinds = {"identity": "plan", "sources": "version of the sources", "versions": "set of versions"}
-        for key, what in kinds.items():
-            if (found := there[key]) != (wanted := own[key]):
-                differ = f"{str(found)[:12]} instead of {str(wanted)[:12]}"
-                if key == "versions":
-                    names = [name for name in wanted if wanted[name] != found.get(name)]
-                    differ = ", ".join(f"{name} {found.get(name)} instead of {wanted[name]}" for name in names)
-                raise SweepError(f"{self.file} has another {what} ({differ}); accepted: the same, or another output")
+        written = about(table.schema, self.file)
+        for key in ("identity", "sources", "versions"):
+            own = getattr(self._sweep, key)
+            if written[key] != own:
+                what = f"{self.file} has other {_NAMES[key]}: {written[key]}, not {own}"
+                raise SweepError(f"{what}; accepted: the same, or another output")
         self.done[table["index"].to_numpy()] = True
 
     def _open_folder(self) -> int:
@@ -268,12 +267,11 @@ def describe_results(file: Path) -> list[str]:
     """
     table = read_sweep(file)
     found = about(table.schema, file)
-    state = f"all {found['runs']} runs" + ", not yet gathered" * parts_folder(file).exists()
+    state = f"all {found['runs']} runs"
     if len(table) < found["runs"]:
         state = f"{len(table)} of {found['runs']} runs; go on with --resume"
-    files = {role: entry for role, entry in found["plan"]["files"].items() if entry}
-    width = max(len(role) for role in files)
-    failed, failure = failures(table), "no run failed"
+    failed = failures(table)
+    failure = "no run failed"
     if failed:
         kinds = ", ".join(f"{kind} {count}" for kind, count, _ in failed)
         number = counted(sum(count for _, count, _ in failed), "run")
@@ -282,7 +280,7 @@ def describe_results(file: Path) -> list[str]:
         f"{file}: {state}",
         f"plan {found['identity'][:16]}, seed {found['seed']}, sources {found['sources']}",
         "versions: " + ", ".join(f"{name} {version}" for name, version in found["versions"].items()),
-        *(f"  {role:{width}}  {entry['sha256'][:16]}  {entry['name']}" for role, entry in files.items()),
+        *(f"  {role:10}  {one['sha256'][:16]}  {one['name']}" for role, one in found["plan"]["files"].items() if one),
         failure,
         *_columns(table),
     ]
@@ -295,7 +293,7 @@ def _columns(table: pa.Table) -> list[str]:
     lines = [f"{'column':{width}}  {'unit':8}  {'min':>11}  {'median':>11}  {'max':>11}"]
     for field in shown:
         values = pc.drop_null(pc.cast(table[field.name], pa.float64())).to_numpy()
-        ends = (values.min(), np.median(values), values.max()) if len(values) else ()
+        ends = np.quantile(values, [0.0, 0.5, 1.0]) if len(values) else ()
         text = "  ".join(f"{value:11.5g}" for value in ends)
         lines.append(f"{field.name:{width}}  {field.metadata[b'unit'].decode():8}  {text}")
     return lines

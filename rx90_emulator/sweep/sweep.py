@@ -1,22 +1,15 @@
-"""A sweep ready to run, with its files read, its paths checked and its line planned once; and the metrics of a run.
-
-With the perturbation method runs that differ in friction and controller alone share one nominal motion and are computed
-side by side; a run whose deviation the method does not hold for ends in an error.
-"""
+"""A sweep ready to run, with its files read, its paths checked and its line planned once; and the metrics of a run."""
 
 from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
-from itertools import groupby
-from typing import Any, Final, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, FailureError, SweepError
+from rx90_common.base.errors import ConfigError, SweepError
 from rx90_common.base.share import ROOT, sources_hash, versions, with_imports
 from rx90_common.description.kinematics import forward, tip_position
 from rx90_common.description.robot import RobotModel
@@ -26,32 +19,23 @@ from rx90_controller.paths.path import Path
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.closed_loop import peaks_and_work, setpoints_of, simulate_commands
 from rx90_emulator.loop.line import plan_path, turned_by
-from rx90_emulator.loop.parameters import Catalogue, Leaf, Value, apply
+from rx90_emulator.loop.parameters import Catalogue, Value, apply
 from rx90_emulator.loop.path_file import load_motion
 from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.model import PerturbationModel, PerturbationResult, prepare_perturbation
 from rx90_emulator.sweep.plan import SweepPlan, plan_hash
 from rx90_emulator.sweep.runs import RunDescription, RunList
 
 PLANNED_LINES = 64
-LARGEST_DEVIATION: Final = 0.04
-"""Of the tip, m, by the perturbation method: there its error reaches 4 to 5 % (docs/explanation/perturbation.md)."""
-_LARGEST_ERROR = 0.05  # of the deviation, in the runs that are held against the closed loop
 _ORIENTATION_STRIDE = 10  # position ticks: the orientation costs as much as all else; its peak is 0.2 % less
-_KEPT_MODELS = 4  # nominal motions that are kept
 _KEPT_SETPOINTS = 4
-_NOMINAL_KEYS = {("controller", "start_tolerance"), ("controller", "max_acceleration")}
+_Key = TypeVar("_Key")
+_Kept = TypeVar("_Kept")
 RUN_COLUMNS = ("index", "block", "seed", "error")
 """Columns of the results beside parameters and metrics."""
 
 
-DEVIATION: Final = "tip_deviation_worst"
-"""The metric that says how far the perturbation method holds."""
-
-
-@dataclass(frozen=True)
-class Metric:
+class Metric(NamedTuple):
     """One number of a run.
 
     Attributes:
@@ -67,36 +51,29 @@ class Metric:
     whole: bool = False
 
 
-def metrics_of(joints: Sequence[str], elements: Sequence[str], *, perturbs: bool = False) -> tuple[Metric, ...]:
-    """Return the metrics for six joints and seven friction elements, in the order of `measure`.
-
-    Of runs by the perturbation method in the order of `measure_perturbation`.
-    """
-    worst = "largest position error" + (", without the encoder's counts" if perturbs else " the controller saw")
-    errors = (
+def metrics_of(joints: Sequence[str], elements: Sequence[str]) -> tuple[Metric, ...]:
+    """Return the metrics for joints and friction elements, in the order of `measure`."""
+    worst = "largest position error the controller saw"
+    about = "base ticks of the whole run at the motor's limit"
+    return (
         Metric("path_error_worst", "m", "largest distance of the tip from the path"),
         Metric("path_error_rms", "m", "root mean square distance of the tip from the path"),
         Metric("along_track_worst", "m", "largest distance of the tip from its set-point along the path"),
         Metric("orientation_worst", "rad", "largest angle of the tool from its orientation there, every 10 ticks"),
         *(Metric(f"tracking_error_worst_{j}", "rad", worst) for j in joints),
         *(Metric(f"tracking_error_rms_{j}", "rad", "root mean square position error") for j in joints),
-    )
-    about = "base ticks of the whole run at the motor's limit"
-    saturated = [Metric(f"saturated_ticks_motor_{i + 1}", "1", about, whole=True) for i in range(len(joints))]
-    if perturbs:
-        return (*errors, *saturated, Metric(DEVIATION, "m", "largest distance of the tip from its set-point"))
-    return (
-        *errors,
         *(Metric(f"velocity_peak_{j}", "rad/s", "largest joint speed") for j in joints),
         *(Metric(f"drive_torque_peak_{j}", "Nm", "largest torque of the drives at the joint") for j in joints),
         *(Metric(f"friction_work_{e}", "J", "work done against the friction element") for e in elements),
-        *saturated,
+        *(Metric(f"saturated_ticks_motor_{i + 1}", "1", about, whole=True) for i in range(len(joints))),
     )
 
 
 def measure(task: TipTask, result: RunResult) -> tuple[float | int, ...]:
     """Return the metrics of a run of `task`."""
-    rows = _window(task, result.times)
+    begin, end = task.counted
+    first = int(np.searchsorted(result.times, begin))
+    rows = slice(first, int(np.searchsorted(result.times, end, side="right")))
     slow = result.slow
     peaks, work = np.zeros((3, slow.joint_states.shape[2])), np.zeros(slow.friction_states.shape[2])
     peaks_and_work(
@@ -111,46 +88,14 @@ def measure(task: TipTask, result: RunResult) -> tuple[float | int, ...]:
     )  # fmt: skip
 
 
-def measure_perturbation(task: TipTask, result: PerturbationResult, run: int) -> tuple[float | int, ...]:
-    """Return the metrics of a run of `task` by the perturbation method."""
-    rows = _window(task, result.model.times)
-    deviation = result.joint_deviation[run, rows]
-    return (
-        *_path_errors(
-            task,
-            result.model.setup.robot,
-            result.joint_position(run)[rows],
-            result.model.times[rows],
-            result.tip_position(run)[rows],
-        ),
-        *np.abs(deviation).max(axis=0).tolist(),
-        *map(_rms, deviation.T),
-        *result.saturated[run].tolist(),
-        tip_distance(result, run),
-    )
-
-
-def tip_distance(result: PerturbationResult, run: int) -> float:
-    """Return how far the tip is from its set-point at most, from start to end of a run, m."""
-    return float(np.linalg.norm(result.tip_deviation[run], axis=1).max())
-
-
-def _path_errors(
-    task: TipTask, robot: RobotModel, position: Array, times: Array, tip: Array | None = None
-) -> tuple[float, ...]:
+def _path_errors(task: TipTask, robot: RobotModel, position: Array, times: Array) -> tuple[float, ...]:
     asked = task.profile().sample(times - task.rest_before).distance
-    error = task.error(tip_position(robot.chain, position) if tip is None else tip, asked)
+    error = task.error(tip_position(robot.chain, position), asked)
     few = slice(None, None, _ORIENTATION_STRIDE)
     there = task.poses(np.clip(error.along[few], 0.0, task.length))
     turned = turned_by(robot, forward(robot.chain, position[few]), there)
     across = error.perpendicular
     return float(across.max()), _rms(across), float(np.abs(error.along - asked).max()), float(turned.max())
-
-
-def _window(task: TipTask, times: Array) -> slice:
-    begin, end = task.counted
-    first, last = np.searchsorted(times, begin), np.searchsorted(times, end, side="right")
-    return slice(int(first), int(last))
 
 
 def _rms(values: Array) -> float:
@@ -190,67 +135,43 @@ class Sweep:
             ConfigError, LineError: naming file or parameter, value and what is accepted.
         """
         self.plan = plan
+        self.setup = Setup.load(plan.base.files, plan.base.rates)
+        self.task = load_motion(plan.base.files.required("task"))
         self.description = plan.description()
         self.identity = plan_hash(self.description)
         self.versions = versions()
         self.sources = run_hash()
-        self.setup = Setup.load(plan.base.files, plan.base.rates)
-        self.task = load_motion(plan.base.files.required("task"))
         self.provenance = provenance_of(plan.base.files)
-        names = self.setup.robot.joint_names
-        self.metrics = metrics_of(names, self.setup.friction.names, perturbs=self.perturbs)
+        self.metrics = metrics_of(self.setup.robot.joint_names, self.setup.friction.names)
         self.runs = RunList(plan, Catalogue(self.setup, self.task))
         taken = {*RUN_COLUMNS, *(metric.name for metric in self.metrics)}
         for column in self.runs.columns:
             if column.title in taken:
                 raise ConfigError(f"a parameter has the name '{column.title}' of a result; accepted: another name")
             taken.add(column.title)
-        self._prepare()
+        self._motions: dict[LineTask | Path, tuple[TrajectoryPoints, LineTask | Path]] = {}
+        self._setpoints: dict[tuple[object, ...], Array] = {}
 
     def __len__(self) -> int:
         return len(self.runs)
 
-    @property
-    def perturbs(self) -> bool:
-        """Return whether runs are computed by the perturbation method."""
-        return self.plan.base.method == "perturbation"
+    def _motion(self, task: LineTask | Path) -> tuple[TrajectoryPoints, LineTask | Path]:
+        """Return points of the motion, and the task as it is travelled: paths as slowly as the joints ask for."""
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_motion", "_model", "_setpoints")}
+        def plan() -> tuple[TrajectoryPoints, LineTask | Path]:
+            planned = plan_path(self.setup, task)
+            return planned.points, planned.task if isinstance(planned.task, Path) else task
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._prepare()
-
-    def _prepare(self) -> None:
         # A sweep changes masses and inertias, never the kinematics: the task alone decides the line.
-        @lru_cache(maxsize=PLANNED_LINES)
-        def motion(task: LineTask | Path) -> tuple[TrajectoryPoints, LineTask | Path]:
-            """Return points of the motion, and the task as it is travelled: paths as slowly as the joints ask for."""
-            plan = plan_path(self.setup, task)
-            return plan.points, plan.task if isinstance(plan.task, Path) else task
-
-        @lru_cache(maxsize=_KEPT_MODELS)
-        def model(changes: tuple[tuple[Leaf, Value], ...]) -> tuple[LineTask | Path, PerturbationModel]:
-            setup, task = apply(self.setup, self.task, dict(changes))
-            points, task = motion(task)
-            duration = float(points.times[-1])
-            return task, prepare_perturbation(setup, points, points.position[0], duration)
-
-        self._motion, self._model = motion, model
-        self._setpoints: dict[tuple[object, ...], Array] = {}
+        return _remembered(self._motions, task, PLANNED_LINES, plan)
 
     def warm_up(self) -> None:
         """Compile, or load, every kernel that a run calls, and plan the line of the task.
 
         Raises:
-            ConfigError: for what the perturbation method cannot hold.
             LineError: if the arm cannot travel the line of the plan's own task.
         """
-        period = self.setup.rates.position_period
-        self._follow(self.setup, self.task, period)
-        if self.perturbs:
-            self._model(())[1].run_one()
+        self._follow(self.setup, self.task, self.setup.rates.position_period)
 
     def simulate(self, index: int) -> RunResult:
         """Run one run through the closed loop and return all of it.
@@ -268,11 +189,7 @@ class Sweep:
             """Return set-points, which runs of the same task, limits and start share."""
             limits = (np.asarray(value).tobytes() for value in vars(generator.limits).values())
             key = task, count, generator.setpoints(0).tobytes(), *limits
-            if key not in self._setpoints:
-                if len(self._setpoints) == _KEPT_SETPOINTS:
-                    del self._setpoints[next(iter(self._setpoints))]
-                self._setpoints[key] = setpoints_of(generator, commands, count)
-            return self._setpoints[key]
+            return _remembered(self._setpoints, key, _KEPT_SETPOINTS, lambda: setpoints_of(generator, commands, count))
 
         end = float(points.times[-1]) if duration is None else duration
         return simulate_commands(
@@ -288,79 +205,7 @@ class Sweep:
                 setup, task = apply(self.setup, self.task, self.runs.changes(run))
                 return RunOutcome(run, measure(self._motion(task)[1], self._follow(setup, task)), None)
         except Exception as error:  # the sweep goes on whatever a value has led to
-            return _failed(run, error)
-
-    def compute(self, indices: Sequence[int], stop: Callable[[], bool] = lambda: False) -> list[RunOutcome]:
-        """Run runs by the plan's method, until `stop` says so."""
-        if self.perturbs:
-            return [] if stop() else self.run_together(indices)
-        return [self.run(index) for index in indices if not stop()]
-
-    def run_together(self, indices: Sequence[int]) -> list[RunOutcome]:
-        """Run runs by the perturbation method, those of one nominal motion side by side.
-
-        What a run gives does not depend on the others. Errors are outcomes, as in `run`.
-        """
-        described = [self.runs.describe(index) for index in indices]
-        return [one for key, runs in groupby(described, self._nominal) for one in self._perturbed(key, list(runs))]
-
-    def _nominal(self, run: RunDescription) -> tuple[tuple[Leaf, Value], ...]:
-        """Return the values of a run that its nominal motion depends on."""
-        changes = self.runs.changes(run).items()
-        return tuple(
-            (leaf, value)
-            for leaf, value in changes
-            if leaf.key[0] not in ("friction", "controller") or leaf.key in _NOMINAL_KEYS
-        )
-
-    def _perturbed(self, key: tuple[tuple[Leaf, Value], ...], runs: list[RunDescription]) -> list[RunOutcome]:
-        try:
-            task, model = self._model(key)
-            setups = [apply(self.setup, self.task, self.runs.changes(run))[0] for run in runs]
-            with np.errstate(all="ignore"):
-                result = model.run([setup.friction for setup in setups], [setup.controller for setup in setups])
-        except Exception as error:  # of one of them
-            if len(runs) == 1:
-                return [_failed(runs[0], error)]
-            return [outcome for run in runs for outcome in self._perturbed(key, [run])]
-        outcomes = []
-        for k, run in enumerate(runs):
-            fault = ""
-            if result.diverged[k]:
-                fault = "DivergenceError: a joint went ten times beyond its speed limit"
-            elif result.tripped[k]:
-                fault = "SupervisionError: a joint went beyond a limit of the supervision, which cuts the power"
-            elif (away := tip_distance(result, k)) > LARGEST_DEVIATION:
-                fault = (
-                    f"SweepError: the tip is up to {1e3 * away:.3g} mm from its set-points; accepted by the "
-                    f"perturbation method: {1e3 * LARGEST_DEVIATION:g} mm; method: closed_loop has no such limit"
-                )
-            outcomes.append(RunOutcome(run, None if fault else measure_perturbation(task, result, k), fault or None))
-        return outcomes
-
-    def check_method(self, deviations: Sequence[float | None]) -> str:
-        """Hold the run whose tip deviates most against the closed loop, and return what came of it.
-
-        Args:
-            deviations: the largest tip deviation of each run by the perturbation method, m; None where it failed.
-
-        Raises:
-            FailureError: if the two differ by more than 5 % of the deviation.
-        """
-        index = int(np.argmax([-1.0 if away is None else away for away in deviations]))
-        (perturbed,), full = self.run_together([index]), self.run(index)
-        if perturbed.metrics is None or full.metrics is None:
-            raise FailureError(f"run {index} fails in the closed loop ({full.error}), not by the perturbation method")
-        away = deviations[index] or 0.0
-        one, other = (1e6 * outcome.metrics[0] for outcome in (perturbed, full))  # type: ignore[index]  # both are there
-        said = (
-            f"run {index}, whose tip deviates most ({1e3 * away:.3g} mm): path error {one:.2f} um by the perturbation "
-            f"method, {other:.2f} um in the closed loop"
-        )
-        if abs(one - other) > 1e6 * _LARGEST_ERROR * away:
-            accepted = f"accepted: up to {100 * _LARGEST_ERROR:g} % of the deviation apart, or method: closed_loop"
-            raise FailureError(f"{said}; {accepted}")
-        return said
+            return RunOutcome(run, None, " ".join(f"{type(error).__name__}: {error}".split()))
 
     def values(self, run: RunDescription) -> tuple[Value | None, ...]:
         """Return a run's value for each of `runs.columns`; None where its block leaves it as in the files."""
@@ -378,8 +223,13 @@ class Sweep:
             raise SweepError(f"{platform.node()} runs other sources of the emulator ({here}); accepted: {self.sources}")
 
 
-def _failed(run: RunDescription, error: Exception) -> RunOutcome:
-    return RunOutcome(run, None, " ".join(f"{type(error).__name__}: {error}".split()))
+def _remembered(kept: dict[_Key, _Kept], key: _Key, most: int, make: Callable[[], _Kept]) -> _Kept:
+    """Return what belongs to a key, made once; of more keys than `most` the newest are kept."""
+    if key not in kept:
+        if len(kept) == most:
+            del kept[next(iter(kept))]
+        kept[key] = make()
+    return kept[key]
 
 
 def run_hash() -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from rclpy.node import Node
@@ -22,7 +22,6 @@ from rx90_common.exchange.topics import (
     JOINT_INTERFACE,
     LOCK_STEP,
     MOTOR_INTERFACE,
-    TEMPERATURE_RATE,
     TIME_MODES,
 )
 from rx90_common.friction import load_friction
@@ -138,10 +137,7 @@ def read_parameters(node: Node) -> SimulationParameters:
     Raises:
         ConfigError: naming parameter, value and accepted range.
     """
-    about = "rate of temperatures, of joints and windings that get warm, Hz"
-    rates = declare_rates(node)
-    rates = replace(rates, temperature_hz=declare(node, TEMPERATURE_RATE, 1, about, low=1, high=20000))
-    return SimulationParameters(rates, **declare_options(node, SimulationParameters))
+    return SimulationParameters(declare_rates(node), **declare_options(node, SimulationParameters))
 
 
 def declare_step_ticks(node: Node) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState, Temperature
+from sensor_msgs.msg import JointState
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates, ticks_per
@@ -21,7 +21,7 @@ from rx90_common.description.kinematics import link_transforms
 from rx90_common.description.robot import RobotModel
 from rx90_common.exchange.cdr import JointStateCodec, TransformCodec
 from rx90_common.exchange.endpoints import CLOCK_QOS, LATCHED_QOS, STATE_QOS, publish, ros_time
-from rx90_common.exchange.topics import MAX_DISPLAY_RTF, SAMPLED, SAMPLED_RATE, TEMPERATURES, motor_names
+from rx90_common.exchange.topics import MAX_DISPLAY_RTF, SAMPLED, SAMPLED_RATE
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.plant import Plant
 
@@ -79,43 +79,6 @@ class SampledStates:
                 publisher.publish(sample)
 
 
-class Temperatures:
-    """The topic `temperatures`.
-
-    Attributes:
-        publisher: of the topic, which is there even if nothing gets warm.
-    """
-
-    def __init__(self, node: Node, plant: Plant, rates: Rates) -> None:
-        self._period_ns, self._ticks = rates.period_ns, rates.temperature_ticks
-        self.publisher: Publisher = publish(node, Temperature, TEMPERATURES, STATE_QOS)
-        warm = plant.temperatures
-        self._values = [(plant.friction_names[i], warm.now, i) for i in warm.elements]
-        if plant.constants["winding"]["used"][0]:
-            self._values += [
-                (name, plant.state["temperature"][0], i) for i, name in enumerate(motor_names(len(plant.joint_names)))
-            ]
-        self._tick = self._sent = -1
-
-    def publish_due(self, tick: int) -> None:
-        """Publish the temperatures of this tick if they are due and subscribed to, once.
-
-        They are not repeated while time stands still: a recorder could not distinguish them from others with the same
-        stamp.
-        """
-        if tick < self._tick:  # after a reset
-            self._sent = -1
-        self._tick = tick
-        if tick % self._ticks or tick == self._sent or not self.publisher.get_subscription_count():
-            return
-        self._sent = tick
-        for name, temperatures, i in self._values:
-            message = Temperature(temperature=float(temperatures[i]))  # variance 0: exact
-            message.header.frame_id = name
-            message.header.stamp = ros_time(tick * self._period_ns)
-            self.publisher.publish(message)
-
-
 class Transforms:
     """The frames of the URDF, for where no robot_state_publisher is: fixed ones on /tf_static, the joints' on /tf.
 
@@ -161,7 +124,7 @@ class Transforms:
 
 
 class Publications:
-    """The states, temperatures, /clock and, where `tf_rate` is not 0, the transforms.
+    """The states, /clock and, where `tf_rate` is not 0, the transforms.
 
     Args:
         node: owner of the topics.
@@ -188,10 +151,9 @@ class Publications:
         self._friction = publish(node, JointState, "friction_states", STATE_QOS)
         self._joint_sample = self._friction_sample = b""  # the newest, as it was sent; empty: not sent
         self._sampled = SampledStates(node, plant, rates)
-        self._temperatures = Temperatures(node, plant, rates)
         self._time = Clock()
         self._clock = publish(node, Clock, "/clock", CLOCK_QOS)
-        own = (self._joints, self._friction, self._temperatures.publisher, self._clock, *self._sampled.publishers)
+        own = (self._joints, self._friction, self._clock, *self._sampled.publishers)
         self.publishers = own if self._transforms is None else (*own, self._transforms.publisher)
 
     def publish_due(self) -> None:
@@ -208,7 +170,6 @@ class Publications:
                 self._friction_sample = self._encode_friction(stamp)
                 self._friction.publish(self._friction_sample)
         self._sampled.publish_due(tick)
-        self._temperatures.publish_due(tick)
         if self._transforms is not None:
             self._transforms.publish_due(tick, stamp)
         if tick % self._clock_ticks == 0:

@@ -24,7 +24,6 @@ from rx90_common.exchange.topics import (
     JOINT_INTERFACE,
     LOCK_STEP,
     SEED,
-    TEMPERATURE_RATE,
     TIME_MODE,
     TimeMode,
 )
@@ -90,7 +89,7 @@ class Simulation:
         self._allow("command_age_limit", parameters.check_age_limit, arm.ticks.held.wait_for if joint else _ignore)
         self._allow("command_timeout", float, _ignore if joint else arm.ticks.held.wait_for)
         self._allow("step_ticks", int, _ignore)  # looked at by each call
-        self.node.changes.publish_constants(SEED, TEMPERATURE_RATE)
+        self.node.changes.publish_constants(SEED)
         self._follow(arm.time_mode)
         self.node.ticking.begin(arm.ticks.run, arm.ticks.control.stop)
 

@@ -22,7 +22,7 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_controller.law.cs7b import CS7B, law_reset, law_state_dtype, position_loop, velocity_loop
-from rx90_controller.law.model import ArmModel, ModelTemperatures
+from rx90_controller.law.model import ArmModel
 from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.closed_loop import run_ticks
 from rx90_emulator.loop.result import empty_series
@@ -288,6 +288,12 @@ def test_load_ripple_and_temperature_are_those_of_the_set_point(shipped: Setup, 
     assert np.abs(transmitted).max() > 20.0
 
 
+def temperatures(controller: CS7B) -> Array:
+    """Return a view of what the model believes of the joints, degrees Celsius, shape (7,)."""
+    view: Array = controller.state["model"]["friction"]["parts"]["temperature"]["temperature"][0]
+    return view
+
+
 def test_the_model_warms_by_its_friction_and_its_motors(shipped: Setup, tmp_path: Path) -> None:
     """Its temperatures are those of SciPy's solution with the friction and the motors' torques of a steady motion."""
     part = dataclasses.replace(WARM, capacity=2.0, resistance=3.0, static_slope=0.0, speed_slope=0.0)
@@ -300,7 +306,7 @@ def test_the_model_warms_by_its_friction_and_its_motors(shipped: Setup, tmp_path
     ticks, drives = 4000, setup.drives
     velocity = 6.0 * VELOCITY
     moved(controller, ticks, velocity, HERE - 0.5 * velocity)
-    got = ModelTemperatures(controller.law, controller.state).now
+    got = temperatures(controller)
     period, speed = setup.rates.position_period, INPUTS @ velocity
     viscous = np.array([element.c2 for element in elements]) * speed
     dry = np.array([element.sliding_torque(v) for element, v in zip(elements, speed, strict=True)]) * np.sign(speed)
@@ -327,10 +333,10 @@ def test_without_torque_the_model_cools_and_remembers(shipped: Setup, tmp_path: 
     part = dataclasses.replace(WARM, capacity=0.5, resistance=2.0)
     controller, _ = parted(shipped, tmp_path, temperature=part)
     rest, period = np.zeros(6), shipped.rates.position_period
-    believed = ModelTemperatures(controller.law, controller.state)
+    believed = temperatures(controller)
     controller.reset(rest)
     moved(controller, 500, 6.0 * VELOCITY)
-    hot = believed.now - part.ambient
+    hot = believed - part.ambient
     assert hot.min() > 0.5
     assert hot.max() > 5.0
     controller.release(rest, 4 * 300)
@@ -338,14 +344,14 @@ def test_without_torque_the_model_cools_and_remembers(shipped: Setup, tmp_path: 
     for tick in range(controller.tick, controller.tick + 4 * 100):
         controller.release(rest, tick + 1)
     want = part.ambient + hot * math.exp(-600 * period / (part.capacity * part.resistance))
-    assert believed.now == pytest.approx(want, rel=1e-9)
+    assert believed == pytest.approx(want, rel=1e-9)
     # The next tick of the position loop goes on from there; at rest friction heats nothing.
     moved(controller, 1, rest)
-    assert believed.now == pytest.approx(part.ambient + (want - part.ambient) * math.exp(-2.0 * 0.5e-3), rel=1e-6)
+    assert believed == pytest.approx(part.ambient + (want - part.ambient) * math.exp(-2.0 * 0.5e-3), rel=1e-6)
     controller.reset(rest)
     moved(controller, 1, rest)
     gain = -math.expm1(-period / (part.capacity * part.resistance))
-    assert believed.now == pytest.approx(part.start + gain * (part.ambient - part.start), rel=1e-12)
+    assert believed == pytest.approx(part.start + gain * (part.ambient - part.start), rel=1e-12)
 
 
 KINDS: dict[str, Callable[[FrictionElement], Any]] = {

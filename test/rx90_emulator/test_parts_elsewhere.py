@@ -13,13 +13,11 @@ import pytest
 import rx90_emulator as rx
 from rx90_common.base.errors import REFUSED, Rx90Error
 from rx90_common.base.share import config_path
-from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.configuration.origins import OF_CODE, file_values
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.model import prepare_perturbation as prepare
 from rx90_emulator.view.forms import changed
 
 PARTS = {
@@ -44,27 +42,6 @@ def parted_file(shipped: Setup, tmp_path: Path) -> Path:
 def parted(parted_file: Path) -> Setup:
     """Return the shipped setup with these parts."""
     return rx.load_setup(friction=parted_file)
-
-
-def test_the_perturbation_method_refuses_parts(parted: Setup, shipped: Setup) -> None:
-    """It names the element and the part that it cannot hold, also of one run among several."""
-    rest = np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
-    names = shipped.robot.joint_names
-    points = TrajectoryPoints.create(names, names, [0.0, 0.02], [rest] * 2, [0 * rest] * 2, [0 * rest] * 2)
-    model = prepare(shipped, points, rest, 0.02)
-    with pytest.raises(Rx90Error) as caught:
-        model.run([shipped.friction, parted.friction])
-    assert str(caught.value) == (
-        "friction.joint_2.load: the perturbation method cannot hold this part; accepted: left out"
-    )
-
-
-def test_a_sweep_by_the_perturbation_method_refuses_parts_before_its_first_run(parted_file: Path) -> None:
-    """The base of the plan is tried when the sweep is made ready."""
-    block = rx.Block("one", (rx.SweptParameter("controller.over_speed", space=rx.Values((1.0,))),))
-    base = rx.SweepBase(rx.RobotFiles.named(friction=str(parted_file)), method="perturbation")
-    with pytest.raises(Rx90Error, match="the perturbation method cannot hold this part"):
-        rx.Sweep(rx.SweepPlan((block,), base=base)).warm_up()
 
 
 @pytest.mark.parametrize(

@@ -146,17 +146,6 @@ def test_garbage_is_no_command(drive: Drive, raw: bytes) -> None:
     assert line.startswith("/motor_commands: ")
 
 
-def test_brakes_that_flap_do_not_flood_the_terminal(drive: Drive) -> None:
-    """Of 400 changes within some seconds a handful of lines is left, and the last state is reported with a count."""
-    for stamp in range(1, 2000, 10):
-        drive.tick(stamp, to=stamp + 9)
-    assert len(drive.said) == 4
-    drive.tick(to=60_000)
-    assert len(drive.said) == 5
-    assert "brakes closed" in drive.said[-1]
-    assert "(after 39" in drive.said[-1]
-
-
 def test_a_second_controller_is_told_and_takes_the_torque_away(drive: Drive) -> None:
     """Commands of two controllers, recognised by stamps that go back, are not used until one is left."""
     drive.publishers = 2

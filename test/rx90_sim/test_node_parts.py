@@ -16,7 +16,6 @@ from benchmarks.any_arm import write_arm
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.cdr import cdr_stamp_ns
-from rx90_common.exchange.pacing import OnceLog
 from rx90_emulator.loop.own_controller import run_controller
 from rx90_emulator.loop.setup import Setup, load_setup
 from rx90_sim.node import publications
@@ -97,9 +96,6 @@ def test_steps_beyond_the_last_tick_do_not_wait_for_their_timeout() -> None:
 TICKS = 400_000  # a hundred seconds of simulated time at 4 kHz
 
 
-Sent = tuple[int, str, float]
-
-
 class KeepingPublisher:
     """Takes messages for so many who listen."""
 
@@ -114,12 +110,6 @@ class KeepingPublisher:
     def publish(self, message: Any) -> None:
         """Keep it."""
         self.messages.append(message)
-
-    @property
-    def sent(self) -> list[Sent]:
-        """Return stamp, ns, name and value of temperatures."""
-        heads = [(message.header, message.temperature) for message in self.messages]
-        return [(head.stamp.sec * 10**9 + head.stamp.nanosec, head.frame_id, value) for head, value in heads]
 
 
 def looked_on(monkeypatch: pytest.MonkeyPatch, pace: float, jitter: float = 0.0) -> list[int]:
@@ -158,48 +148,6 @@ def test_thirty_a_second_where_time_hurries(monkeypatch: pytest.MonkeyPatch, pac
     gaps = [b - a for a, b in pairwise(stamps)]
     assert max(gaps[1:]) <= (pace / 0.3 + 10.0) * 1_000_000 * 10  # the last by no more than one sample
     assert {stamp % 10_000_000 for stamp in stamps} == {0}
-
-
-@pytest.fixture
-def arm(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """Return the topic, at 4 Hz of 2000 ticks in a second, with an element and six windings that are warm."""
-    publisher = KeepingPublisher()
-    monkeypatch.setattr(publications, "publish", lambda *_: publisher)
-    plant = SimpleNamespace(
-        joint_names=[f"joint_{k}" for k in range(6)],
-        friction_names=[f"element_{k}" for k in range(7)],
-        temperatures=SimpleNamespace(elements=(2,), now=np.arange(30.0, 37.0)),
-        constants={"winding": np.array([(1,)], dtype=[("used", int)])},
-        state={"temperature": np.arange(50.0, 56.0)[None]},
-    )
-    topic = publications.Temperatures(None, plant, Rates(2000, 1000, 4))  # type: ignore[arg-type]
-    return SimpleNamespace(topic=topic, publisher=publisher)
-
-
-def moment(stamp_ns: int) -> list[Sent]:
-    """Return what is to be sent of a moment: the element that gets warm, and each motor."""
-    return [(stamp_ns, "element_2", 32.0), *((stamp_ns, f"motor_{k + 1}", 50.0 + k) for k in range(6))]
-
-
-def test_each_temperature_is_sent_once(arm: SimpleNamespace) -> None:
-    """At 4 Hz, stamped with simulated time; what is asked for again while time stands still is not repeated."""
-    for tick in (*range(1001), 1000, 1000, *range(1001, 2001)):
-        arm.topic.publish_due(tick)
-    assert arm.publisher.sent == [one for k in range(5) for one in moment(k * 250_000_000)]
-
-
-def test_a_reset_begins_again(arm: SimpleNamespace) -> None:
-    """After a reset tick 0 is sent again, also where it was the last one sent; nothing while nobody listens."""
-    for tick in (0, 1, 2, 0, 0, 1):
-        arm.topic.publish_due(tick)
-    assert arm.publisher.sent == moment(0) * 2
-    arm.publisher.listening = 0
-    for tick in range(2, 600):
-        arm.topic.publish_due(tick)
-    arm.publisher.listening = 1
-    for tick in range(600, 1200):
-        arm.topic.publish_due(tick)
-    assert arm.publisher.sent == [*moment(0), *moment(0), *moment(500_000_000)]
 
 
 TURNS = {6: np.eye(6), 7: np.eye(7)}
@@ -247,24 +195,6 @@ def test_what_cannot_be_kept_is_refused(given: dict[str, object], words: str) ->
     """Rates that do not divide, a rate of the motor side, and limits that leave no time to answer are one line."""
     with pytest.raises(ConfigError, match=words):
         SimulationParameters(Rates(), **given)  # type: ignore[arg-type]
-
-
-def test_a_fault_is_said_once() -> None:
-    """However often it comes and whatever its numbers; another fault, and one that comes back later, have lines."""
-    said: list[str] = []
-    now = [0.0]
-    once = OnceLog(said.append, lambda: now[0])
-    for k in range(1000):
-        now[0] += 0.5
-        once.say(f"/joint_commands: the stamp is {1.79e9 + k} s at {k:g} s")
-    once.say("/joint_commands: joint name 'elbow' is unknown")
-    now[0] += 31.0
-    once.say("/joint_commands: the stamp is 7 s at 9 s")
-    assert [line.split(" is ")[0] for line in said] == [
-        "/joint_commands: the stamp",
-        "/joint_commands: joint name 'elbow'",
-        "/joint_commands: the stamp",
-    ]
 
 
 def test_the_arm_may_have_another_number_of_joints_and_another_coupling(seven: Setup) -> None:

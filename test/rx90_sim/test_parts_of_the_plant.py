@@ -11,6 +11,7 @@ from elastic_arms import SOFT, elastic
 from benchmarks.friction_parts import POSE, STEPS, THROUGH, convergence, loaded, snapshot, with_elements
 from rx90_common.base.arrays import Array
 from rx90_common.description.drives import Windings
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_emulator.identification.arm import rigid_torque
@@ -98,7 +99,7 @@ def test_a_reset_begins_again_to_the_last_bit(arm: Setup) -> None:
         rows = []
         for _ in range(100):
             plant.step(0.3 * setup.drives.peak_torque)
-            warmth = plant.temperatures.now, plant.temperatures.heat
+            warmth = plant.temperatures.now, plant.state["parts"]["temperature"]["heat"][0]
             rows.append(np.concatenate([snapshot(plant), plant.friction_states()[2], *warmth]))
         assert np.ptp(plant.temperatures.now) > 0.01
         return np.array(rows)
@@ -182,15 +183,24 @@ def test_a_moving_arm_warms_by_its_friction(shipped: Setup) -> None:
     assert plant.temperatures.elements == (0, 2, 3, 4, 5, 6)
 
 
-def test_a_temperature_that_is_set_counts_at_once(shipped: Setup) -> None:
+def with_start(element: FrictionElement, start: float) -> FrictionElement:
+    """Return an element whose joint begins at a temperature, degrees Celsius."""
+    return dataclasses.replace(element, temperature=dataclasses.replace(element.temperature, start=start))  # type: ignore[type-var]
+
+
+def test_the_start_temperature_counts_at_once(shipped: Setup) -> None:
     """Before any tick the viscous friction is c2 (f + (1 - f) exp(-(T - reference) / T_V)), T of each joint its own."""
     setup, torques = warm(shipped), []
     temperatures = np.array([60.0, 55.0, 50.0, 45.0, 40.0, 35.0, 30.0])
     for wanted in (temperatures, np.full(7, PART.reference)):
-        plant = setup.plant()
+        elements = tuple(
+            element if element.temperature is None else with_start(element, float(start))
+            for element, start in zip(setup.friction.elements, wanted, strict=True)
+        )
+        friction = dataclasses.replace(setup.friction, elements=elements)
+        plant = dataclasses.replace(setup, friction=friction).plant()
         plant.reset(np.zeros(6))
         plant.state["v"] = 0.5
-        plant.temperatures.set(wanted)
         assert plant.temperatures.now.tolist() == [wanted[0], 0.0, *wanted[2:]]  # the second has none
         torques.append(plant.friction_states()[2].copy())
     velocity = np.array([*[0.5] * 6, 1.0])
@@ -206,7 +216,7 @@ def test_above_its_law_friction_stays(shipped: Setup) -> None:
         plant = setup.plant()
         plant.reset([0.3, 0.5, 1.0, -0.4, 0.6, 0.2])
         plant.constants["parts"]["temperature"]["gain"] = 0.0
-        plant.temperatures.set(temperature)
+        plant.state["parts"]["temperature"]["temperature"][0, list(plant.temperatures.elements)] = temperature
         for _ in range(100):
             plant.step(0.2 * setup.drives.peak_torque)
         torques.append(plant.friction_states()[2].copy())

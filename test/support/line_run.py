@@ -6,17 +6,13 @@ import re
 import signal
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import yaml
 from processes import Processes
 from ros_client import Client, seconds
-from rosbags.highlevel import AnyReader
 
 from rx90_common.bags.comparison import BagComparison, compare_bags
-from rx90_common.base.rates import NANOSECONDS
 from rx90_common.process.children import executable
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import LineTask, load_task
@@ -80,7 +76,6 @@ def run_both_ways(
     file = folder / "task.yaml"
     file.write_text(TASK.replace("0.6,", f"{REACH[files.urdf.parent.name]},"), encoding="utf-8")
     task = load_task(file)
-    setup = replace(setup, rates=replace(setup.rates, temperature_hz=10))
     more = _write_run(setup, task, folder, corrected=corrected)
     plan = plan_line(setup.robot, task)
     parameters = folder / "parameters.yaml"
@@ -88,7 +83,7 @@ def run_both_ways(
     of_simulation = {
         "initial_position": pose, "duration": START + plan.duration, "paused": True,
         "real_time_factor": 0.1 if rests else 0.0, "robot": str(files.urdf.parent),
-        "friction": files.text("friction"), "seed": setup.seed, "temperature_rate": setup.rates.temperature_hz,
+        "friction": files.text("friction"), "seed": setup.seed,
     }  # fmt: skip
     of_controller = {"robot": files.urdf.parent.name, "controller": files.text("controller")}
     of_controller |= {f"feed_forward.{name}": True for name in switches}
@@ -148,16 +143,3 @@ def _write_run(setup: Setup, task: LineTask, folder: Path, *, corrected: bool) -
         return []
     write_correction(learned, folder / "correction.yaml")
     return ["--correction", folder / "correction.yaml"]
-
-
-def temperatures(bag: Path) -> list[tuple[int, str, float, float]]:
-    """Return stamp, ns, frame, temperature and variance of all messages in a bag."""
-    with AnyReader([bag]) as reader:
-        messages: list[Any] = [
-            reader.deserialize(data, connection.msgtype)
-            for connection, _, data in reader.messages(c for c in reader.connections if c.topic == "/temperatures")
-        ]
-    return [
-        (m.header.stamp.sec * NANOSECONDS + m.header.stamp.nanosec, m.header.frame_id, m.temperature, m.variance)
-        for m in messages
-    ]

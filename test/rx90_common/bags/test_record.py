@@ -30,7 +30,7 @@ from ros_client import own_node
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from sensor_msgs.msg import JointState, Temperature
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from warm_start import COLD
@@ -51,9 +51,7 @@ TICKS = 2000
 EVENTS = ("rx90_controller/parameters", "rx90_sim/parameters")
 FAST = ("motor_states", "motor_commands")
 TRAJECTORIES = ("rx90_controller/joint_trajectory", "rx90_controller/trajectory_accepted")
-SLOW = tuple(
-    name for name in SUITE_TOPICS if name not in (*EVENTS, *FAST, *TRAJECTORIES, "temperatures", "robot_description")
-)
+SLOW = tuple(name for name in SUITE_TOPICS if name not in (*EVENTS, *FAST, *TRAJECTORIES, "robot_description"))
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 
@@ -124,7 +122,7 @@ class Suite:
         from rcl_interfaces.msg import ParameterEvent
         from rclpy.parameter import Parameter
 
-        kinds = {"robot_description": String, "temperatures": Temperature} | dict.fromkeys(EVENTS, ParameterEvent)
+        kinds = {"robot_description": String} | dict.fromkeys(EVENTS, ParameterEvent)
         kinds |= dict.fromkeys(TRAJECTORIES, JointTrajectory)
         latched = (*EVENTS, "robot_description", "rx90_controller/trajectory_accepted")
         self.publishers = {
@@ -151,7 +149,6 @@ class Suite:
         message.header.stamp.nanosec = 100_000_000
         for name in TRAJECTORIES:
             self.publishers[name].publish(message)
-        self.publishers["temperatures"].publish(Temperature(header=message.header, temperature=31.5))
         fast, slow = ([self.publishers[name].publish for name in names if name in topics] for names in (FAST, SLOW))
         begin = time.monotonic()
         for k, tick in enumerate(range(self._tick, self._tick + ticks)):
@@ -174,7 +171,7 @@ def record_suite(start: Start, ros_domain: int, folder: Path, storage: str) -> P
         suite.publish(TICKS, 4000, SUITE_TOPICS)
         code, out, err = recorder.finish(signal.SIGINT)
     assert (code, err) == (0, "")
-    count = TICKS * len(FAST) + TICKS // 4 * len(SLOW) + 6
+    count = TICKS * len(FAST) + TICKS // 4 * len(SLOW) + 5
     counted = f"recorded {count} messages of {len(SUITE_TOPICS)} topics to {folder / 'bag'}"
     assert f"{counted}; {TICKS // 500 * len(SLOW)} repetitions" in out
     return folder / "bag"

@@ -11,7 +11,7 @@ import pytest
 
 from rx90_common.base import share
 from rx90_common.base.config import PROVENANCE, Section, load_yaml, yaml_text
-from rx90_common.base.entries import Entry, Number, Numbers, Text
+from rx90_common.base.entries import Number, Text
 from rx90_common.base.errors import ConfigError, Rx90Error
 
 
@@ -94,27 +94,6 @@ def test_a_file_that_cannot_be_opened_is_refused(tmp_path: Path) -> None:
     """A missing file and a folder are refused by path."""
     for path in (tmp_path / "none.yaml", tmp_path):
         assert "cannot be read" in refusal(lambda p=path: load_yaml(p), path)
-
-
-def test_ranges_are_worded_as_they_are_checked(write: Write) -> None:
-    """Closed and open ends are accepted or refused just as the message says; infinity is said not to be finite."""
-    path = write("{zero: 0.0, two: 2, three: 3.0, inf: .inf, infs: [.inf], odd: [1, 2, .nan]}")
-    root = load_yaml(path)
-
-    def said(key: str, entry: Entry) -> str:
-        return refusal(lambda: entry.take(root, key), path).partition(f": {key}")[2]
-
-    assert Number("", low=0.0).take(root, "zero") == 0.0
-    assert Number("", low=0.0, high=2.0, above=True).take(root, "two") == 2.0
-    positive, three = Number("", low=0.0, above=True), Numbers("", count=3)
-    assert said("zero", positive) == " is 0.0; accepted: a number > 0"
-    assert said("zero", Number("", low=1.0)) == " is 0.0; accepted: a number >= 1"
-    assert said("three", Number("", low=0.0, high=2.0, above=True)) == " is 3.0; accepted: a number in (0, 2]"
-    assert said("none", Number("")) == " is missing; accepted: a finite number"
-    assert said("inf", positive) == " is inf; accepted: a finite number > 0"
-    assert said("infs", Numbers("", count=1, low=0.0)) == "[0] is inf; accepted: 1 numbers, each a finite number >= 0"
-    assert said("odd", three) == "[2] is nan; accepted: 3 numbers, each a finite number"
-    assert said("two", three) == " is 2; accepted: 3 numbers, each a finite number"
 
 
 @pytest.mark.parametrize(

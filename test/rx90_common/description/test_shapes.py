@@ -204,23 +204,6 @@ def test_named_poses_are_those_of_the_poses_file_and_free_of_collisions(setup: S
         assert shapes.touching(position) == set(), name
 
 
-def test_limits_leave_room_below_those_of_the_robot(setup: Setup, folder: Path) -> None:
-    """Each joint of the URDF has 95 % of its velocity and half of the controller's acceleration, rounded down."""
-    assert setup.files is not None
-    limits = yaml.safe_load((folder / "joint_limits.yaml").read_text(encoding="utf-8"))["joint_limits"]
-    urdf = ET.parse(setup.files.urdf).getroot()
-    controller = yaml.safe_load(setup.files.controller.read_text(encoding="utf-8"))["trajectory"]
-    joints = urdf.findall("joint[@type='revolute']")
-    assert list(limits) == [joint.get("name") for joint in joints]
-    for joint, most in zip(joints, controller["max_acceleration"], strict=True):
-        given, limit = limits[joint.get("name")], joint.find("limit")
-        assert limit is not None
-        assert (given["has_velocity_limits"], given["has_acceleration_limits"]) == (True, True)
-        assert 0.0 <= 0.95 * float(limit.attrib["velocity"]) - given["max_velocity"] < 1e-4
-        assert given["max_acceleration"] == pytest.approx(0.5 * most, abs=1e-4)
-    assert f"which is {controller['provenance']} there" in (folder / "joint_limits.yaml").read_text(encoding="utf-8")
-
-
 def test_the_files_are_those_that_the_tool_writes(setup: Setup, folder: Path, semantic: ET.Element) -> None:
     """But for the search for pairs that touch, `python -m tools.moveit_files` would write the files as they are."""
     assert setup.files is not None

@@ -29,10 +29,8 @@ from rx90_common.friction.element import FRICTION_PARAMETERS, PARTS, legend
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.bristles import KINDS, BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_common.friction.parts.load import LoadPart
-from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
-from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
@@ -204,7 +202,6 @@ def test_what_is_written_is_read_back(
 
 LOAD = {"driving": 0.05, "driven": 0.08}
 SLIP = {"kind": "maxwell_slip", "stiffness": [0.5, 0.5], "share": [0.4, 0.6], "attraction": 1000.0}
-WARM = TemperaturePart(40.0, 20.0, 90.0, 40.0, 30.0, 1e3, 1.0, 20.0)
 WAVE = {"motor_harmonic": [2], "motor_amplitude": [0.1]}
 
 
@@ -262,30 +259,6 @@ def test_parts_leave_less_to_the_passivity_limit(shipped: Setup) -> None:
     assert dataclasses.replace(element, load=LoadPart(0.1, 0.2)).passive_damping(speed) == whole
     parted = dataclasses.replace(element, ripple=ripple, scatter=scatter)
     assert parted.passive_damping(speed) == pytest.approx(0.7 * 0.8 * whole, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("part", "named"),
-    [
-        (RipplePart((1.0,), (0.05,)), "ripple"),
-        (ScatterPart(0.01, 10.0), "scatter"),
-        (dataclasses.replace(WARM, speed_slope=0.02), "temperature"),
-        (dataclasses.replace(WARM, static_slope=0.02), "temperature"),
-    ],
-)
-def test_a_warning_names_the_part_that_leaves_less(shipped: Setup, part: FrictionPart, named: str) -> None:
-    """However little a part takes away, it is named where c1 would be passive without it."""
-    speeds = shipped.drives.turning.reach(shipped.robot.max_velocity)
-    slow = dataclasses.replace(shipped.friction.elements[0], omega_s=1.0)  # static friction counts where c1 does
-    tight = dataclasses.replace(slow, c1=0.99 * slow.passive_damping(speeds[0]))
-    others = shipped.friction.elements[1:]
-    assert FrictionSet(shipped.friction.names, (tight, *others)).passivity_warnings(speeds) == []
-    parted = dataclasses.replace(tight, load=LoadPart(0.1, 0.2), **{named: part})
-    (line,) = FrictionSet(shipped.friction.names, (parted, *others)).passivity_warnings(speeds)
-    assert f"where {named} leaves least friction" in line
-    several = dataclasses.replace(parted, ripple=RipplePart((1.0,), (0.05,)), scatter=ScatterPart(0.01, 10.0))
-    (line,) = FrictionSet(shipped.friction.names, (several, *others)).passivity_warnings(speeds)
-    assert f"where {'temperature, ' * (named == 'temperature')}ripple and scatter leave least friction" in line
 
 
 def test_a_set_has_seven_elements(shipped: Setup) -> None:

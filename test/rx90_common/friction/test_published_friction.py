@@ -20,7 +20,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, nnls
 
+from friction_bench.rig.rig_file import load_rig
 from rx90_common.base.arrays import Array
+from rx90_common.base.config import load_yaml, yaml_text
 from rx90_common.base.share import config_path
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import ALL_ELEMENTS, FrictionFile
@@ -261,6 +263,26 @@ def test_what_is_assumed_is_as_the_file_says(name: str) -> None:
         assert one.c0 == pytest.approx(c0, rel=0.05)  # two digits
         assert one.c1 == pytest.approx(1e-3 * one.c0)
         assert math.isinf(one.passivity_limit(100.0))
+
+
+def test_what_a_file_says_of_its_values_is_written_back(tmp_path: Path) -> None:
+    """Provenance, source and note of all elements and of single ones come back as they stood."""
+    file = FrictionFile.read(config_path("friction/manutec_r3.yaml"))
+    assert file.about[ALL_ELEMENTS]["provenance"] == {"tau_c": "published", "c2": "published", "tau_s": "published"}
+    assert set(file.about) == {ALL_ELEMENTS, "joint_1", "joint_2", "joint_3"}
+    path = tmp_path / "again.yaml"
+    path.write_text(file.text(), encoding="utf-8")
+    assert FrictionFile.read(path) == file
+
+
+def test_the_rig_takes_a_line_of_a_friction_file(tmp_path: Path) -> None:
+    """An element as it stands in a friction file, sources and all, is the joint of a rig that is emulated."""
+    published = config_path("friction/manutec_r3.yaml")
+    content = load_yaml(config_path("rig/gm8224_lugre.yaml")).content
+    content["emulation"]["joint_friction"]["lugre"] = load_yaml(published).content["elements"]["joint_1"]
+    path = tmp_path / "rig.yaml"
+    path.write_text(yaml_text(content), encoding="utf-8")
+    assert load_rig(path).plant.joint == FrictionFile.read(published).elements["joint_1"]
 
 
 MEASURED = Path(__file__).parents[3] / "docs" / "explanation" / "measured.md"

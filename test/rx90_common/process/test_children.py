@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
-import subprocess
 import sys
 import threading
 from pathlib import Path
 
-import processes as module
 import pytest
-from processes import Processes, own_domain, wait_until
+from processes import Processes, wait_until
 
-from rx90_common.base.errors import ProcessError
 from rx90_common.process.children import ChildProcess, ProcessGroup
 
 STUBBORN = """
@@ -23,18 +19,6 @@ signal.signal(signal.SIGINT, signal.SIG_IGN)
 child = os.fork()
 print("child", child if child else os.getpid(), flush=True)
 time.sleep(600)
-"""
-SUPPORT = Path(module.__file__).parent
-CONFTEST = "import warm_start\nwarm_start.MODULES = ()\npytest_plugins = ['processes']\n"
-WAITING = """
-import sys
-
-def test_that_waits(processes):
-    process = processes.start(sys.executable, "-c", "import time; print('up', flush=True); time.sleep(600)")
-    process.wait_for("up")
-    with open("pid", "w") as file:
-        print(process.pid, file=file)
-    process.wait()
 """
 
 
@@ -135,47 +119,3 @@ def test_more_interrupts_leave_no_child_behind(monkeypatch: pytest.MonkeyPatch) 
     finally:
         signal.signal(signal.SIGTERM, before)
     assert stubborn.returncode == -signal.SIGTERM
-
-
-def test_a_line_is_waited_for_once(processes: Processes) -> None:
-    """Each wait goes on after the line that the wait before it found."""
-    printing = processes.start(sys.executable, "-c", "for i in range(3): print('line', i)")
-    assert [printing.wait_for(r"line (\d)")[1] for _ in range(3)] == ["0", "1", "2"]
-    with pytest.raises(ProcessError, match="ended early: line 2"):
-        printing.wait_for("line")
-    assert printing.wait() == 0
-
-
-def test_a_domain_in_use_is_not_given(ros_domain: int, processes: Processes) -> None:
-    """A DDS domain with a participant in it is never given to another test."""
-    node = "import rclpy, time; rclpy.init(); n = rclpy.create_node('n'); print('up'); time.sleep(600)"
-    processes.start(sys.executable, "-c", node).wait_for("up")
-    assert os.environ["ROS_DOMAIN_ID"] == str(ros_domain)
-    given = set()
-    for _ in range(2 * module.LAST_DOMAIN):
-        with own_domain() as domain:
-            given.add(domain)
-    assert len(given) > module.LAST_DOMAIN // 2
-    assert ros_domain not in given
-
-
-def test_two_tests_never_share_a_domain() -> None:
-    """A domain is given to one test at a time, before any participant is in it."""
-    with contextlib.ExitStack() as tests:
-        given = [tests.enter_context(own_domain()) for _ in range(10)]
-    assert len(set(given)) == 10
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_no_process_outlives_the_tests_that_started_it(tmp_path: Path, number: signal.Signals) -> None:
-    """SIGTERM ends pytest as Ctrl-C does, fixtures and all; after SIGKILL what was forked for it ends by itself."""
-    (tmp_path / "conftest.py").write_text(CONFTEST, encoding="utf-8")
-    (tmp_path / "test_waiting.py").write_text(WAITING, encoding="utf-8")
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-o", f"pythonpath={SUPPORT}", "."]
-    running = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
-    noted = tmp_path / "pid"
-    wait_until(lambda: noted.is_file() and noted.read_text().endswith("\n"), "the process of the test")
-    running.send_signal(number)
-    said, _ = running.communicate(timeout=60.0)
-    assert running.returncode == (128 + number if number == signal.SIGTERM else -number), said
-    wait_until(lambda: ended(int(noted.read_text())), "the end of the process")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -42,19 +41,6 @@ def test_what_a_killed_process_left_is_swept_and_what_a_running_one_makes_is_not
     assert left.is_dir()
     write_text(other, "next")
     assert sorted(path.name for path in tmp_path.iterdir()) == [mine.name, "other", "table.csv"]
-
-
-def test_many_at_once_do_not_sweep_each_other(tmp_path: Path) -> None:
-    """Folders that are made, used and swept by many at the same time: each finds its own as it left it."""
-
-    def make(number: int) -> str:
-        with hidden_folder(tmp_path / "same") as folder:
-            (folder / "own").write_text(str(number))
-            return (folder / "own").read_text()
-
-    with ThreadPoolExecutor(8) as pool:
-        assert list(pool.map(make, range(200))) == [str(number) for number in range(200)]
-    assert not list(tmp_path.iterdir())
 
 
 def test_an_error_in_the_block_leaves_nothing(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import EXECUTABLES, run
 from rx90_emulator.configuration.check import kind_of
-from rx90_emulator.configuration.origins import KINDS, setup_values
+from rx90_emulator.configuration.origins import setup_values
 
 Captured = pytest.CaptureFixture[str]
 Show = Callable[..., dict[str, dict[str, object]]]
@@ -110,19 +110,6 @@ def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captu
     assert f"{odd}:1: mass is not a known key" in capsys.readouterr().out
     assert run("rx90_config", ["check", "--kind", "toll", str(odd)]) == 2
     assert "kind 'toll'; accepted: drives, tool," in capsys.readouterr().err
-
-
-def test_moveits_own_files_are_refused_in_short(capsys: Captured) -> None:
-    """Files whose keys are MoveIt's are of no kind of the project; the kinds that there are stand in the line once."""
-    files = [str(path) for path in config_path("moveit").glob("*.yaml")]
-    assert len(files) == 5
-    assert run("rx90_config", ["check", *files]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    kinds = ", ".join([*(kind.name for kind in KINDS), "node_parameters"])
-    assert line.endswith(f"; accepted: {kinds}")
-    assert line.count("accepted") == 1
-    assert all(f"{file}: of no kind that is checked, as MoveIt's own files" in line for file in files)
-    assert len(line) < 300 + sum(map(len, files)) + 60 * len(files)
 
 
 @pytest.mark.parametrize(

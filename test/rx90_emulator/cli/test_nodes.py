@@ -8,13 +8,11 @@ import re
 import signal
 import subprocess
 import sys
-import sysconfig
 from pathlib import Path
 
 import pytest
 from processes import Start
 
-from rx90_common.base import requirements
 from rx90_common.base.requirements import SOURCES, is_ros, missing_module
 from rx90_common.base.share import ROOT
 from rx90_emulator.cli.frame import EXECUTABLES
@@ -218,27 +216,3 @@ def test_an_error_of_the_project_itself_is_none_of_a_package() -> None:
     with pytest.raises(ImportError) as caught:
         exec("from rx90_common.base.errors import Nothing")
     assert missing_module(caught.value) is None
-
-
-@pytest.mark.parametrize(
-    ("module", "managed", "apt", "advice"),
-    [
-        ("numba", False, False, f"{sys.executable} -m pip install numba"),
-        ("numba", True, True, "a virtual environment with numba in it, as in docs/start/install.md"),
-        ("scipy", True, True, "sudo apt install python3-scipy"),
-        ("pinocchio", False, True, "sudo apt install ros-jazzy-pinocchio"),
-        ("pinocchio", False, False, f"{sys.executable} -m pip install pin"),
-        ("rclpy", True, True, "a sourced ROS 2 Jazzy"),
-    ],
-)
-def test_the_advice_can_be_followed(
-    module: str, managed: bool, apt: bool, advice: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A system's own Python is not told to use pip, which it refuses, nor one that cannot see apt's packages apt."""
-    (tmp_path / "EXTERNALLY-MANAGED").touch()
-    monkeypatch.setattr(sysconfig, "get_path", lambda _: str(tmp_path))
-    monkeypatch.setattr(sys, "prefix", sys.base_prefix if managed else str(tmp_path))
-    monkeypatch.setattr(sys, "path", [*sys.path, requirements._APT_FOLDER] if apt else ["/nowhere"])
-    monkeypatch.setenv("ROS_DISTRO", "jazzy")
-    line = missing_module(ModuleNotFoundError(name=module))
-    assert line == f"needs {module}, which is not installed; accepted: {advice}"

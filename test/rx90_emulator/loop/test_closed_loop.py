@@ -191,16 +191,6 @@ def test_the_tool_can_be_the_user_s_own_or_none(shipped_files: RobotFiles, edite
     assert Setup.load(RobotFiles(tool=None)).robot.chain.mass[5] == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize("name", ["urdf", "tool", "drives", "friction", "controller"])
-def test_a_missing_file_is_refused_by_its_path(name: str, tmp_path: Path) -> None:
-    """Each file that does not exist is refused in one line with its path."""
-    path = tmp_path / "nowhere.yaml"
-    with pytest.raises(ConfigError) as caught:
-        Setup.load(RobotFiles(**{name: path}))
-    assert str(caught.value).startswith(f"{path}: cannot be read")
-    assert "\n" not in str(caught.value)
-
-
 def test_plants_and_controllers_do_not_share_state(shipped: Setup) -> None:
     """Two plants of one setup are two robots, and two controllers two cabinets."""
     first, second = shipped.plant(), shipped.plant()

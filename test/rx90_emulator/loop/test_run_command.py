@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -13,10 +12,8 @@ import pytest
 from rx90_common.bags.reading import read_bag
 from rx90_common.bags.recorded import ParameterChange
 from rx90_common.base.config import load_yaml
-from rx90_common.base.errors import BagError, ConfigError, Rx90Warning
+from rx90_common.base.errors import BagError, Rx90Warning
 from rx90_common.base.share import config_path
-from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
@@ -25,9 +22,8 @@ from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.line import run_line
 from rx90_emulator.loop.parameters import with_parameters
-from rx90_emulator.loop.result import MotionCommand, save_arrays
+from rx90_emulator.loop.result import MotionCommand
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.working_day import ThermalRun
 
 
 def test_what_cannot_be_written_is_refused_before_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -43,20 +39,6 @@ def test_what_cannot_be_written_is_refused_before_the_run(tmp_path: Path, capsys
         (["--from-bag", "x", "--start-time", "1"], "--start-time with --from-bag; accepted: the times in the bag"),
         (["--output", str(tmp_path)], f"{tmp_path} exists; accepted: a new name"),
         (["--output", f"{tmp_path}/file/bag"], f"{tmp_path}/file/bag: cannot be written (Not a directory)"),
-        (["--hours", "8", "--output", f"{tmp_path}/bag"], "--output with --hours; accepted: --task and --plot"),
-        (["--hours", "8", "--start-time", "0"], "--start-time with --hours; accepted: --task and --plot"),
-        (["--hours", "8", "--slow-only"], "--slow-only with --hours; accepted: --task and --plot"),
-        (["--hours", "8", "--plot", "day.txt"], "--plot day.txt; accepted: a file with .png, .svg, .pdf"),
-        (
-            ["--friction", str(warm_friction(tmp_path)), "--hours", "0"],
-            "--hours 0: the time is 0 s; accepted: from one cycle, 11.2 s, to 3.6e+06 s",
-        ),
-        (["--plot", "day.svg"], "--plot without --hours; accepted: with it"),
-        (
-            ["--hours", "8"],
-            f"{config_path('robots/rx90b/friction.yaml')}: "
-            "no friction element has a temperature; accepted: one or more",
-        ),
         (["--arrays", f"{tmp_path}/file/a.npz"], f"{tmp_path}/file/a.npz: cannot be written (Not a directory)"),
     ):
         assert run("rx90_run", words) == 2
@@ -92,39 +74,6 @@ def test_a_trajectory_of_a_file_runs_into_arrays_with_units(tmp_path: Path, caps
         assert stored["motor_commands effort [Nm]"].shape == (2800, 6)
         assert stored["base time [s]"][1] == 250e-6
         assert all("[" in name or name.endswith("names") for name in stored.files)
-
-
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("", "the YAML of a trajectory_msgs/JointTrajectory"),
-        ("points: 3", "the YAML of a trajectory_msgs/JointTrajectory"),
-        ("a: [", "not valid YAML"),
-        (TRAJECTORY.replace("joint_6", "elbow"), "elbow"),
-        (TRAJECTORY.replace("0.5, 0.0, 0.1", ".nan, 0.0, 0.1"), "points[0].positions[0] is nan"),
-    ],
-)
-def test_a_file_that_is_no_trajectory_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, complaint: str
-) -> None:
-    """What cannot be followed is refused in one line that names the file."""
-    file = tmp_path / "move.yaml"
-    file.write_text(text)
-    assert run("rx90_run", ["--trajectory", str(file)]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith(f"rx90_run: {file}: ")
-    assert complaint in err
-    assert err.count("\n") == 1
-
-
-def test_arrays_replace_no_file(tmp_path: Path, shipped: Setup) -> None:
-    """From Python, too, a file that exists is refused and stays as it is."""
-    result, file = simulate_commands(shipped, (), np.zeros(6), 0.002, warn=False), tmp_path / "run.npz"
-    file.write_text("mine", encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"run\.npz exists; accepted: a new file"):
-        save_arrays(result, file)
-    assert file.read_text(encoding="utf-8") == "mine"
 
 
 @pytest.mark.parametrize(("fault", "code"), [(OSError(errno.ENOSPC, "No space"), 3), (KeyboardInterrupt(), 130)])
@@ -195,11 +144,9 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
     )
     assert f"trajectories in {tmp_path}/fir\\nst: 1, from 0.200 s\nseed 0: the bag tells none\n" in out
     assert run("rx90_bag", ["compare", str(first), str(second)]) == 0
-    for name, value in (("seed", 0.5), ("temperature_rate", "often")):
-        foreign = told | {name: value}
-        monkeypatch.setattr("rx90_emulator.loop.recorded_run.read_values", lambda _, told=foreign: told)
-        assert run("rx90_run", ["--from-bag", str(first), *robot]) == 2
-        assert f"fir\\nst: its {name} is {value!r}; accepted: a whole number" in capsys.readouterr().err
+    monkeypatch.setattr("rx90_emulator.loop.recorded_run.read_values", lambda _: told | {"seed": 0.5})
+    assert run("rx90_run", ["--from-bag", str(first), *robot]) == 2
+    assert "fir\\nst: its seed is 0.5; accepted: a whole number" in capsys.readouterr().err
     position = read_bag(first)["joint_states"].position
     assert position is not None
     assert position[0].tolist() == [0.0] * 6
@@ -242,47 +189,3 @@ def test_paper_runs_the_paper_s_choices(tmp_path: Path, capsys: pytest.CaptureFi
     assert np.array_equal(found, expected)
     assert run("rx90_run", ["--paper", "--robot", "tx40"]) == 2
     assert "argument --robot: not allowed with argument --paper" in capsys.readouterr().err
-
-
-def warm_friction(folder: Path) -> Path:
-    """Write a friction file whose first two joints get warm within minutes."""
-    part = TemperaturePart(30.0, 20.0, 90.0, 25.0, 25.0, 20.0, 5.0, 20.0, 0.3)
-    file = FrictionFile.read(config_path("robots/rx90b/friction.yaml"))
-    warm = {name: replace(file.elements[name], temperature=part) for name in ("joint_1", "joint_2")}
-    path = folder / "warm.yaml"
-    path.write_text(replace(file, elements={**file.elements, **warm}).text(), encoding="utf-8")
-    return path
-
-
-def test_hours_come_as_tables_and_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Cycles, path errors, temperatures and torques stand in tables; joints without temperature have a dash."""
-    words = ["--friction", str(warm_friction(tmp_path)), "--hours", "0.02", "--plot", str(tmp_path / "day.svg")]
-    assert run("rx90_run", words) == 0
-    out, err = capsys.readouterr()
-    lines = out.splitlines()
-    assert "times there and back in 0.0" in lines[0]
-    warm = [line.split() for line in lines[4 : lines.index("", 4)]]
-    assert [warm[0][0], *warm[0][3:]] == ["0.000", "25.0", "25.0", *"-----"]
-    assert float(warm[-1][4]) > float(warm[0][4])
-    assert 0.05 < float(warm[0][1]) < 0.2
-    assert "mean friction torque, Nm" in out
-    assert (tmp_path / "day.svg").read_text(encoding="utf-8").count("path error, mm") >= 1
-    assert "Traceback" not in err
-
-
-def test_who_interrupts_hours_has_what_was_done(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Ctrl-C between two cycles ends with 130, behind the tables of those that were simulated."""
-    advance = ThermalRun.advance
-
-    def interrupted(day: ThermalRun, total: int) -> bool:
-        if day.done > 0:
-            raise KeyboardInterrupt
-        return advance(day, total)
-
-    monkeypatch.setattr(ThermalRun, "advance", interrupted)
-    assert run("rx90_run", ["--friction", str(warm_friction(tmp_path)), "--hours", "8"]) == 130
-    out, err = capsys.readouterr()
-    assert "of which 1 were simulated" in out
-    assert "interrupted" in err

@@ -14,7 +14,6 @@ import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from full_friction import write_with_parts
-from line_run import temperatures
 from processes import Processes
 from ros_client import JOINTS, Client, seconds
 
@@ -22,7 +21,6 @@ import rx90_emulator as rx
 from rx90_common.bags.comparison import Verdict, compare_bags
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.tables import comparison_text
-from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import config_path
 from rx90_common.process.children import ChildProcess
 from rx90_controller.node.trajectory_client import TrajectoryClient
@@ -57,14 +55,13 @@ current_sensor:
   bandwidth: 800.0
 """
 SEED = 11
-RATE = 8  # of the temperatures, Hz
 STEP, STEPS = 400, 11  # ticks of one call of ~/step, calls
 DURATION = STEP * STEPS / 4000  # s
 START = 0.15  # s
 POSE = np.array([0.0, 0.5, 0.8, 0.0, 0.5, 0.0])
 THERE = TrajectoryPoints(np.array([0.5]), POSE[None] + 0.1 * np.array([[1, -1, 1, 1, -1, 1]]), np.zeros((1, 6)), None)
-ALL = 10
-"""Topics of joint states, and that of temperatures."""
+ALL = 9
+"""Topics of joint states."""
 
 
 def written(folder: Path) -> Setup:
@@ -78,7 +75,7 @@ def written(folder: Path) -> Setup:
         "drives": folder / "drives.yaml",
         "friction": write_with_parts(config_path("robots/rx90b/friction.yaml"), folder / "friction.yaml"),
     }
-    return rx.load_setup(**files, seed=SEED, rates=rx.Rates(temperature_hz=RATE))
+    return rx.load_setup(**files, seed=SEED)
 
 
 def run_nodes(processes: Processes, client: Client, setup: Setup, folder: Path) -> tuple[str, DiagnosticStatus]:
@@ -91,7 +88,7 @@ def run_nodes(processes: Processes, client: Client, setup: Setup, folder: Path) 
     write_bag(simulated, folder / "engine")
     of_simulation = {
         "paused": "true", "real_time_factor": 0.0, "step_ticks": STEP, "friction": folder / "friction.yaml",
-        "seed": SEED, "initial_position": POSE.tolist(), "temperature_rate": RATE,
+        "seed": SEED, "initial_position": POSE.tolist(),
     }  # fmt: skip
     words = [word for name, value in of_simulation.items() for word in ("-p", f"rx90_sim:{name}:={value}")]
     cell = processes.start("rx90_cell", "--ros-args", "-p", f"drives:={folder / 'drives.yaml'}", *words)
@@ -135,7 +132,6 @@ def the_same(one: Path, other: Path) -> None:
     comparison = compare_bags(one, other)
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert len(comparison.topics) == ALL
-    assert temperatures(one) == temperatures(other)
 
 
 def test_all_parts_of_an_arm_in_nodes(
@@ -144,8 +140,7 @@ def test_all_parts_of_an_arm_in_nodes(
     """With elastic gears, play, cogging, sensors, windings and all parts of friction nodes and engine agree bit by bit.
 
     So does a run after ~/reset, which puts scatter, noise, twists and temperatures back; and `rx90_run --from-bag`,
-    which takes seed and rate of temperatures from the bag alone. Temperatures are those of the seven friction elements
-    and of the six windings, which are named after them. `motor_current` is the torque of `motor_states` over the torque
+    which takes the seed from the bag alone. `motor_current` is the torque of `motor_states` over the torque
     constant: with offset, noise and steps. Log, once, and diagnostics name the motor whose torque its winding limits,
     how warm it is and what is left.
     """
@@ -159,16 +154,6 @@ def test_all_parts_of_an_arm_in_nodes(
     assert run("rx90_run", ["--from-bag", str(first), *files, "--output", str(again)]) == 0
     assert f"seed {SEED}, as the bag tells\n" in capsys.readouterr().out
     the_same(first, again)
-
-    warm = temperatures(first)
-    names = [*setup.friction.names, *(f"motor_{i}" for i in range(1, 7))]
-    stamps = [k * NANOSECONDS // RATE for k in range(round(DURATION * RATE + 0.5))]
-    assert [(stamp, name) for stamp, name, *_ in warm] == [(stamp, name) for stamp in stamps for name in names]
-    assert [value for *_, value, _ in warm[:13]] == [30.0] * 7 + [100.0] * 6
-    later = np.array([value for *_, value, _ in warm[-13:]])
-    assert np.all(later[:7] != 30.0)
-    assert later[8] > 104.0
-    assert np.all(later[[7, 9, 10, 11, 12]] < later[8])
 
     found, commanded = (
         read_joint_states(first, f"rx90_controller/{name}_current").effort for name in ("motor", "commanded")

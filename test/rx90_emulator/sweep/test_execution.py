@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from rx90_common.base.errors import FAILED, FailureError, SweepError
+from rx90_common.base.errors import SweepError
 from rx90_common.base.share import config_path
 from rx90_common.description.kinematics import forward, tip_position
 from rx90_common.description.robot_files import RobotFiles
@@ -174,14 +173,6 @@ def test_a_lost_worker_is_said(sweep: Sweep) -> None:
 
     with pytest.raises(SweepError, match="a worker process died"):
         lose()
-
-
-def test_an_extra_that_is_not_installed_is_named(tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without Dask a sweep on a cluster could not be carried out, exit code 3, and the error says what to install."""
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(FailureError, match=r"needs distributed, which is not installed; accepted: .* distributed"):
-        run_sweep(sweep, tmp_path / "out.parquet", scheduler="tcp://127.0.0.1:1", quiet=True)
-    assert FailureError.exit_code == FAILED
 
 
 def test_tip_is_that_of_the_kinematics(shipped: Setup) -> None:

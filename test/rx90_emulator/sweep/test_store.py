@@ -17,11 +17,12 @@ import pyarrow.parquet as pq
 import pytest
 import scipy.stats
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, SweepError
 from rx90_common.report.plot import Curve, Panel
 from rx90_emulator.cli.frame import run
 from rx90_emulator.sweep import store
-from rx90_emulator.sweep.report import SweepFigures, distribution_plot, main_effect
+from rx90_emulator.sweep.report import MainEffect, SweepFigures, SweptColumn, distribution_plot, main_effect
 from rx90_emulator.sweep.store import KEY, ResultStore, describe_results, parts_folder, read_sweep
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
@@ -106,11 +107,11 @@ def test_existing_results_are_safe(output: Path, sweep: Sweep) -> None:
     with pytest.raises(SweepError, match=r"exists; accepted: another output, or resume"):
         ResultStore(output, sweep)
     other = Sweep(replace(sweep.plan, seed=8))
-    with pytest.raises(SweepError, match="has another plan"):
+    with pytest.raises(SweepError, match="has other plan and files"):
         ResultStore(output, other, resume=True)
     changed = Sweep(sweep.plan)
     changed.versions = {**changed.versions, "numba": "0.1"}
-    with pytest.raises(SweepError, match=r"another set of versions \(numba .* instead of 0.1\)"):
+    with pytest.raises(SweepError, match=r"has other versions: .*, not .*'numba': '0.1'"):
         ResultStore(output, changed, resume=True)
     assert output.read_bytes() == before
 
@@ -131,8 +132,8 @@ def test_foreign_files_are_refused(tmp_path: Path, sweep: Sweep) -> None:
         (text, "cannot be read as Parquet"),
         (torn, "cannot be read as Parquet"),
         (foreign, "is not a result of rx90_sweep"),
-        (lacking, "lacking.parquet lacks the columns index, error; accepted: "),
-        (swapped, "swapped.parquet has other columns, or in another order; accepted: "),
+        (lacking, "lacking.parquet has other columns, lacking index, error; accepted: "),
+        (swapped, "swapped.parquet has other columns, lacking none; accepted: "),
     ):
         with pytest.raises(SweepError, match=said) as error:
             ResultStore(file, sweep, resume=True)
@@ -184,6 +185,11 @@ def results(tmp_path_factory: pytest.TempPathFactory, sweep: Sweep, outcomes: li
     return file
 
 
+def effect(values: Array, metric: Array) -> MainEffect:
+    """Return the main effect of a parameter."""
+    return main_effect(SweptColumn("p", "1", "", values), metric)
+
+
 def test_the_main_effect_is_that_of_an_analysis_of_variance() -> None:
     """Means by level, and the share of variance that SciPy's F statistic of the same groups stands for."""
     rng = np.random.default_rng(2)
@@ -191,18 +197,18 @@ def test_the_main_effect_is_that_of_an_analysis_of_variance() -> None:
     metric = 3.0 * np.log(values) + rng.standard_normal(90)
     groups = [metric[values == value] for value in (1.0, 2.0, 4.0)]
     given, missing = rng.permutation(92), np.array([np.nan, 2.0])
-    found = main_effect("p", np.append(values, missing)[given], np.append(metric, [1e9, np.nan])[given])
+    found = effect(np.append(values, missing)[given], np.append(metric, [1e9, np.nan])[given])
     f = scipy.stats.f_oneway(*groups).statistic
     eta = 2.0 * f / (2.0 * f + 87.0)
     assert found.share == pytest.approx(1.0 - (1.0 - eta) * 89.0 / 87.0, rel=1e-12)
-    assert (found.values.tolist(), found.runs) == ([1.0, 2.0, 4.0], 90)
+    assert (found.levels.tolist(), found.runs) == ([1.0, 2.0, 4.0], 90)
     assert found.means == pytest.approx([group.mean() for group in groups])
     drawn = rng.random(4000)
-    alone, nothing = main_effect("x", drawn, drawn), main_effect("x", drawn, rng.standard_normal(4000))
+    alone, nothing = effect(drawn, drawn), effect(drawn, rng.standard_normal(4000))
     assert len(alone.means) == 8
     assert alone.share == pytest.approx(1.0 - 1.0 / 64.0, abs=0.002)  # what is left within an eighth of the range
     assert nothing.share < 0.01
-    assert np.isnan(main_effect("one", np.ones(5), rng.random(5)).share)
+    assert np.isnan(effect(np.ones(5), rng.random(5)).share)
 
 
 def test_the_figures_are_those_of_the_runs(results: Path, sweep: Sweep, outcomes: list[RunOutcome]) -> None:
@@ -212,7 +218,7 @@ def test_the_figures_are_those_of_the_runs(results: Path, sweep: Sweep, outcomes
     assert [value is None for value in errors] == np.isnan(figures.worst).tolist()
     good = sorted(1e3 * value for value in errors if value is not None)
     assert np.sort(figures.worst[np.isfinite(figures.worst)]) == pytest.approx(good)
-    assert {one.name for one in figures.effects} == {column.title for column in sweep.runs.columns}
+    assert {effect.column.name for effect in figures.effects} == {column.title for column in sweep.runs.columns}
     (panel,) = distribution_plot(figures).panels
     assert isinstance(panel, Panel)
     (curve,) = (mark for mark in panel.marks if isinstance(mark, Curve) and mark.label == "worst")

@@ -1,1 +1,0 @@
-"""The perturbation method: deviations from a nominal motion, linear in the arm, non-linear in the friction."""
