@@ -253,11 +253,6 @@ class Rig(Declared):
         return math.tau / self.counts_per_revolution
 
     @property
-    def joint_step(self) -> float:
-        """Return the joint angle of one count, rad."""
-        return math.tau / self.counts_per_revolution / self.gear_ratio
-
-    @property
     def joint_scale(self) -> float:
         """Return the torque at the joint for 1 Nm of the motor that drives it."""
         return self.gear_ratio * self.gear_efficiency
@@ -276,11 +271,6 @@ class Rig(Declared):
             f"torques are carried over by the gear's efficiency, {efficiency:g} ± {error:g} (standard uncertainty, of "
             f"the rig file), which alone makes 95 % intervals of ± {share:.2g} %"
         )
-
-    @property
-    def joint_code(self) -> float:
-        """Return the joint torque of one DAC code, Nm."""
-        return self.torque(1) * self.joint_scale
 
     def torque(self, dac_code: Value) -> Value:
         """Return the commanded torque, Nm, of a DAC code or an array of them."""

@@ -1,7 +1,7 @@
-"""The commands of the friction rig, real or emulated: its node, the check of a board, ramps, presliding, the emulator.
+"""The commands of the friction rig, real or emulated: its node, the check of a board, ramps, the emulator.
 
 What has been measured until a refusal stands in the folder of results; `friction_ramp` ends with 1 where a load carries
-no estimate, `friction_presliding` where the law cannot be told or a part carries nothing.
+no estimate.
 """
 
 from __future__ import annotations
@@ -10,10 +10,9 @@ import argparse
 from pathlib import Path
 
 from friction_bench.experiment.record import TEXT_KINDS, VELOCITIES
-from friction_bench.presliding import KINDS, USUAL_BLOCKS, USUAL_CYCLES
 from rx90_common.base.errors import DONE, ConfigError
 from rx90_common.base.quoting import plain
-from rx90_common.base.share import PRESLIDING_RIG, SHIPPED_RIG, resolve_config
+from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.process.interrupts import stop_request
 from rx90_emulator.cli import node
 from rx90_emulator.cli.options import (
@@ -103,27 +102,6 @@ def add_ramp(parser: argparse.ArgumentParser) -> None:
 def ramp(options: argparse.Namespace) -> int:
     """Measure Coulomb and viscous friction with torque ramps on a friction rig, or read old ramps."""
     from friction_bench.experiment.job import run  # here, because --help must not wait for it
-
-    return run(options)
-
-
-def add_presliding(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `friction_presliding`."""
-    parser.set_defaults(load="joint")
-    parser.add_argument(
-        "--kinds", nargs="+", choices=KINDS, metavar="KIND",
-        help=f"experiments after the ramps: {', '.join(KINDS)} (default: all)",
-    )  # fmt: skip
-    parser.add_argument("--blocks", type=whole_from(6, 100), help=f"blocks of loops (default: {USUAL_BLOCKS})")
-    parser.add_argument(
-        "--cycles", type=whole_from(100, 100_000), help=f"small cycles of the drift (default: {USUAL_CYCLES})"
-    )
-    add_rig_arguments(parser, PRESLIDING_RIG, "out/presliding")
-
-
-def presliding(options: argparse.Namespace) -> int:
-    """Show friction around sliding on a rig: loops, break-away, slow speeds, stick-slip, drift; choose its law."""
-    from friction_bench.presliding.job import run  # here, because --help must not wait for it
 
     return run(options)
 

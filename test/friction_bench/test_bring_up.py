@@ -32,7 +32,7 @@ from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig
 from friction_bench.rig.messages import PROCESSORS
 from friction_bench.rig.rig_file import Rig, load_rig
-from rx90_common.base.share import PRESLIDING_RIG, SHIPPED_RIG, config_path
+from rx90_common.base.share import SHIPPED_RIG, config_path
 from rx90_emulator.cli.frame import run
 
 LINE, IDLE, ENABLE, SET_POINT, LIMIT, WATCHDOG, ENCODER, SENSE, CURRENT = STEPS
@@ -172,14 +172,8 @@ def drive(hands: Hands, change: Callable[[float], float]) -> None:
     hands.emulated.plant.advance = lambda torque, dt: original(change(torque), dt)  # type: ignore[method-assign]
 
 
-UNIPOLAR, DECODER, BOTH_WAYS = SHIPPED_RIG, PRESLIDING_RIG, "rig/bipolar.yaml"
+UNIPOLAR, BOTH_WAYS = SHIPPED_RIG, "rig/bipolar.yaml"
 BOARD_FAULTS: dict[str, tuple[str, Callable[[Hands], object], dict[str, str]]] = {
-    "encoder lines exchanged": (
-        DECODER,
-        lambda hands: wrap(hands, "advance", lambda edges: -edges),
-        {ENCODER: "lines A and B are exchanged", SENSE: "counts down"},
-    ),
-    "no direction": (DECODER, lambda hands: wrap(hands, "advance", abs), {ENCODER: "only the negative turn"}),
     "no encoder": (
         UNIPOLAR,
         lambda hands: wrap(hands, "advance", lambda _: 0),

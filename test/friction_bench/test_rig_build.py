@@ -154,7 +154,6 @@ def test_a_figure_that_the_firmware_could_not_keep_ends_the_build(
     ("page", "name", "rig_file"),
     [
         ("howto/rig_build.md", "BIPOLAR", "bipolar.yaml"),
-        ("howto/rig_wiring.md", "COUNTS_DOWN", "presliding.yaml"),
         ("explanation/rig_measurement.md", "PULSED", "source.yaml"),
     ],
 )

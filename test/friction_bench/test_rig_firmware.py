@@ -13,10 +13,8 @@ from rig_bench import greeted
 from rig_conformance import BIPOLAR_TRANSCRIPTS, TRANSCRIPTS, MismatchError, Player, armed
 
 from friction_bench.experiment.job import run_ramp
-from friction_bench.rig.emulated import NativeBoard, native_library
-from friction_bench.rig.messages import PROCESSORS, Command, Fault, Frame, encode
-from friction_bench.rig.rig_file import Rig, load_rig
-from rx90_common.base.share import PRESLIDING_RIG, config_path
+from friction_bench.rig.messages import PROCESSORS, Command, Frame, encode
+from friction_bench.rig.rig_file import Rig
 
 SIMULATED = [pytest.param(target, marks=pytest.mark.firmware) for target in ("mcs51", "avr")]
 ALL = ["native", *SIMULATED]
@@ -119,22 +117,6 @@ def test_direction_changes_with_nothing_on_the_dac(
         assert seen[changed][0] - off[0] > 50e-6
         assert off[-1] - seen[changed][0] > 50e-6
         assert off[-1] - off[0] < 300e-6
-
-
-def test_firmware_counts_down_and_limits_travel_both_ways() -> None:
-    """Built for a decoder, the firmware counts below zero, and limits the travel of a motor that turns back."""
-    rig = load_rig(config_path(PRESLIDING_RIG))
-    player = Player(NativeBoard(rig.baud, native_library(rig.firmware_figures)))
-    player.do_greet(None)
-    player.do_send({"limits": [2, 300]})
-    player.do_beat(60)
-    player.do_send("arm")
-    player.do_edges(-10)
-    player.do_beat(100)
-    before, last = player.reports[-2:]
-    assert last.counts < 2**24 - 400
-    assert last.counts - before.counts == -200
-    assert last.fault == Fault.TRAVEL  # beyond 2 x 256 counts
 
 
 def time_at_full_scale(board: Any) -> float:

@@ -141,7 +141,6 @@ def test_a_name_that_the_system_refuses_is_one_line(words: tuple[str, ...], caps
 WRITTEN = {
     "--output": {
         "friction_bench": ["check", "--port", "nowhere"],
-        "friction_presliding": [],
         "friction_ramp": [],
         "rx90_bag": ["record"],
         "rx90_config": ["friction", "nowhere"],
@@ -259,9 +258,6 @@ CASES = [
     ("friction_ramp", "--baud 9600", "--baud 9600 with the emulated rig; accepted: with --port of a serial line"),
     ("friction_ramp", "--no-load-file 0.1:old.csv --repeats 2", "--repeats with old data; accepted: with a rig"),
     ("friction_ramp", "--loaded-file 0.1:old.csv --load joint", "--load with old data; accepted: with a rig"),
-    ("friction_presliding", "--baud 9600", "--baud 9600 with the emulated rig; accepted: with --port of a serial line"),
-    ("friction_presliding", "--kinds drift --blocks 9", "--blocks 9 without loops; accepted: with --kinds loops, or"),
-    ("friction_presliding", "--kinds loops --cycles 900", "--cycles 900 without drift; accepted: with --kinds drift"),
 ]  # fmt: skip
 
 
