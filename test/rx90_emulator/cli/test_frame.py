@@ -140,7 +140,6 @@ def test_a_name_that_the_system_refuses_is_one_line(words: tuple[str, ...], caps
 
 WRITTEN = {
     "--output": {
-        "friction_bench": ["check", "--port", "nowhere"],
         "friction_ramp": [],
         "rx90_bag": ["record"],
         "rx90_config": ["friction", "nowhere"],
