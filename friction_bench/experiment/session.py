@@ -172,13 +172,10 @@ def readings_series(samples: list[Sample], rig: Rig) -> list[JointSeries]:
 
 
 def sample_columns(samples: list[Sample]) -> tuple[Array, Array, Array, Array]:
-    """Return ticks, counts, DAC and ADC codes of readings, each of shape (n,).
-
-    The ADC measures the size of the current; its sign is that of the code until the reading.
-    """
+    """Return ticks, counts, DAC and ADC codes of readings, each of shape (n,)."""
     rows = [(s.tick, s.counts, s.report.dac, s.report.adc) for s in samples]
     ticks, counts, dac, adc = np.array(rows, dtype=np.float64).T
-    return ticks, counts, dac, np.where(np.concatenate((dac[:1], dac[:-1])) < 0.0, -adc, adc)
+    return ticks, counts, dac, adc
 
 
 def refuse_fault(sample: Sample) -> None:

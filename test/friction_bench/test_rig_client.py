@@ -22,6 +22,7 @@ from friction_bench.experiment.job import run_ramp
 from friction_bench.rig.client import COMMAND_TIMEOUT, STOP_SEQUENCES, RigClient, unwrap
 from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort, native_library
 from friction_bench.rig.messages import (
+    Answer,
     Command,
     Fault,
     Frame,
@@ -38,7 +39,6 @@ from friction_bench.rig.messages import (
 from friction_bench.rig.rig_file import Rig, load_rig
 from friction_bench.rig.serial_port import WRITE_TIMEOUT, SerialPort
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.share import config_path
 from rx90_common.friction.parts.bristles import ElastoPlastic
 
 
@@ -149,9 +149,6 @@ def test_host_that_stops_beating_loses_the_torque(client: RigClient, emulated: E
     ("changes", "figures", "message"),
     [
         ({"counts_per_revolution": 500}, {}, "counts_per_revolution is 500, the rig's firmware has 504"),
-        ({"stage": "bipolar", "counts_down": True}, {}, "stage is bipolar, the rig's firmware has unipolar"),
-        ({}, {"BIPOLAR": 1, "COUNTS_DOWN": 1}, "stage is unipolar, the rig's firmware has bipolar"),
-        ({}, {"COUNTS_DOWN": 1}, "counts_down is False, the rig's firmware has True"),
         ({}, {"HOLD_TICKS": 50}, "ramps.hold, in ticks, is 0, the rig's firmware has 50"),
         ({}, {"PULSED": 1}, "emulation.amplifier.off_time > 0 is False, the rig's firmware has True"),
         ({}, {"SCALE_UNIT": 100}, "dac_full_scale is 0.2, the rig's firmware has 2.0"),
@@ -170,14 +167,25 @@ def test_a_firmware_built_for_other_figures_is_refused(
     assert not emulated.board.stage_on
 
 
+def test_a_firmware_of_version_1_is_named(rig: Rig) -> None:
+    """The shorter greeting of the protocol's first version is understood as far as its version, and refused."""
+    old = bytes.fromhex("01 01 01 f801 204e 204e a861 e5 07")
+
+    class Old(VirtualPort):
+        def read(self, timeout: float) -> bytes:
+            self.emulated.advance(timeout)
+            return encode(Frame(Answer.HELLO_REPLY, 1, old))
+
+    with pytest.raises(RigRefusedError, match="speaks protocol version 1; accepted: 2"):
+        RigClient(Old(EmulatedRig(rig, 0)), rig).connect()
+
+
 WARM = "{reference: 30, lowest: 0, highest: 90, start: 25, ambient: 25, capacity: 9, resistance: 1, viscous_scale: 20}"
 
 
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [
-        ("bipolar", "counts_down: true\n", "", "counts_down is false; accepted with stage bipolar: true"),
-        ("bipolar", "stage: bipolar", "stage: both", "stage is 'both'; accepted: one of unipolar, bipolar"),
         ("source", "dac_full_scale: 2.0", "dac_full_scale: 7.0",
          "torque.dac_full_scale is 7; accepted with limit_lifted: at most 6.5535 Nm"),
         ("gm8224_lugre", "\nemulation:\n", "\nemulation:\n  joint_spread: 0.05\n",
@@ -226,17 +234,13 @@ def test_interrupted_ramp_is_stopped_by_the_host(client: RigClient, emulated: Em
 
 @pytest.mark.parametrize("value", [0.19, 1e-5, math.nan, math.inf, -0.1, -0.19])
 def test_a_ramp_beyond_the_firmware_is_refused_before_arming(value: float, rig: Rig) -> None:
-    """An end torque or slope that the firmware would refuse is refused with what is accepted, on a rig at rest.
-
-    A unipolar rig refuses every end torque below 0, a bipolar one those beyond its limit either way.
-    """
-    for of_rig in (rig, load_rig(config_path("rig/bipolar.yaml")))[: 1 + (abs(value) != 0.1)]:
-        client = greeted(of_rig)
-        with pytest.raises(RigError, match=r"end torque .* accepted by the firmware: 0.00078 to 0.18 Nm"):
-            run_ramp(client, 0.05, value, False, "x")
-        with pytest.raises(RigError, match=r"slope .* accepted: 0.00015 to 0.627 Nm/s"):
-            run_ramp(client, 5 * value if value > 0.1 else value, 0.15, False, "x")
-        assert not client.port.emulated.board.stage_on
+    """An end torque or slope that the firmware would refuse is refused with what is accepted, on a rig at rest."""
+    client = greeted(rig)
+    with pytest.raises(RigError, match=r"end torque .* accepted by the firmware: 0.00078 to 0.18 Nm"):
+        run_ramp(client, 0.05, value, False, "x")
+    with pytest.raises(RigError, match=r"slope .* accepted: 0.00015 to 0.627 Nm/s"):
+        run_ramp(client, 5 * value if value > 0.1 else value, 0.15, False, "x")
+    assert not client.port.emulated.board.stage_on
 
 
 def test_stop_overtakes_a_command_under_way(client: RigClient, emulated: EmulatedRig) -> None:
