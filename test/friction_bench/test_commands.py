@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import io
-import os
 import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -30,7 +28,6 @@ from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import load_friction
 from rx90_emulator.cli.frame import EXECUTABLES, run
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 QUICK_RAMPS = ["--repeats", "2", "--slopes", "0.03", "0.06"]
 
@@ -113,13 +110,15 @@ def test_recorded_ramps_evaluate_to_the_same_whatever_the_calibration(ramps: Pat
         assert high - low >= 2 * 1.95 * variance**0.5
 
 
+NO_RIGS = "/dev/nothing", "/etc/hostname"
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        *((f"friction_ramp --port {port}", f"{port}: cannot be opened") for port in NO_RIGS),
         ("friction_ramp --slopes 99", "slope 99 Nm/s; accepted"),
         ("friction_ramp --repeats 1001", "argument --repeats: '1001'; accepted: a whole number from 1 to 1000"),
-        ("friction_ramp --seed -1", "argument --seed: '-1'; accepted: a whole number from 0 to 2147483647"),
-        ("friction_ramp --baud 0", "argument --baud: '0'; accepted: a whole number from 1200 to 1000000"),
         ("friction_ramp --slopes nan", "argument --slopes: 'nan'; accepted: a finite number"),
         ("friction_ramp --slopes 0.1 0.05 0.1", "--slopes has 0.1 twice; accepted: each slope once"),
         ("friction_ramp --end-torque 0.5", "--end-torque is 0.5"),
@@ -132,40 +131,24 @@ def test_recorded_ramps_evaluate_to_the_same_whatever_the_calibration(ramps: Pat
         ("friction_ramp --output /proc/friction", "/proc/friction: cannot be written ("),
         ("friction_ramp --output /dev/null", "/dev/null exists; accepted: a new name"),
         ("friction_ramp --no-load-file 0.1:nothing.csv", "nothing.csv: cannot be read"),
-        ("friction_ramp --no-load-file nothing.csv", "accepted: slope:file"),
-        ("friction_ramp --no-load-file 0.1", "accepted: slope:file"),
         ("friction_ramp --no-load-file nan:ramp.csv", "accepted: slope:file"),
         ("friction_ramp --element joint_9 --load none", "--element is 'joint_9'"),
         ("friction_ramp --source --slopes 0.5", "--slopes with --source; accepted: the rig file's"),
-        ("friction_rig_emulator --seed -1", "argument --seed: '-1'; accepted: a whole number from 0 to 2147483647"),
-        ("friction_rig_emulator --rig nothing.yaml", "no file 'nothing.yaml'"),
         ("friction_rig_emulator --link /dev/null", "/dev/null: cannot point to the emulated rig"),
-        ("friction_rig_emulator --link /proc/rig", "/proc/rig: cannot point to the emulated rig"),
         ("friction_bench selftest --port nonsense://x", "nonsense://x: cannot be opened"),
         ("friction_bench selftest --baud 9600", "--baud 9600 with the emulated rig; accepted: with --port of a serial"),
-        ("friction_bench selftest --rig nothing.yaml", "no file 'nothing.yaml'"),
         ("friction_bench selftest --ros-args -p seed:=1", "--ros-args -p seed:=1 with selftest; accepted: with the"),
-        ("friction_bench selftst", "invalid choice: 'selftst'"),
     ],
 )
 def test_mistakes_get_one_line(words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A user's mistake is answered by one line and exit code 2, and nothing is written."""
+    """A user's mistake is answered by one line and exit code 2 (3 where no rig is), and nothing is written."""
     command, *options = words.split()
     output = ["--output", str(tmp_path / "out")] if command == "friction_ramp" else []
-    assert run(command, [*output, *options]) == 2
+    assert run(command, [*output, *options]) == (3 if words.endswith(NO_RIGS) else 2)
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in error
     assert re.match(rf"{command}(?: selftest)?: ", error)
     assert not (tmp_path / "out").exists() or "no break-away" in message
-
-
-@pytest.mark.parametrize("port", ["/dev/nothing", "/etc/hostname"])
-def test_a_rig_that_cannot_be_reached_is_a_failure(
-    port: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A port that is not there, or is no serial one, is one line and exit code 3."""
-    assert run("friction_ramp", ["--output", str(tmp_path / "out"), "--port", port]) == 3
-    assert f"friction_ramp: {port}: cannot be opened" in capsys.readouterr().err
 
 
 def test_existing_folder_is_refused_before_the_rig_moves(
@@ -294,43 +277,26 @@ def test_latched_fault_is_named_and_cleared_by_option(
     assert run("friction_ramp", [*words, str(tmp_path / "b"), "--clear"]) == 0
 
 
-def test_the_link_goes_with_the_rig_that_has_it(rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A rig that ends takes its link away, but not one that another rig has taken over meanwhile.
-
-    The link goes before the descriptors do: nobody opens another program's pseudo-terminal by a link that is left.
-    """
+def test_the_link_goes_with_the_rig_that_has_it(rig: Rig, tmp_path: Path) -> None:
+    """A rig that ends takes its link away, but not one that another rig has taken over meanwhile."""
     link = tmp_path / "rig"
     first = PtyRig(EmulatedRig(rig, 1), link)
     second = PtyRig(EmulatedRig(rig, 2), link)
     first.close()
     assert str(link.readlink()) == second.path
-    close, left = os.close, []
-
-    def watched(descriptor: int) -> None:
-        left.append(link.is_symlink())
-        close(descriptor)
-
-    monkeypatch.setattr(os, "close", watched)
     second.close()
-    assert left == [False, False]
+    assert not link.is_symlink()
 
 
 def test_launch_file_starts_the_node_with_parameters_that_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Package, executable and parameters exist, every default is the node's own, and its end is the launch's."""
+    """The executable exists, every default is the node's own, and its end is the launch's."""
     actions = build(monkeypatch, "friction_bench.launch.py")
     (node,) = (action for action in actions if action.kind == "Node")
-    assert node.named["package"] == ElementTree.parse(REPOSITORY / "package.xml").findtext("name")
-    assert node.named["executable"] in EXECUTABLES
     declared: dict[str, Any] = {}
-
-    def declare(_: object, name: str, default: Any, *_about: object, **_kinds: object) -> Any:
-        return declared.setdefault(name, default)
-
-    monkeypatch.setattr(bench_node, "declare", declare)
+    monkeypatch.setattr(bench_node, "declare", lambda _, name, default, *__, **___: declared.setdefault(name, default))
     bench_node.declare_bench_parameters(None)
     given = parameters(node)
+    assert node.named["executable"] in EXECUTABLES
     assert given == {name: name for name in ("port", "rig", "seed")}
     assert launch_arguments(actions) == {"namespace": ""} | {name: str(declared[name]) for name in given}
-    assert node.named["namespace"].given == ("namespace",)
-    assert declared["rig"] == SHIPPED_RIG
     assert ending(node, 0).kind == "Shutdown"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ from rig_conformance import Player, armed
 
 from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort
 from friction_bench.rig.messages import CommandResult
-from friction_bench.rig.plant import RigPlant, Shaft, turn
+from friction_bench.rig.plant import Shaft, turn
 from friction_bench.rig.rig_file import load_rig
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,48 +29,34 @@ def parts(drawing: str) -> dict[str, float]:
     return {name: float(value) * UNITS[unit.replace(" Ω", "")] for name, value, unit in found}
 
 
-def test_drawn_parts_of_the_source_s_board_give_the_rig_file_s_scales() -> None:
-    """Ohm's law through DAC0808, LM324 and ADC0804 as drawn: 0.2 and 0.25 Nm at code 255 within 0.1 %."""
+def test_drawn_parts_give_the_scales_and_the_voltages_of_the_checklist() -> None:
+    """Ohm's law through both boards as drawn: the scales within 0.1 %, and what the page says to measure.
+
+    Source's board: DAC0808, LM324, ADC0804 give 0.2 and 0.25 Nm at code 255. Nano: ladder, divider and IPROPI at
+    450 µA/A give 0.2 Nm, and the ADC scale and current limit of the page's command.
+    """
     rig = load_rig(ROOT / "config/rig/gm8224.yaml")
     assert rig.plant is not None
-    constant = rig.plant.torque_constant
-    r = parts("rig_8051.svg") | parts("rig_power.svg")
-    volts_per_ampere = r["RS"] * (1.0 + r["R11"] / r["R10"])
-    commanded = 5.0 / r["R1"] * 255 / 256 * r["R4"] / volts_per_ampere
-    half = 5.0 * (r["R15"] + r["R16"]) / (r["R14"] + r["R15"] + r["R16"])
-    measured = 2.0 * half * 255 / 256 / volts_per_ampere
-    assert commanded * constant == pytest.approx(rig.dac_full_scale, rel=1e-3)
-    assert measured * constant == pytest.approx(rig.adc_full_scale, rel=1e-3)
-
-
-def test_drawn_parts_of_the_nano_s_board_give_the_scales_of_its_build() -> None:
-    """Ladder, divider and IPROPI at 450 µA/A give 0.2 Nm and the ADC scale and current limit of the page's command."""
-    rig = load_rig(ROOT / "config/rig/gm8224.yaml")
-    assert rig.plant is not None
-    constant = rig.plant.torque_constant
-    r = parts("rig_nano.svg")
-    full, load, volts_per_ampere = 5.0 * 255 / 256, r["R1"] + r["R2"], 450e-6 * r["R3"]
-    assert full * load / (10e3 + load) / volts_per_ampere * constant == pytest.approx(rig.dac_full_scale, rel=1e-3)
+    r, nano = parts("rig_8051.svg") | parts("rig_power.svg"), parts("rig_nano.svg")
+    load = nano["R1"] + nano["R2"]
+    half = (r["R15"] + r["R16"]) / (r["R14"] + r["R15"] + r["R16"])
+    gain = r["RS"] * (1.0 + r["R11"] / r["R10"])
     scale, limit = map(int, re.findall(r"-DADC_FULL_SCALE=(\d+)u -DCURRENT_LIMIT_CODE=(\d+)u", PAGE)[0])
-    assert full / volts_per_ampere * constant == pytest.approx(scale * 1e-5, rel=1e-3)
     assert limit == int(1.05 * 0.18 / (scale * 1e-5) * 255)
-
-
-def test_voltages_of_the_checklist_are_those_of_the_drawings() -> None:
-    """Ohm's law through the drawn parts gives what the page says to measure at codes 57 and 114, to three digits."""
-    r = parts("rig_8051.svg") | parts("rig_power.svg")
+    for set_point, sensed, volts_per_ampere, adc_full_scale in (
+        (5.0 / r["R1"] * r["R4"], 10.0 * half, gain, rig.adc_full_scale),
+        (5.0 * load / (10e3 + load), 5.0, 450e-6 * nano["R3"], scale * 1e-5),
+    ):
+        amperes = set_point * 255 / 256 / volts_per_ampere
+        assert amperes * rig.plant.torque_constant == pytest.approx(rig.dac_full_scale, rel=1e-3)
+        measured = sensed * 255 / 256 / volts_per_ampere
+        assert measured * rig.plant.torque_constant == pytest.approx(adc_full_scale, rel=1e-3)
+        low, high = set_point * 57 / 256, set_point * 114 / 256
+        assert PAGE.count(f"| {low:.3f}, {high:.3f} V |") == 2
+        assert f"| {amperes * 57 / 255:.3f}, {amperes * 114 / 255:.3f} A |" in PAGE
     base, diode, feedback = 0.7, 0.7, r["R6"] + r["R5"]
     off = (5.0 / r["R9"] + base / r["R8"] + diode / feedback) / (1.0 / r["R9"] + 1.0 / r["R8"] + 1.0 / feedback)
     assert f"| {off:.2f} ± 0.5 V |" in PAGE
-    nano = parts("rig_nano.svg")
-    load = nano["R1"] + nano["R2"]
-    for full, volts_per_ampere, rows in (
-        (5.0 / r["R1"] * 255 / 256 * r["R4"], r["RS"] * (1.0 + r["R11"] / r["R10"]), 2),
-        (5.0 * 255 / 256 * load / (10e3 + load), 450e-6 * nano["R3"], 2),
-    ):
-        low, high = full * 57 / 255, full * 114 / 255
-        assert PAGE.count(f"| {low:.3f}, {high:.3f} V |") == rows
-        assert f"| {low / volts_per_ampere:.3f}, {high / volts_per_ampere:.3f} A |" in PAGE
 
 
 def test_table_of_figures_is_that_of_the_sources() -> None:
@@ -145,47 +132,38 @@ def test_the_page_s_command_builds_what_the_source_s_rig_asks_for() -> None:
     assert figures == load_rig(ROOT / "config/rig/source.yaml").firmware_figures
 
 
-LEVER = 0.1, 0.0981, 0.05
-"""Of the page's weight: mass, kg, torque, Nm, and the angle between its stops, rad."""
-
-
-class Lever:
-    """A motor's shaft with the page's weight on a lever, between two stops; the rig's plant in every other respect."""
-
-    def __init__(self, plant: RigPlant, scale: float) -> None:
-        self.plant, self.scale, self.angle, self.speed = plant, scale, 0.0, 0.0
-        assert plant.parameters.coulomb > 0.0
-        self.shaft = Shaft(LEVER[0] * 0.1**2 + plant.parameters.rotor_inertia, 0.004, 1e-3)
-
-    def advance(self, command: float, dt: float) -> int:
-        """Turn the lever; the stops take its speed."""
-        before = int(self.angle * 504 / 6.2832)
-        torque = self.scale * command - LEVER[1]
-        self.angle, self.speed = turn(self.angle, self.speed, torque, self.shaft, dt)
-        if not 0.0 < self.angle < LEVER[2]:
-            self.angle, self.speed = min(max(self.angle, 0.0), LEVER[2]), 0.0
-        return abs(int(self.angle * 504 / 6.2832) - before)
-
-
 @pytest.mark.parametrize("scale", [1.0, 0.92])
 def test_known_weight_finds_the_scale_within_the_page_s_uncertainty(
-    scale: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    scale: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The page's program on a rig whose amplifier is off by 8 %: 255 tau / c is its scale within twice 0.35 %."""
+    """The page's program on a rig whose amplifier is off by 8 %: 255 tau / c is its scale within twice 0.35 %.
+
+    The weight of 0.1 kg hangs on a lever of 0.1 m between two stops.
+    """
     rig = load_rig(ROOT / "config/rig/gm8224.yaml")
     emulated = EmulatedRig(rig, 1)
-    monkeypatch.setattr(emulated.plant, "advance", Lever(emulated.plant, scale).advance)
+    weight, shaft, lever = 0.0981, Shaft(0.1 * 0.1**2, 0.004, 1e-3), [0.0, 0.0]
+
+    def advance(command: float, dt: float) -> int:
+        before = int(lever[0] / rig.angle_step)
+        lever[:] = turn(lever[0], lever[1], scale * command - weight, shaft, dt)
+        if not 0.0 < lever[0] < 0.05:
+            lever[:] = min(max(lever[0], 0.0), 0.05), 0.0
+        return abs(int(lever[0] / rig.angle_step) - before)
+
+    monkeypatch.setattr(emulated.plant, "advance", advance)
     monkeypatch.setattr("friction_bench.rig.serial_port.SerialPort", lambda *_: VirtualPort(emulated))
     monkeypatch.chdir(ROOT)
-    exec(re.findall(r"```python\n(from pathlib.*?)```", PAGE, re.DOTALL)[0], {})
+    program = tmp_path / "calibrate.py"
+    program.write_text(re.findall(r"```python\n(from pathlib.*?)```", PAGE, re.DOTALL)[0])
+    runpy.run_path(str(program))
     rows = [tuple(map(int, line.split())) for line in capsys.readouterr().out.splitlines()]
     codes, counts = zip(*rows, strict=True)
     changes = [k for k in range(1, len(rows)) if counts[k] != counts[k - 1]]
     top = codes.index(max(codes))
     up, down = codes[changes[0]], next(codes[k] for k in changes if k > top)
     assert 5 <= up - down <= 15  # the friction, 0.004 Nm, hinders it once and helps once
-    measured = 255 * LEVER[1] / ((up + down) / 2)
-    assert measured == pytest.approx(scale * rig.dac_full_scale, rel=2 * 0.0035)
+    assert 255 * weight / ((up + down) / 2) == pytest.approx(scale * rig.dac_full_scale, rel=2 * 0.0035)
 
 
 def at_torque(player: Player, code: int) -> None:
