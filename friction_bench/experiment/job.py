@@ -16,11 +16,10 @@ from friction_bench.experiment.session import (
     EMULATED,
     LIMITS_SHARE,
     armed,
-    check_options,
+    check_line,
     last_near_limits,
     measuring,
     new_measurement,
-    origin_of,
     refuse_fault,
     sample_columns,
     wait_for_rest,
@@ -30,7 +29,7 @@ from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.messages import Command, RigError, State
 from friction_bench.rig.rig_file import TRAVEL_UNIT, RampPlan, Rig, load_rig
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, IdentificationError
-from rx90_common.base.quoting import one_line, quoted
+from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_common.base.share import SHIPPED_RIG, SOURCE_RIG, resolve_config
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction.friction_file import FrictionFile, refuse_parts
@@ -51,9 +50,14 @@ MAX_REPEATS = 20
 LOADS = {False: "no-load", True: "loaded"}
 _CHOSEN_LOADS = {"none": (False,), "joint": (True,), "both": (False, True)}
 _RIG_OPTIONS = {
-    "port": EMULATED, "load": "both", "slopes": None, "repeats": None, "end_torque": None, "seed": None,
-    "clear": False, "real_time": False,
-}  # fmt: skip
+    "port": EMULATED,
+    "load": "both",
+    "slopes": None,
+    "repeats": None,
+    "end_torque": None,
+    "seed": None,
+    "clear": False,
+}
 """Options with which nothing can be done when old data are read, and their defaults."""
 
 
@@ -189,7 +193,8 @@ def run(options: argparse.Namespace) -> int:
         origin = f"{len(records)} recorded ramps"
     else:
         records = _measure(options, rig, _plan(options, rig))
-        origin = f"{len(records)} ramps on the {origin_of(options)}"
+        measured_by = "emulated rig" if options.port == EMULATED else f"rig at {options.port}"
+        origin = f"{len(records)} ramps on the {measured_by}"
     found = evaluate(records, rig, options.source)
     write_result(out, found, rig, origin)
     print(one_line(f"report: {out / 'report.html'}"))
@@ -213,7 +218,9 @@ def _check(options: argparse.Namespace, base: FrictionFile) -> None:
         raise ConfigError(f"--element is {quoted(options.element)}; accepted: {known}")
     replaced = {options.element: base.elements[options.element]}
     refuse_parts(replaced, "the element that a ramp test replaces", f"{base.path}: elements.")
-    check_options(options)
+    check_line(options.port, options.baud)
+    if options.seed is not None and options.port != EMULATED:
+        raise ConfigError(f"--seed with --port {plain(options.port)}; accepted: with the emulated rig alone")
     if options.no_load_file or options.loaded_file:
         for name, usual in _RIG_OPTIONS.items():
             if getattr(options, name) not in (None, usual):
@@ -244,7 +251,7 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
     records: list[RampRecord] = []
     loads = _CHOSEN_LOADS[options.load]
     seconds = sum(plan.duration(loaded) for loaded in loads)
-    with measuring(options, rig, options.output, seconds, "ramps") as session:
+    with measuring(options, rig, seconds) as session:
         bar = session.bar
 
         def run_one(slope: float, label: str) -> RampRecord:

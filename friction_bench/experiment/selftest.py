@@ -10,7 +10,7 @@ import argparse
 from collections.abc import Callable
 from typing import NamedTuple
 
-from friction_bench.experiment.session import EMULATED, armed
+from friction_bench.experiment.session import EMULATED, armed, check_line
 from friction_bench.rig.client import Port, RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.messages import (
@@ -24,7 +24,7 @@ from friction_bench.rig.messages import (
 )
 from friction_bench.rig.rig_file import CODES, load_rig
 from friction_bench.rig.serial_port import SerialPort
-from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
+from rx90_common.base.errors import DONE, VERDICT_NO
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import resolve_config
 
@@ -205,12 +205,11 @@ def run(options: argparse.Namespace) -> int:
     """
     rig = load_rig(resolve_config(options.rig))
     port: Port
-    if options.port != EMULATED:
-        port = SerialPort(options.port, options.baud or rig.baud)
-    elif options.baud is None:
+    check_line(options.port, options.baud)
+    if options.port == EMULATED:
         port = VirtualPort(EmulatedRig(rig))
     else:
-        raise ConfigError(f"--baud {options.baud} with the emulated rig; accepted: with --port of a serial line")
+        port = SerialPort(options.port, options.baud or rig.baud)
     try:
         checks = self_test(RigClient(port, rig))
     finally:

@@ -253,7 +253,6 @@ CASES = [
         "--tip-tolerance 0.001 with excitation runs; accepted: --torque-tolerance and --total-torque-tolerance",
     ),
     ("friction_ramp", "--port /dev/rig --seed 0", "--seed with --port /dev/rig; accepted: with the emulated rig alone"),
-    ("friction_ramp", "--port /dev/rig --real-time", "--real-time with --port /dev/rig; accepted: with the emulated"),
     ("friction_ramp", "--baud 9600", "--baud 9600 with the emulated rig; accepted: with --port of a serial line"),
     ("friction_ramp", "--no-load-file 0.1:old.csv --repeats 2", "--repeats with old data; accepted: with a rig"),
     ("friction_ramp", "--loaded-file 0.1:old.csv --load joint", "--load with old data; accepted: with a rig"),
