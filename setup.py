@@ -11,7 +11,6 @@ EXECUTABLES = (
     "rx90_cell",
     "friction_bench",
     "friction_ramp",
-    "friction_presliding",
     "friction_rig_emulator",
     "rx90_line",
     "rx90_path",

@@ -35,7 +35,6 @@ COMMANDS = {
     "sweep": "sweep",
     "friction_ramp": "friction_ramp grid",
     "friction_ramp_coverage": "friction_ramp random",
-    "friction_presliding": "friction_presliding",
     "identification": "identification sliding",
     "identification_presliding": "identification presliding",
     "identification_time": "identification_time bags",

@@ -1,14 +1,12 @@
 """Known friction in, known friction out: bias and coverage of the ramp test's estimates.
 
-    python -m benchmarks.friction_ramp grid|random|spread|both [--rigs 200] [--seed 1]
+    python -m benchmarks.friction_ramp grid|random|spread [--rigs 200] [--seed 1]
 
 grid: whole measurements on a grid of emulated rigs with the real firmware, in virtual time, each with a noise of its
 own; also prints what the source's f_c is high by. random: rigs with Coulomb-viscous and with LuGre joints, with
 friction, inertia and noise of their own, measured as the command `friction_ramp` does it, without and with the joint,
 ramps planned from the first one; prints what the source's formula f_c = m b / a gives on the same ramps, and every
-refusal. spread: whole measurements on the source's rig, whose torque and joint differ from ramp to ramp. both: ramps
-in both directions and swings on bipolar rigs with the real firmware, with their amplifiers' gain errors and without;
-takes some 20 s a rig. The ramps of
+refusal. spread: whole measurements on the source's rig, whose torque and joint differ from ramp to ramp. The ramps of
 random and spread are run without firmware and line: the same plant and the same staircase, compiled, so that a ramp
 costs milliseconds instead of seconds. The firmware's ramp in rig.c is written again here in three lines; a test holds
 readings against those of the rig with the real firmware.
@@ -29,10 +27,9 @@ import numpy as np
 
 from benchmarks.report import accepted, arguments, in_processes, print_table
 from friction_bench.experiment.identification import IntervalEstimate, RampFriction, evaluate, identify_ramps
-from friction_bench.experiment.job import SWING_TURNS, SWINGS, plan_from, run_planned, run_ramp
+from friction_bench.experiment.job import plan_from, run_planned, run_ramp
 from friction_bench.experiment.record import RampRecord
 from friction_bench.experiment.session import near_limits
-from friction_bench.experiment.two_way import WAYS, evaluate_all
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort, native_library
 from friction_bench.rig.plant import SLICE, RigJoint, Shaft, joint_record, shaft_of, turn, turn_with_joint
@@ -59,9 +56,6 @@ COVERAGE = (0.90, 0.99)
 BIAS = 0.01
 KINDS = ("Coulomb-viscous", "LuGre")
 SPREAD = "source's rig"
-BOTH = ("bipolar", "bipolar without gain error")
-TWO_WAY_SLOPES = (0.01, 0.025)
-TWO_WAY_REPEATS = 2
 HEAVIEST = 0.11
 """Break-away torque of the heaviest random rigs, Nm: the ramps end at 0.15 and 0.16 Nm."""
 SLICES = 20
@@ -282,16 +276,15 @@ def measure(rig: Rig, seed: int) -> list[RampRecord]:
     return records
 
 
-def truth_of(rig: Rig, loaded: bool, backward: bool = False) -> Array:
-    """Return the true f_c, f_v and J of one direction at the motor."""
+def truth_of(rig: Rig, loaded: bool) -> Array:
+    """Return the true f_c, f_v and J at the motor."""
     assert rig.plant is not None
     shaft = shaft_of(rig, loaded)
     values = np.array([shaft.coulomb, shaft.viscous, shaft.inertia])
     if loaded and isinstance(rig.plant.joint, FrictionElement):
         torque = rig.gear_ratio * rig.gear_efficiency
         joint = rig.plant.joint
-        coulomb = joint.tau_c_negative if backward else joint.tau_c_positive
-        values += coulomb / torque, joint.c2 / (torque * rig.gear_ratio), 0.0
+        values += joint.tau_c_positive / torque, joint.c2 / (torque * rig.gear_ratio), 0.0
     return values
 
 
@@ -327,40 +320,6 @@ def random_experiment(job: tuple[int, int, str]) -> Outcome:
         joint = truths["loaded"] - truths["no-load"]
         note("f_c, joint", result.joint.coulomb, float(joint[0]))
         note("f_v, joint", result.joint.viscous, float(joint[1]))
-    return outcome
-
-
-def two_way_experiment(job: tuple[int, int, str]) -> Outcome:
-    """Measure one bipolar rig under its joint in both directions and through zero, as `friction_ramp` does."""
-    seed, number, kind = job
-    rig = load_rig(config_path("rig/bipolar.yaml"))
-    assert rig.plant is not None
-    if kind != BOTH[0]:
-        rig = replace(rig, plant=replace(rig.plant, gain_error=0.0), scale_uncertainty=0.0)
-    emulated = EmulatedRig(rig, seed + number)
-    client = RigClient(VirtualPort(emulated), rig)
-    client.connect()
-    emulated.plant.load(True)
-    end = rig.ramps.end(True)
-    runs = [
-        (slope, way * end, 0) for way in (1.0, -1.0) for _ in range(TWO_WAY_REPEATS) for slope in TWO_WAY_SLOPES
-    ] + [(max(TWO_WAY_SLOPES), end, SWING_TURNS)] * SWINGS
-    found = evaluate_all([run_ramp(client, *run[:2], True, f"{k}", turns=run[2]) for k, run in enumerate(runs)], rig)
-    outcome = Outcome(refusal="; ".join(found.failures))
-    truth = np.array([truth_of(rig, True, backward) for backward in (False, True)])
-    ramps = [side.parts[0][1].best for side in found.sides]
-    swing = found.swings["loaded"]
-    for name, friction, differences in (
-        ("ramps", ramps, found.differences["loaded"]),
-        ("swings", swing.friction, swing.difference),
-    ):
-        for index, (quantity, field_name) in enumerate((("f_c", "coulomb"), ("f_v", "viscous"))):
-            values = [*truth[:, index], truth[0, index] - truth[1, index]]
-            estimates = [*(getattr(one, field_name) for one in friction), differences[index]]
-            for of, estimate, value in zip((*WAYS, "difference"), estimates, values, strict=True):
-                label = f"{quantity}, {of}, {name}"
-                outcome.errors[label] = (estimate.value - value) / truth[0, index]
-                outcome.hits[label] = bool(estimate.low <= value <= estimate.high)
     return outcome
 
 
@@ -408,8 +367,9 @@ def measure_random(rigs: int, seed: int, kinds: tuple[str, ...]) -> tuple[list[s
     """Print the figures of rigs, so many of each kind; return what is not accepted, and whether all was measured."""
     wrong, rows, whole = [], [], True
     for kind in kinds:
-        run = two_way_experiment if kind in BOTH else random_experiment
-        outcomes = [*in_processes(run, [(seed, number, kind) for number in range(rigs)], kind, 4).values()]
+        outcomes = [
+            *in_processes(random_experiment, [(seed, number, kind) for number in range(rigs)], kind, 4).values()
+        ]
         whole = len(outcomes) == rigs
         names = dict.fromkeys(name for outcome in outcomes for name in outcome.hits)
         for name in sorted(names, key=lambda name: ("source" in name, name)):
@@ -418,13 +378,8 @@ def measure_random(rigs: int, seed: int, kinds: tuple[str, ...]) -> tuple[list[s
             errors = 100 * np.array([outcome.errors[name] for outcome in having])
             most = f"{np.percentile(np.abs(errors), 95):.2f} %"
             rows.append((f"{kind}: {name}", str(len(having)), f"{errors.mean():+.2f} %", most, cover))
-            if "source" not in name and kind not in BOTH and not COVERAGE[0] <= share <= COVERAGE[1] + 0.01:
+            if "source" not in name and not COVERAGE[0] <= share <= COVERAGE[1] + 0.01:
                 wrong.append(f"{kind}: {name}")
-        if kind in BOTH and outcomes:  # too few rigs to judge each estimate
-            share, cover = _covered([hit for outcome in outcomes for hit in outcome.hits.values()])
-            print(f"{kind}: of all intervals {cover} hold")
-            if not COVERAGE[0] <= share <= COVERAGE[1]:
-                wrong.append(f"{kind}: all")
         refusals = [outcome.refusal for outcome in outcomes if outcome.refusal]
         unused = sum(outcome.unused for outcome in outcomes)
         print(f"{kind}: {len(refusals)} of {len(outcomes)} rigs refused, {unused} ramps not used")
@@ -439,13 +394,13 @@ def main() -> int:
     """Measure what is asked for; return 1 if a figure is not what is accepted."""
     options = arguments(
         __doc__,
-        ("what", ("grid", "random", "spread", "both"), "which rigs"),
+        ("what", ("grid", "random", "spread"), "which rigs"),
         ("--rigs", 200, "random ones of each kind"),
         ("--seed", 1, "of random rigs"),
     )
     if options.what == "grid":
         return accepted(*measure_grid())
-    kinds = {"random": KINDS, "spread": (SPREAD,), "both": BOTH}[options.what]
+    kinds = KINDS if options.what == "random" else (SPREAD,)
     return accepted(*measure_random(options.rigs, options.seed, kinds))
 
 

@@ -53,7 +53,7 @@ def processor(drawing: schemdraw.Drawing) -> None:
         drawing, (0, 0), "U1 AT89S52 (89C51)",
         "40 VCC +5V,31 EA +5V,9 RST 10 µF to +5V + 10k to GND,"
         "19 XTAL1 11.0592 MHz + 33 pF,18 XTAL2 11.0592 MHz + 33 pF,"
-        "10 RXD U5 pin 12,11 TXD U5 pin 11,12 INT0 U6 pin 2,13 P3.3 direction (decoder),14 P3.4 STAGE_OFF,20 GND GND",
+        "10 RXD U5 pin 12,11 TXD U5 pin 11,12 INT0 U6 pin 2,13 P3.3,14 P3.4 STAGE_OFF,20 GND GND",
         "1 P1.0 D0,2 P1.1 D1,3 P1.2 D2,4 P1.3 D3,5 P1.4 D4,6 P1.5 D5,7 P1.6 D6,8 P1.7 D7,"
         "21..28 P2.0-7 A0..A7",
     )  # fmt: skip
@@ -159,47 +159,6 @@ def _stage(drawing: schemdraw.Drawing, base: tuple[float, float]) -> None:
     drawing.add(elm.Label().label("+5V", "bottom", fontsize=9))
 
 
-def bridge(drawing: schemdraw.Drawing) -> None:
-    """Draw the bridge that takes the place of TIP120 and motor for torque of both signs."""
-    ends = []
-    for x, way, other, gate in ((0.0, "F", "R", "FORWARD"), (9.0, "R", "F", "BACKWARD")):
-        switch = drawing.add(
-            elm.PFet().at((x, 0)).anchor("drain").theta(0).reverse().label(f"Q4{way} IRF9540N", "right", fontsize=9)
-        )
-        drawing.add(elm.Vdd().at(switch.source).label("+24V"))
-        drawing.add(elm.Line().at(switch.gate).left().length(0.4))
-        node = drawing.add(elm.Dot()).center
-        drawing.add(elm.Resistor().at(node).up().length(1.6).label("1.0k, 12 V Zener", "top", fontsize=9))
-        drawing.add(elm.Label().label("+24V", "top", fontsize=9))
-        drawing.add(elm.Resistor().at(node).down().length(1.6).label("1.0k", "top", fontsize=9))
-        drawing.add(elm.Label().label(f"2N7000, gate: {gate}", "left", fontsize=9))
-        low = drawing.add(elm.Dot().at((x, -3.4)))
-        drawing.add(elm.Line().at(switch.drain).to(low.center))
-        lower = drawing.add(
-            elm.BjtNpn().at((x, -4.6)).anchor("collector").theta(0).label(f"Q1{other} TIP120", "right", fontsize=9)
-        )
-        drawing.add(elm.Line().at(low.center).to(lower.collector))
-        drawing.add(elm.Line().at(lower.base).left().length(0.4))
-        base = drawing.add(elm.Dot()).center
-        drawing.add(elm.Resistor().at(base).left().length(1.8).label("R7 1.0k", "top", fontsize=9))
-        drawing.add(elm.Label().label("U4B", "left", fontsize=9))
-        idle = "BACKWARD" if other == "F" else "FORWARD"
-        drawing.add(elm.Line().at(base).down().length(0.9))
-        drawing.add(elm.Label().label(f"Q2{other} to GND:\n10k STAGE_OFF\n10k {idle}", "left", fontsize=9))
-        drawing.add(elm.Line().at(lower.emitter).down().length(1.8))
-        ends.append((low.center, drawing.here))
-    (left, first), (right, second) = ends
-    drawing.add(elm.Motor().at(left).to(right).label("M", "center").label("left: motor +", "top", fontsize=9))
-    drawing.add(elm.Line().at(first).to(second))
-    drawing.add(elm.Dot().at(second))
-    drawing.add(elm.Line().at(second).right().length(1.2))
-    drawing.add(elm.Label().label("SENSE", "right", fontsize=9))
-    drawing.add(elm.Resistor().at(second).down().length(2).label("RS 0.100 Ω 5 W 1 %", "bottom", fontsize=9))
-    drawing.add(elm.Ground())
-    text = "D1 to D4 SB560: each motor terminal to +24V, and from GND; 470 µF 50 V from +24V to GND"
-    drawing.add(elm.Label().at((-2, 3.4)).label(text, "right", fontsize=9))
-
-
 def _sensing(drawing: schemdraw.Drawing) -> None:
     """Draw the sense amplifier, four wires to its resistor, and the ADC's reference."""
     third = _amplifier(drawing, (0.6, -6.6), "U4C")
@@ -243,7 +202,7 @@ def nano(drawing: schemdraw.Drawing) -> None:
     """Draw the board of today: Arduino Nano, resistor ladder, DRV8874 carrier."""
     _chip(
         drawing, (0, 0), "U1 Arduino Nano",
-        "- USB host,- VIN 7-9V,- D2 encoder A,- D3 direction (decoder),- D12 STAGE_OFF,- A0 VADC,- GND GND,- 5V +5V",
+        "- USB host,- VIN 7-9V,- D2 encoder A,- D3,- D12 STAGE_OFF,- A0 VADC,- GND GND,- 5V +5V",
         "- D4 b0,- D5 b1,- D6 b2,- D7 b3,- D8 b4,- D9 b5,- D10 b6,- D11 b7",
     )  # fmt: skip
     _chip(
@@ -298,9 +257,9 @@ def nano(drawing: schemdraw.Drawing) -> None:
 
 
 def main() -> None:
-    """Draw all four."""
+    """Draw all three."""
     schemdraw.use("svg")
-    drawings = (processor, "rig_8051"), (power, "rig_power"), (bridge, "rig_bridge"), (nano, "rig_nano")
+    drawings = (processor, "rig_8051"), (power, "rig_power"), (nano, "rig_nano")
     for draw, name in drawings:
         with schemdraw.Drawing(
             file=str(IMAGES / f"{name}.svg"), show=False, fontsize=10, unit=2, bgcolor="white"

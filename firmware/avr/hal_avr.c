@@ -1,10 +1,10 @@
 /* ATmega328P at 16 MHz (an Arduino Uno or Nano). Pins, by Arduino number:
- *   0, 1    UART            2      encoder A (INT0), or the decoder's pulse; 3 its direction, high is forward
+ *   0, 1    UART            2      encoder A (INT0)
  *   4 .. 7  DAC bits 0..3   8..11  DAC bits 4..7
  *   12      power stage enable, active low, with a pull-up: off while the pins float after a reset
- *   A0      current sense           A1     a bipolar stage's direction, high is forward
- * Enable, direction of the stage and current sense can be given to the compiler: -DSTAGE_PIN=16 -DREVERSE_PIN=17
- * -DADC_CHANNEL=6; the rest is wired to the processor's own functions. */
+ *   A0      current sense
+ * Enable and current sense can be given to the compiler: -DSTAGE_PIN=16 -DADC_CHANNEL=6; the rest is wired to the
+ * processor's own functions. */
 #include "hal.h"
 
 #include "rig.h"
@@ -18,9 +18,6 @@
 #define RX_RING 32u
 #ifndef STAGE_PIN
 #define STAGE_PIN 12        /* Arduino's number; 14 to 19 are A0 to A5 */
-#endif
-#ifndef REVERSE_PIN
-#define REVERSE_PIN 15      /* Arduino's number: A1 */
 #endif
 #ifndef ADC_CHANNEL
 #define ADC_CHANNEL 0       /* A0 */
@@ -37,10 +34,6 @@
 #else
 #error "STAGE_PIN: accepted are 12 and 14 to 19, but not the one of ADC_CHANNEL"
 #endif
-#if BIPOLAR && (REVERSE_PIN < 14 || REVERSE_PIN > 19 || REVERSE_PIN == STAGE_PIN || REVERSE_PIN - 14 == ADC_CHANNEL)
-#error "REVERSE_PIN: accepted are 14 to 19, but neither STAGE_PIN nor the one of ADC_CHANNEL"
-#endif
-#define FORWARD_BIT _BV(REVERSE_PIN - 14)
 #if ADC_CHANNEL < 0 || ADC_CHANNEL > 7
 #error "ADC_CHANNEL: accepted are 0 to 7, A0 to A7"
 #endif
@@ -66,12 +59,6 @@ void stop_watchdog(void)
 
 ISR(INT0_vect)
 {
-#if COUNTS_DOWN
-    if (!(PIND & _BV(PD3))) {
-        edges--;
-        return;
-    }
-#endif
     edges++;
 }
 
@@ -112,17 +99,6 @@ void hal_dac(uint8_t code)
     PORTB = (uint8_t)((PORTB & 0xf0) | (code >> 4));
 }
 
-#if BIPOLAR
-/* The driver has a dead time of its own, and would need a millisecond to wake: it is not switched off for this. */
-void hal_reverse(uint8_t backward)
-{
-    if (backward)
-        PORTC &= (uint8_t)~FORWARD_BIT;
-    else
-        PORTC |= FORWARD_BIT;
-}
-#endif
-
 void hal_stage(uint8_t on)
 {
     if (on)
@@ -162,10 +138,6 @@ static void start_peripherals(void)
     STAGE_PORT |= STAGE_BIT;               /* before its direction: never low */
     STAGE_DDR |= STAGE_BIT;
     DDRB |= 0x0f;
-#if BIPOLAR
-    PORTC |= FORWARD_BIT;
-    DDRC |= FORWARD_BIT;
-#endif
     PORTD = _BV(PD2);                      /* pull-up for an open-collector encoder */
     DDRD = 0xf0;
     EICRA = _BV(ISC01) | _BV(ISC00);       /* rising edge */

@@ -20,7 +20,6 @@ extern uint16_t hal_tick_number;  /* counted by the interrupt, not by the main l
 extern uint16_t hal_tick_counts;  /* free-running encoder count, 16 bits */
 
 void hal_dac(uint8_t code);
-void hal_reverse(uint8_t backward); /* a bipolar stage's direction; the DAC is at zero meanwhile */
 void hal_stage(uint8_t on);       /* the power stage's enable; off must be what a reset leaves */
 uint8_t hal_adc(void);            /* latest current reading */
 

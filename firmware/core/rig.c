@@ -22,11 +22,6 @@ static uint8_t adc;
 static uint16_t level;           /* ramp's torque, 1/256 code */
 static uint16_t slope;           /* 1/256 code per tick */
 static uint8_t ramp_end;
-#if BIPOLAR
-static bool backward;            /* what the direction line says */
-static bool falling;             /* the ramp goes towards zero */
-static uint8_t turns;            /* of the ramp that are still to come */
-#endif
 #if HOLD_TICKS
 static uint8_t held;             /* ticks at the ramp's end */
 #endif
@@ -44,17 +39,6 @@ static void drive(uint8_t code)
     hal_dac(code);
 }
 
-#if BIPOLAR
-/* No code may stand on the DAC while the direction changes: it would be torque of the wrong sign. */
-static void steer(bool back)
-{
-    if (back == backward)
-        return;
-    backward = back;
-    drive(0);
-    hal_reverse(back);
-}
-#endif
 
 static void power_off(uint8_t next_state)
 {
@@ -72,10 +56,6 @@ static void trip(uint8_t bit)
 void rig_reset(uint8_t cause)
 {
     power_off(DISARMED);
-#if BIPOLAR
-    backward = 1;
-    steer(0);
-#endif
     frame_reset();
     fault = 0;
     hello_seen = 0;
@@ -118,11 +98,6 @@ static uint8_t set_torque(uint8_t code)
         return RESULT_STATE;
     if (code > TORQUE_LIMIT_CODE)
         return RESULT_RANGE;
-#if BIPOLAR
-    if (frame_rx[3] > 1u)
-        return RESULT_RANGE;
-    steer(frame_rx[3]);
-#endif
     drive(code);
     return RESULT_OK;
 }
@@ -134,11 +109,6 @@ static uint8_t start_ramp(uint16_t step)
         return RESULT_STATE;
     if (end == 0 || end > TORQUE_LIMIT_CODE || step == 0 || step > 0x1000u)
         return RESULT_RANGE;
-#if BIPOLAR
-    steer((frame_rx[5] & WAY_BACKWARD) != 0);
-    turns = frame_rx[5] & (uint8_t)~WAY_BACKWARD;
-    falling = 0;
-#endif
     slope = step;
     ramp_end = end;
 #if HOLD_TICKS
@@ -167,9 +137,9 @@ static uint8_t payload_length(uint8_t type)
     case HELLO:
         return 1;
     case TORQUE:
-        return 1 + BIPOLAR;
+        return 1;
     case RAMP:
-        return 3 + BIPOLAR;
+        return 3;
     case LIMITS:
         return 4;
     default:
@@ -243,25 +213,13 @@ static void on_frame(void)
 /* Since arming, in units of 256 counts. */
 static uint16_t travelled(void)
 {
-    uint16_t distance = (uint16_t)((uint16_t)(counts >> 8) - travel_start);
-#if COUNTS_DOWN
-    if (distance & 0x8000u)
-        distance = (uint16_t)(0u - distance);
-#endif
-    return distance;
+    return (uint16_t)((uint16_t)(counts >> 8) - travel_start);
 }
 
-/* Advances the counts to those of the tick; returns how many there were, in either direction. */
+/* Advances the counts to those of the tick; returns how many there were. */
 static uint16_t count(void)
 {
     uint16_t moved = (uint16_t)(hal_tick_counts - (uint16_t)counts);
-#if COUNTS_DOWN
-    if (moved & 0x8000u) {
-        moved = (uint16_t)(0u - moved);
-        counts -= moved;
-        return moved;
-    }
-#endif
     counts += moved;
     return moved;
 }
@@ -289,33 +247,9 @@ static void advance_ramp(void)
     hal_stage(0);
     hal_stage(1);
 #endif
-#if BIPOLAR
-    if (falling) {
-        if (level >= (uint16_t)(slope + 0x80u)) {
-            level -= slope;
-            drive((uint8_t)(level >> 8));
-            return;
-        }
-        level = (uint16_t)(slope + 0x100u - level); /* through zero: as much beyond it as was to come */
-        falling = 0;
-        steer(!backward);
-    }
-#endif
     if ((uint8_t)(level >> 8) >= ramp_end) {
 #if HOLD_TICKS
         if (held++ < HOLD_TICKS) {
-            drive(ramp_end);
-            return;
-        }
-#endif
-#if BIPOLAR
-        if (turns) {
-            turns--;
-            falling = 1;
-#if HOLD_TICKS
-            held = 0;
-#endif
-            level = (uint16_t)((uint16_t)ramp_end << 8 | 0x80u);
             drive(ramp_end);
             return;
         }
@@ -347,8 +281,7 @@ static void send_hello(void)
     put16(12, ADC_FULL_SCALE);
     frame_tx[14] = TORQUE_LIMIT_CODE;
     frame_tx[15] = WATCHDOG_TICKS;
-    frame_tx[16] = (BIPOLAR ? BUILT_BIPOLAR : 0u) | (COUNTS_DOWN ? BUILT_COUNTS_DOWN : 0u)
-                   | (PULSED ? BUILT_PULSED : 0u) | (SCALE_UNIT == 100u ? BUILT_COARSE : 0u);
+    frame_tx[16] = (PULSED ? BUILT_PULSED : 0u) | (SCALE_UNIT == 100u ? BUILT_COARSE : 0u);
     frame_tx[17] = HOLD_TICKS;
     frame_send(17);
 }
@@ -364,9 +297,6 @@ static void send_report(void)
     frame_tx[9] = adc;
     frame_tx[10] = (uint8_t)(state | (hello_seen ? STATUS_HELLO : 0u)
                              | (state == ARMED || state == RAMPING ? STATUS_STAGE : 0u)
-#if BIPOLAR
-                             | (backward ? STATUS_BACKWARD : 0u)
-#endif
                              | (ramp_done ? STATUS_RAMP_DONE : 0u));
     frame_tx[11] = fault;
     frame_tx[12] = ack_sequence;

@@ -15,12 +15,8 @@ enum result {
 #define STATUS_HELLO 0x04u
 #define STATUS_STAGE 0x08u
 #define STATUS_RAMP_DONE 0x10u
-#define STATUS_BACKWARD 0x20u
-#define BUILT_BIPOLAR 0x01u
-#define BUILT_COUNTS_DOWN 0x02u
 #define BUILT_PULSED 0x04u
 #define BUILT_COARSE 0x08u      /* full scales in units of 100 uNm instead of 10 */
-#define WAY_BACKWARD 0x80u    /* of a bipolar rig's RAMP, beside the number of turns */
 #define FAULT_WATCHDOG 0x01u
 #define FAULT_CURRENT 0x02u
 #define FAULT_TRAVEL 0x04u

@@ -1,6 +1,6 @@
 /* What this rig's firmware is built for. The host reads scales and figures from the HELLO reply and refuses to arm
  * a rig whose figures differ from its rig file. Each may be given to the compiler instead of being edited here:
- * make firmware DEFINES="-DCOUNTS_PER_REV=10000u -DCOUNTS_DOWN=1 -DMAX_SPEED=986u"
+ * make firmware DEFINES="-DCOUNTS_PER_REV=1000u -DMAX_SPEED=800u"
  * The table of them all, pins included, is in docs/howto/rig_build.md. */
 #ifndef RIG_CONFIG_H
 #define RIG_CONFIG_H
@@ -9,12 +9,6 @@
 
 #ifndef COUNTS_PER_REV
 #define COUNTS_PER_REV 504u       /* rising edges of encoder channel A, motor shaft */
-#endif
-#ifndef COUNTS_DOWN
-#define COUNTS_DOWN 0             /* 1: a decoder gives a pulse and a direction, and the counts go down backwards */
-#endif
-#ifndef BIPOLAR
-#define BIPOLAR 0                 /* 1: a stage for torque of both signs, the DAC's code and a direction line */
 #endif
 #define TICK_US 20000u            /* one report per tick; the timers of both boards count it: not to be given */
 #ifndef SCALE_UNIT
@@ -68,17 +62,14 @@
 #if SCALE_UNIT != 10 && SCALE_UNIT != 100
 #error "SCALE_UNIT: accepted are 10 and 100, in uNm"
 #endif
-#if (COUNTS_DOWN != 0 && COUNTS_DOWN != 1) || (BIPOLAR != 0 && BIPOLAR != 1) || (PULSED != 0 && PULSED != 1)
-#error "COUNTS_DOWN, BIPOLAR, PULSED: accepted are 0 and 1"
+#if PULSED != 0 && PULSED != 1
+#error "PULSED: accepted are 0 and 1"
 #endif
 #if COUNTS_PER_REV < 1 || COUNTS_PER_REV > 65535
 #error "COUNTS_PER_REV: accepted are 1 to 65535"
 #endif
 #if HOLD_TICKS > 254
 #error "HOLD_TICKS: accepted are 0 to 254"
-#endif
-#if BIPOLAR && !COUNTS_DOWN
-#error "BIPOLAR: accepted with COUNTS_DOWN=1, because a motor that turns back must count down"
 #endif
 #if MAX_SPEED < 1 || MAX_SPEED > 32767 || MAX_TRAVEL < 1 || MAX_TRAVEL > 32767
 #error "MAX_SPEED, MAX_TRAVEL: accepted are 1 to 32767"

@@ -1,11 +1,9 @@
 /* 89C51 or AT89S52 at 11.0592 MHz. Pins:
  *   P1    DAC0808                P2    ADC0804 in its self-clocking connection (WR tied to INTR)
- *   P3.0  RXD   P3.1  TXD        P3.2  encoder A (INT0, falling edge of the inverted signal), or the decoder's pulse
- *   P3.3  the decoder's direction, high is forward
+ *   P3.0  RXD   P3.1  TXD        P3.2  encoder A (INT0, falling edge of the inverted signal)
  *   P3.4  power stage enable, active low: a reset sets all ports high, so off
- *   P3.5  a bipolar stage's direction, high is forward, as a reset leaves it
- * DAC, ADC, directions and enable can be given to the compiler: -DSTAGE_OFF=P3_5; the rest is wired to the processor's
- * own functions. */
+ * DAC, ADC and enable can be given to the compiler: -DSTAGE_OFF=P3_5; the rest is wired to the processor's own
+ * functions. */
 #include <8051.h>
 #include <stdbool.h>
 
@@ -17,28 +15,14 @@
 #ifndef STAGE_OFF
 #define STAGE_OFF P3_4
 #endif
-#ifndef FORWARD
-#define FORWARD P3_5
-#endif
-#ifndef DEAD_TIME_US
-#define DEAD_TIME_US 50u     /* for which a bipolar stage is off, at least, before its direction changes and after */
-#endif
-#if DEAD_TIME_US < 3 || DEAD_TIME_US > 700
-#error "DEAD_TIME_US: accepted are 3 to 700"
-#endif
-#ifndef DIRECTION
-#define DIRECTION P3_3
-#endif
 #ifndef DAC_PORT
 #define DAC_PORT P1
 #endif
 #ifndef ADC_PORT
 #define ADC_PORT P2
 #endif
-/* The assembler's name of a bit is that of C with an underscore before it. */
+/* DAC and ADC on one port would drive against each other. */
 #define JOINED(a, b) a##b
-#define SYMBOL(name) JOINED(_, name)
-/* Two outputs on one pin, or DAC and ADC on one port, would drive against each other. */
 #define NUMBER(name) JOINED(IS_, name)
 #define IS_P0 1
 #define IS_P1 2
@@ -51,14 +35,8 @@
 #if !NUMBER(DAC_PORT) || !NUMBER(ADC_PORT) || NUMBER(DAC_PORT) == NUMBER(ADC_PORT)
 #error "DAC_PORT, ADC_PORT: accepted are P0, P1 and P2, one for each"
 #endif
-#if !NUMBER(STAGE_OFF) || (COUNTS_DOWN && (!NUMBER(DIRECTION) || NUMBER(DIRECTION) == NUMBER(STAGE_OFF)))
-#error "STAGE_OFF, DIRECTION: accepted are P3_3 to P3_7, one for each"
-#endif
-#if BIPOLAR && (!NUMBER(FORWARD) || NUMBER(FORWARD) == NUMBER(STAGE_OFF) || NUMBER(FORWARD) == NUMBER(DIRECTION))
-#error "FORWARD: accepted are P3_3 to P3_7, but neither STAGE_OFF nor DIRECTION"
-#endif
-#if BIPOLAR && HOLD_TICKS
-#error "HOLD_TICKS: accepted without BIPOLAR, because the RAM does not hold both (the AVR's does: make -C firmware avr)"
+#if !NUMBER(STAGE_OFF)
+#error "STAGE_OFF: accepted are P3_3 to P3_7"
 #endif
 
 __sfr __at(0xa6) WDTRST;     /* AT89S52's watchdog; a write the 89C51 does not notice */
@@ -86,21 +64,10 @@ unsigned char _sdcc_external_startup(void)
 /* 20,000 edges a second leave 46 cycles each: two instructions, no register, no flag. */
 void encoder_isr(void) __interrupt(0) __naked
 {
-#if COUNTS_DOWN
-    __asm
-        jb SYMBOL(DIRECTION), 00001$
-        dec _edges
-        reti
-    00001$:
-        inc _edges
-        reti
-    __endasm;
-#else
     __asm
         inc _edges
         reti
     __endasm;
-#endif
 }
 
 /* Timer 0 in mode 2 overflows every 256 cycles by itself; 72 overflows are 18432 cycles, 20 ms to
@@ -123,11 +90,7 @@ void five_milliseconds(void) __interrupt(7)
 {
     uint8_t now = edges;
     sub_ticks = 18;
-#if COUNTS_DOWN
-    hal_tick_counts += (uint16_t)(int8_t)(now - last_edges); /* 127 either way in 5 ms: 25,400 a second */
-#else
     hal_tick_counts += (uint8_t)(now - last_edges);
-#endif
     last_edges = now;
     if (--quarter)
         return;
@@ -161,37 +124,7 @@ uint8_t hal_tick(void)
 }
 
 void hal_dac(uint8_t code) { DAC_PORT = code; }
-#if BIPOLAR
-static bool stage_on;
-
-/* A turn of the loop takes at least three cycles of 1.085 us. */
-static void wait(void)
-{
-    uint8_t turns = DEAD_TIME_US / 3u + 1u;
-    do {
-        __asm__("nop");
-    } while (--turns);
-}
-
-/* No two transistors of one branch of the bridge may be on: the stage is off around the change. */
-void hal_reverse(uint8_t backward)
-{
-    STAGE_OFF = 1;
-    wait();
-    FORWARD = !backward;
-    wait();
-    STAGE_OFF = !stage_on;
-}
-#endif
-
-void hal_stage(uint8_t on)
-{
-#if BIPOLAR
-    stage_on = on;
-#endif
-    STAGE_OFF = !on;
-}
-
+void hal_stage(uint8_t on) { STAGE_OFF = !on; }
 uint8_t hal_adc(void) { return ADC_PORT; }
 uint8_t hal_rx_ready(void) { return rx_tail != rx_head; }
 

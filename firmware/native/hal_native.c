@@ -22,7 +22,7 @@ static struct line to_rig, from_rig;
 static uint16_t counter;
 static uint32_t elapsed_us, next_tick_us;
 static uint32_t byte_us, rx_credit_us, tx_credit_us; /* the line carries a byte in byte_us */
-static uint8_t dac, stage, adc, reversed;
+static uint8_t dac, stage, adc;
 static uint8_t switched;           /* the stage came on since the host last asked */
 
 static void push(struct line *line, uint8_t byte)
@@ -46,7 +46,6 @@ uint8_t hal_tick(void)
 }
 
 void hal_dac(uint8_t code) { dac = code; }
-void hal_reverse(uint8_t backward) { reversed = backward; }
 
 void hal_stage(uint8_t on)
 {
@@ -85,7 +84,6 @@ void native_power_up(uint32_t baud, uint8_t cause)
     hal_tick_counts = 0;
     adc = 0;
     dac = 0xff;
-    reversed = 0;
     stage = 0;
     switched = 0;
     rig_reset(cause);
@@ -126,7 +124,6 @@ void native_run(uint32_t us, uint16_t edges, uint8_t reading)
 
 uint8_t native_dac(void) { return dac; }
 uint8_t native_stage(void) { return stage; }
-uint8_t native_reversed(void) { return reversed; }
 
 uint8_t native_switched(void)
 {

@@ -397,7 +397,6 @@ class RampTestResult:
         joint, comparison: None if they cannot be computed.
         failures: the reason for each load that was run without an estimate, one line each.
         as_source: by the source's own evaluation, if it was requested.
-        way: the direction, if there are two.
     """
 
     parts: list[tuple[str, RampIdentification]]
@@ -405,7 +404,6 @@ class RampTestResult:
     comparison: FourWay | None
     failures: tuple[str, ...] = ()
     as_source: SourceEvaluation | None = None
-    way: str = ""
 
     @property
     def written(self) -> tuple[IntervalEstimate, IntervalEstimate]:
@@ -416,7 +414,7 @@ class RampTestResult:
     @property
     def unphysical(self) -> tuple[str, ...]:
         """Return the invalid values among the joint's estimates, or those of the only load: value, cause and remedy."""
-        of = f"the joint's{' ' * bool(self.way)}{self.way}" if self.joint is not None else f"the {self.parts[0][0]}"
+        of = "the joint's" if self.joint is not None else f"the {self.parts[0][0]}"
         single = [name for name, part in self.parts if part.exact is None]
         if single:
             remedy = (
@@ -433,14 +431,13 @@ class RampTestResult:
         )
 
 
-def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False, way: str = "") -> RampTestResult:
+def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -> RampTestResult:
     """Identify friction from all ramps of a measurement, and compare one ramp with the models.
 
     Args:
         records: all ramps.
         rig: on which they were run.
         as_source: also evaluate them as the source does.
-        way: their direction, in the names of the loads.
 
     Raises:
         IdentificationError: if no load carries an estimate.
@@ -449,14 +446,13 @@ def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False, w
     names, parts, refusals = _usable(
         [name for name in loads if loads[name]], lambda name: identify_ramps(loads[name], rig.scale_uncertainty)
     )
-    names = [f"{name} {way}".rstrip() for name in names]
     if not parts:
         raise refusals[0] if refusals else IdentificationError("no ramp to identify from")
     joint = joint_friction(parts[0], parts[1], rig) if len(parts) == 2 else None
     comparison = _compare_models(parts[-1], rig)
     by_source = evaluate_as_source(loads) if as_source else None
     named = list(zip(names, parts, strict=True))
-    return RampTestResult(named, joint, comparison, tuple(map(str, refusals)), by_source, way)
+    return RampTestResult(named, joint, comparison, tuple(map(str, refusals)), by_source)
 
 
 def _compare_models(part: RampIdentification, rig: Rig) -> FourWay | None:

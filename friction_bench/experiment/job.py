@@ -9,28 +9,27 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from friction_bench.experiment.identification import evaluate
 from friction_bench.experiment.record import INSTANTANEOUS, RampRecord, read_csv, read_text, sliding_window, write_csv
 from friction_bench.experiment.report import write_friction, write_result
 from friction_bench.experiment.session import (
     EMULATED,
     LIMITS_SHARE,
     armed,
-    check_options,
+    check_line,
     last_near_limits,
     measuring,
     new_measurement,
-    origin_of,
     refuse_fault,
     sample_columns,
     wait_for_rest,
 )
 from friction_bench.experiment.sliding_fit import fit_sliding
-from friction_bench.experiment.two_way import WAYS, evaluate_all
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.messages import Command, RigError, State
 from friction_bench.rig.rig_file import TRAVEL_UNIT, RampPlan, Rig, load_rig
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, IdentificationError
-from rx90_common.base.quoting import one_line, quoted
+from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_common.base.share import SHIPPED_RIG, SOURCE_RIG, resolve_config
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction.friction_file import FrictionFile, refuse_parts
@@ -48,16 +47,17 @@ SLOPE_RATIO = 2.5
 MIN_SLIDING_READINGS = 300
 """Fewest readings of a sliding shaft at the fastest slope, all repeats together."""
 MAX_REPEATS = 20
-SWING_TURNS = 4
-"""Number of times the torque of a swing goes to its opposite end: two hysteresis loops."""
-SWINGS = 2
-"""Under each load."""
 LOADS = {False: "no-load", True: "loaded"}
 _CHOSEN_LOADS = {"none": (False,), "joint": (True,), "both": (False, True)}
 _RIG_OPTIONS = {
-    "port": EMULATED, "load": "both", "slopes": None, "repeats": None, "end_torque": None, "seed": None,
-    "clear": False, "real_time": False,
-}  # fmt: skip
+    "port": EMULATED,
+    "load": "both",
+    "slopes": None,
+    "repeats": None,
+    "end_torque": None,
+    "seed": None,
+    "clear": False,
+}
 """Options with which nothing can be done when old data are read, and their defaults."""
 
 
@@ -68,13 +68,11 @@ def run_ramp(
     loaded: bool,
     label: str,
     on_sample: Callable[[Sample], None] = lambda _: None,
-    turns: int = 0,
 ) -> RampRecord:
     """Arm the rig, run one ramp of `slope` Nm/s up to `end_torque` Nm and return its record.
 
     A ramp that comes near the limits of travel or speed is ended there. The rig is disarmed again when this returns,
-    and stopped when it raises. On a bipolar rig an end torque below 0 makes a ramp backward, and one with turns goes on
-    to the opposite end so many times: a swing.
+    and stopped when it raises.
 
     Raises:
         RigError: refused, faulted, lost or reset.
@@ -84,17 +82,21 @@ def run_ramp(
     end = client.end_code(end_torque)  # refused before anything is switched on
     wait_for_rest(client)
     with armed(client):
-        samples = _follow(client, client.start_ramp(slope, end_torque, turns), on_sample)
-    if not turns:
-        samples = [sample for sample in samples if abs(sample.report.dac) < abs(end)]  # a held end torque is no ramp
+        samples = _follow(client, client.start_ramp(slope, end_torque), on_sample)
+    samples = [sample for sample in samples if sample.report.dac < end]  # a held end torque is no ramp
     if len(samples) < 2:
         raise RigError(f"{label}: {len(samples)} readings during the ramp; accepted: at least 2")
     ticks, counts, dac, adc = sample_columns(samples)
-    backward = end < 0 and not turns
-    time, angle = ticks * rig.tick - samples[0].time, (counts - counts[0]) * rig.angle_step
-    torques = rig.torque(dac), rig.measured_torque(adc)
-    record = RampRecord(time, angle, slope, rig.angle_step, *torques, loaded, label, backward, turns > 0)
-    return record.counted(-1.0 if backward else 1.0)
+    return RampRecord(
+        time=ticks * rig.tick - samples[0].time,
+        angle=(counts - counts[0]) * rig.angle_step,
+        slope=slope,
+        angle_step=rig.angle_step,
+        torque=rig.torque(dac),
+        measured_torque=rig.measured_torque(adc),
+        loaded=loaded,
+        label=label,
+    )
 
 
 def _follow(client: RigClient, first: list[Sample], on_sample: Callable[[Sample], None]) -> list[Sample]:
@@ -191,18 +193,18 @@ def run(options: argparse.Namespace) -> int:
         origin = f"{len(records)} recorded ramps"
     else:
         records = _measure(options, rig, _plan(options, rig))
-        origin = f"{len(records)} ramps on the {origin_of(options)}"
-    found = evaluate_all(records, rig, options.source)
-    sides = found.sides
+        measured_by = "emulated rig" if options.port == EMULATED else f"rig at {options.port}"
+        origin = f"{len(records)} ramps on the {measured_by}"
+    found = evaluate(records, rig, options.source)
     write_result(out, found, rig, origin)
     print(one_line(f"report: {out / 'report.html'}"))
-    if found.failures or any(side.failures for side in sides):
+    if found.failures:
         print("parameters for rx90_sim: not written, as a load carries no estimate", file=sys.stderr)
         return VERDICT_NO
     for text in found.unphysical:
         print(one_line(f"not physical: {text}"), file=sys.stderr)
-    if all(side.written[0].value > 0.0 for side in sides):
-        write_friction(out / "friction.yaml", sides, options.element, base)
+    if found.written[0].value > 0.0:
+        write_friction(out / "friction.yaml", found, options.element, base)
         print(one_line(f"parameters for rx90_sim: {out / 'friction.yaml'}"))
     else:
         print("parameters for rx90_sim: not written, as the Coulomb friction is not positive", file=sys.stderr)
@@ -216,7 +218,9 @@ def _check(options: argparse.Namespace, base: FrictionFile) -> None:
         raise ConfigError(f"--element is {quoted(options.element)}; accepted: {known}")
     replaced = {options.element: base.elements[options.element]}
     refuse_parts(replaced, "the element that a ramp test replaces", f"{base.path}: elements.")
-    check_options(options)
+    check_line(options.port, options.baud)
+    if options.seed is not None and options.port != EMULATED:
+        raise ConfigError(f"--seed with --port {plain(options.port)}; accepted: with the emulated rig alone")
     if options.no_load_file or options.loaded_file:
         for name, usual in _RIG_OPTIONS.items():
             if getattr(options, name) not in (None, usual):
@@ -230,8 +234,6 @@ def _check(options: argparse.Namespace, base: FrictionFile) -> None:
 def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
     if options.source and options.slopes:
         raise ConfigError("--slopes with --source; accepted: the rig file's, the first no-load, the second loaded")
-    if options.source and rig.bipolar:
-        raise ConfigError(f"--source on {rig.file.name}, a bipolar rig; accepted: a unipolar one, as the source's")
     slopes = tuple(options.slopes or rig.ramps.slopes)
     torque = options.end_torque
     if torque is not None and not 0.0 < torque <= rig.dac_full_scale:
@@ -248,13 +250,13 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
     """Run the ramps of all loads; each is written as a CSV file when it ends."""
     records: list[RampRecord] = []
     loads = _CHOSEN_LOADS[options.load]
-    seconds = sum(_seconds(plan, rig, loaded) for loaded in loads)
-    with measuring(options, rig, options.output, seconds, "ramps") as session:
+    seconds = sum(plan.duration(loaded) for loaded in loads)
+    with measuring(options, rig, seconds) as session:
         bar = session.bar
 
-        def one(slope: float, label: str, way: float = 1.0, turns: int = 0) -> RampRecord:
+        def run_one(slope: float, label: str) -> RampRecord:
             bar.set_postfix_str(label, refresh=False)
-            record = run_ramp(session.client, slope, way * plan.end(loaded), loaded, label, session.keep, turns)
+            record = run_ramp(session.client, slope, plan.end(loaded), loaded, label, session.keep)
             records.append(record)
             write_csv(record, options.output / f"ramp_{len(records):02d}.csv")
             return record
@@ -268,39 +270,18 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
             if chosen != plan:
                 text = f"{' and '.join(f'{slope:g}' for slope in slopes)} Nm/s, {chosen.repeats} repeats"
                 bar.write(f"{LOADS[loaded]}: {text}, by the first ramp", sys.stderr)
-                bar.total = round(bar.total + _seconds(chosen, rig, loaded) - _seconds(plan, rig, loaded), 1)
-            run_all.append(chosen)
+                bar.total = round(bar.total + chosen.duration(loaded) - plan.duration(loaded), 1)
             return chosen
-
-        def back_and_through_zero(chosen: RampPlan) -> None:
-            name = LOADS[loaded]
-            for repeat in range(1, chosen.repeats + 1):
-                for slope in sorted(chosen.slopes):
-                    one(slope, f"{name} {WAYS[1]} {slope:g} Nm/s #{repeat}", -1.0)
-            for repeat in range(1, SWINGS + 1):
-                slope = max(chosen.slopes)
-                one(slope, f"{name} through zero {slope:g} Nm/s #{repeat}", turns=SWING_TURNS)
 
         for loaded in loads:
             session.couple(loaded)
             try:
                 planned = replace(plan, slopes=(plan.slopes[loaded],)) if options.source else plan
-                run_all: list[RampPlan] = []
-                run_planned(one, planned, loaded, choose)
-                if rig.bipolar:
-                    back_and_through_zero(run_all[0])
+                run_planned(run_one, planned, loaded, choose)
             except IdentificationError as error:  # earlier measurements are on disk, and are evaluated
                 bar.write(f"{error}; no more ramps", sys.stderr)
                 break
     return records
-
-
-def _seconds(plan: RampPlan, rig: Rig, loaded: bool) -> float:
-    """Return how long all ramps and swings under a load take, s."""
-    if not rig.bipolar:
-        return plan.duration(loaded)
-    swing = (1 + 2 * SWING_TURNS) * plan.end(loaded) / max(plan.slopes) + (1 + SWING_TURNS) * plan.hold
-    return 2.0 * plan.duration(loaded) + SWINGS * swing
 
 
 def _read(options: argparse.Namespace, rig: Rig) -> list[RampRecord]:

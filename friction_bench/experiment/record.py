@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -103,8 +103,6 @@ class RampRecord:
         measured_torque: by the current, Nm, shape (n,), None if unknown.
         loaded: the revolute joint was coupled.
         label: names the ramp in messages and plots.
-        backward: angle and torques are counted backward, so that they rise as those of any ramp.
-        swing: the torque goes through zero, up and down at the slope; angle and torques have their signs.
     """
 
     time: Array
@@ -115,8 +113,6 @@ class RampRecord:
     measured_torque: Array | None = None
     loaded: bool = False
     label: str = "ramp"
-    backward: bool = False
-    swing: bool = False
 
     def __post_init__(self) -> None:
         if self.time.ndim != 1 or self.time.size < 2 or self.time.shape != self.angle.shape:
@@ -136,12 +132,6 @@ class RampRecord:
     def tick(self) -> float:
         """Return the usual time between readings, s."""
         return float(np.median(np.diff(self.time)))
-
-    def counted(self, way: float) -> RampRecord:
-        """Return the record with angle and torques counted as they are, by 1, or the other way, by -1."""
-        measured = None if self.measured_torque is None else way * self.measured_torque
-        torque = None if self.torque is None else way * self.torque
-        return replace(self, angle=way * self.angle, torque=torque, measured_torque=measured)
 
     @property
     def origin(self) -> float:
@@ -172,8 +162,7 @@ def _rows(path: Path, split: Callable[[str], list[str]]) -> list[tuple[int, list
 def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) -> RampRecord:
     """Read a CSV file with a header of `time` (s) and `counts`, and perhaps `torque`, `measured_torque` (Nm).
 
-    Lines that start with # are comments. A ramp whose torque, or without torques whose counts, end below 0 is a
-    backward ramp; one whose torque has both signs is a swing.
+    Lines that start with # are comments.
 
     Raises:
         RecordError: naming line and column of what cannot be used.
@@ -190,15 +179,16 @@ def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) 
         elif name in CSV_COLUMNS[:2]:
             lacking = f"column {quoted(name)} is missing, found {quoted(', '.join(header)[:80])}"
             raise RecordError(f"{path}: {lacking}; accepted: {', '.join(CSV_COLUMNS)}")
-    counts, torque = columns["counts"], columns.get("torque")
-    swing = torque is not None and bool(torque.min(initial=0.0) < 0.0 < torque.max(initial=0.0))
-    leading = counts - counts[0] if torque is None else torque
-    backward = not swing and leading.size > 0 and bool(leading[-1] < 0.0)
-    torques = torque, columns.get("measured_torque")
-    record = RampRecord(
-        columns["time"], counts * angle_step, slope, angle_step, *torques, loaded, path.name, backward, swing
+    return RampRecord(
+        time=columns["time"],
+        angle=columns["counts"] * angle_step,
+        slope=slope,
+        angle_step=angle_step,
+        torque=columns.get("torque"),
+        measured_torque=columns.get("measured_torque"),
+        loaded=loaded,
+        label=path.name,
     )
-    return record.counted(-1.0 if backward else 1.0)
 
 
 def _number(path: Path, line: int, name: str, field: list[str]) -> float:
@@ -216,24 +206,14 @@ def write_csv(record: RampRecord, path: Path) -> None:
     Raises:
         Rx90Error: if the file cannot be written.
     """
-    raw = record.counted(-1.0 if record.backward else 1.0)
-    counts = np.rint(raw.angle / raw.angle_step).astype(int)
-    columns = raw.time, counts, raw.torque, raw.measured_torque
+    counts = np.rint(record.angle / record.angle_step).astype(int)
+    columns = record.time, counts, record.torque, record.measured_torque
     known = {name: column.tolist() for name, column in zip(CSV_COLUMNS, columns, strict=True) if column is not None}
-    write_table(path, f"{record.label}, slope {record.slope!r} Nm/s", known)
-
-
-def write_table(path: Path, comment: str, columns: Mapping[str, Sequence[object]]) -> None:
-    """Write columns as CSV, after a line of comment.
-
-    Raises:
-        Rx90Error: if the file cannot be written.
-    """
     with atomic_files(path) as (temporary,), temporary.open("w", newline="", encoding="utf-8") as stream:
-        stream.write(f"# {comment}\n")
+        stream.write(f"# {record.label}, slope {record.slope!r} Nm/s\n")
         writer = csv.writer(stream)
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
+        writer.writerow(known)
+        writer.writerows(zip(*known.values(), strict=True))
 
 
 def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: float, loaded: bool = False) -> RampRecord:
@@ -293,11 +273,6 @@ class SlidingWindow(NamedTuple):
     torque: Array
 
 
-def sliding_from(record: RampRecord) -> float:
-    """Return the angle from which the shaft slides, rad."""
-    return max(SLIDING_COUNTS * record.angle_step, SLIDING_ANGLE)
-
-
 def sliding_window(record: RampRecord) -> SlidingWindow:
     """Return where the shaft slides.
 
@@ -305,7 +280,8 @@ def sliding_window(record: RampRecord) -> SlidingWindow:
         IdentificationError: no break-away, saturation, or too few readings.
     """
     time, angle, _ = first_motion(record)
-    first = _stays_beyond(angle, max(sliding_from(record), MOVED_SHARE * angle[-1]))
+    slides = max(SLIDING_COUNTS * record.angle_step, SLIDING_ANGLE)
+    first = _stays_beyond(angle, max(slides, MOVED_SHARE * angle[-1]))
     if time.size - first < MIN_READINGS:
         raise IdentificationError(
             f"{record.label}: {time.size - first} readings of a sliding shaft; "

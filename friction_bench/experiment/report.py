@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +16,7 @@ from friction_bench.experiment.four_way import (
     SOURCE_START,
     STICTION,
     FourWay,
+    Pair,
     measured_velocity,
 )
 from friction_bench.experiment.identification import (
@@ -28,10 +27,8 @@ from friction_bench.experiment.identification import (
     RampIdentification,
     RampTestResult,
     SourceEvaluation,
-    interval,
     slopes_of,
 )
-from friction_bench.experiment.two_way import WAYS, Measurement
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
 from rx90_common.friction import FrictionElement
@@ -46,9 +43,8 @@ STATIC = (
 )
 STIFFNESS_SHARE = 1e-4
 """Presliding of the YAML's bristles, rad: assumed, because a ramp test cannot determine it."""
-METHODS = {"source": "source, m b / a", "exact": "exact, by covariance", "repeated": "exact, by repeats"}
+METHODS = "source, m b / a", "exact, by covariance", "exact, by repeats"
 _DASHES: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dashdot")
-_QUANTITIES = {"coulomb": "f_c, Nm", "viscous": "f_v, Nm s/rad"}
 _TIME = "time since the torque's zero, s"
 
 
@@ -98,20 +94,6 @@ def _comparison_plot(comparison: FourWay) -> Plot:
     return Plot(panels, share_x=True)
 
 
-def _hysteresis_plot(both: Measurement) -> Plot:
-    """Show the hysteresis of each load: the swings' torque over the mean velocity of SMOOTHING readings."""
-    panels = []
-    for load, records in both.records.items():
-        marks: list[Mark] = []
-        for k, record in enumerate(records):
-            assert record.torque is not None  # a swing is one by its torque
-            _, velocity = measured_velocity(record)
-            middle = record.torque[SMOOTHING // 2 :][: velocity.size]
-            marks.append(Curve(velocity[: middle.size], middle, f"swing {k + 1}", COLOURS[k], 0.8))
-        panels.append(Panel(marks, load, "motor velocity, rad/s", "motor torque, Nm"))
-    return Plot(panels, columns=2, height=3.2)
-
-
 def _sensor_plot(comparison: FourWay) -> Plot:
     """Show the models under the source's own input: velocities, and the other outputs of the block diagram's sensor."""
     sensor = comparison.as_source
@@ -153,47 +135,7 @@ def _source_lines(found: SourceEvaluation) -> list[str]:
     return lines
 
 
-def _add_both(
-    found: Measurement, document: dict[str, Any], lines: list[str]
-) -> tuple[list[tuple[str, str, list[IntervalEstimate]]], dict[str, list[str]]]:
-    """Add the results of both directions to the document and to the lines for the terminal.
-
-    Returns:
-        Load with method, quantity with unit, and its estimates forward, backward and of the difference; by load and
-        direction, in words, how long after the torque's change of sign the shaft moved.
-    """
-    rows, lags, directions = [], {}, dict[str, Any]()
-    lines.append(f"{'both directions [95 %]':40}{'forward':>38}{'backward':>38}{'difference':>38}")
-    pairs = {
-        f"{load}, ramps": ([found.parts[f"{load} {way}"].best for way in WAYS], difference)
-        for load, difference in found.differences.items()
-    }
-    pairs |= {f"{load}, through zero": ([*swing.friction], swing.difference) for load, swing in found.swings.items()}
-    for name, (friction, differences) in pairs.items():
-        for key, text, difference in zip(
-            ("coulomb", "viscous"), ("f_c, Nm", "f_v, Nm s/rad"), differences, strict=True
-        ):
-            estimates = [*(getattr(one, key) for one in friction), difference]
-            rows.append((name, text, estimates))
-            lines.append(f"{f'{name}: {text}':40}" + "".join(f"{one!s:>38}" for one in estimates))
-            entries = dict(zip((*WAYS, "difference"), map(_interval, estimates), strict=True))
-            directions.setdefault(name, {})[key] = entries
-    document["directions"] = directions
-    for load, swing in found.swings.items():
-        document.setdefault("lag_time_s", {})[load] = {
-            way: [float(f"{lag:.4g}") for lag in some] for way, some in zip(WAYS, swing.times, strict=True)
-        }
-        lags[load] = [
-            f"to {way}: no reversal" if mean is None else
-            f"to {way}: {mean[0]} s, at {mean[1]} Nm ({len(some)} reversals)"
-            for way, some, mean in zip(WAYS, swing.times, swing.lags, strict=True)
-        ]  # fmt: skip
-        head = f"{load}: lag time, from the torque's change of sign to the velocity's, "
-        lines += [head + text for text in lags[load]]
-    return rows, lags
-
-
-def write_result(out: Path, found: Measurement, rig: Rig, origin: str) -> None:
+def write_result(out: Path, found: RampTestResult, rig: Rig, origin: str) -> None:
     """Write report.html and estimates.yaml, with every estimate, in a folder, and print the estimates.
 
     Args:
@@ -205,16 +147,14 @@ def write_result(out: Path, found: Measurement, rig: Rig, origin: str) -> None:
     Raises:
         Rx90Error: if a file cannot be written.
     """
-    sides = found.sides
     rows: list[tuple[str, str, RampFriction]] = [
         (name, text, friction)
-        for name, part in found.parts.items()
-        for key, text in METHODS.items()
-        if (friction := getattr(part, key)) is not None
+        for name, part in found.parts
+        for text, friction in zip(METHODS, (part.source, part.exact, part.repeated), strict=True)
+        if friction is not None
     ]
-    first = sides[0]
     document: dict[str, Any] = {"units": {"coulomb": "Nm", "viscous": "Nm s/rad", "inertia": "kg m2"}}
-    lines = _source_lines(first.as_source) if first.as_source is not None else []
+    lines = _source_lines(found.as_source) if found.as_source is not None else []
     lines += [f"{'':34}{'f_c, Nm [95 %]':>34}{'f_v, Nm s/rad [95 %]':>40}"]
 
     def add(title: str, coulomb: IntervalEstimate, viscous: IntervalEstimate) -> dict[str, Any]:
@@ -226,42 +166,27 @@ def write_result(out: Path, found: Measurement, rig: Rig, origin: str) -> None:
         if friction.inertia is not None:
             entry["inertia"] = _interval(friction.inertia)
         document.setdefault(name, {})[method] = entry
-    plots = {name: _velocity_plot(part) for name, part in found.parts.items()}
-    for result in sides:
-        if result.joint is not None:
-            name = f"joint {result.way}".rstrip()
-            document[name] = {
-                "motor_side": add(f"{name}, at the motor", *result.joint[:2]),
-                "joint_side": add(f"{name}, joint side", *result.joint[2:]),
-            }
-            plots[f"load {result.way}"] = _load_plot(result)
-    if any(result.joint is not None for result in sides):
+    plots = {name: _velocity_plot(part) for name, part in found.parts}
+    if found.joint is not None:
+        document["joint"] = {
+            "motor_side": add("joint, at the motor", *found.joint[:2]),
+            "joint_side": add("joint, joint side", *found.joint[2:]),
+        }
+        plots["loads"] = _load_plot(found)
         lines.append(f"joint side: {rig.joint_side_reason}")
-    if first.as_source is not None:
-        document["as_source"] = {name: one._asdict() for name, one in first.as_source.loads.items()}
-        document["as_source"]["f_joint"] = first.as_source.joint
-    if first.comparison is not None:
-        for pair in first.comparison.pairs:
-            band = f"; source: ± {pair.band:g} %, {'kept' if pair.within else 'not kept'}" if pair.band else ""
-            lines.append(
-                f"{pair.first} - {pair.second}: {pair.worst:.2g} % worst, {pair.sliding:.2g} % while sliding{band}"
-            )
-            figures = {name: float(f"{getattr(pair, name):.4g}") for name in ("worst", "rms", "sliding")}
-            document.setdefault("comparison", []).append({**pair._asdict(), **figures, "within": pair.within})
-        plots["comparison"] = _comparison_plot(first.comparison)
-        plots["sensor"] = _sensor_plot(first.comparison)
-    unused = [reason for result in sides for reason in result.failures]
-    unused += [reason for part in found.parts.values() for reason in part.unused] + found.failures
-    both_rows, lags = _add_both(found, document, lines) if first.way else ([], {})
-    if found.records:
-        plots["hysteresis"] = _hysteresis_plot(found)
+    if found.as_source is not None:
+        document["as_source"] = {name: figures._asdict() for name, figures in found.as_source.loads.items()}
+        document["as_source"]["f_joint"] = found.as_source.joint
+    if found.comparison is not None:
+        document["comparison"] = [_pair(pair) for pair in found.comparison.pairs]
+        lines += [_pair_line(pair) for pair in found.comparison.pairs]
+        plots["comparison"] = _comparison_plot(found.comparison)
+        plots["sensor"] = _sensor_plot(found.comparison)
+    unused = [*found.failures, *(reason for _, part in found.parts for reason in part.unused)]
     page = render_page(
         "friction_bench.experiment",
         "friction_report.html.j2",
-        sides=sides,
-        first=first,
-        both_rows=both_rows,
-        lags=lags,
+        result=found,
         rig=rig,
         origin=origin,
         rows=rows,
@@ -271,27 +196,37 @@ def write_result(out: Path, found: Measurement, rig: Rig, origin: str) -> None:
         static=STATIC,
         unused=unused,
         source_states=SOURCE_STATES,
-        two_slopes=all(part.exact is not None for part in found.parts.values()),
+        two_slopes=all(part.exact is not None for _, part in found.parts),
     )
     write_text(out / "report.html", page)
     document |= {
         "tau_s": {"identifiable": False, "reason": STATIC},
         "not_used": unused,
-        "not_physical": found.unphysical,
+        "not_physical": list(found.unphysical),
     }
     write_text(out / "estimates.yaml", yaml_text(document))
     lines.append(f"static friction tau_s: {STATIC}")
     print("\n".join([*lines, *(f"not used: {reason}" for reason in unused)]))
 
 
-def write_friction(path: Path, sides: Sequence[RampTestResult], element: str, base: FrictionFile) -> None:
-    """Write friction parameters for rx90_sim; a viscous friction that is not physical becomes 0, marked as assumed.
+def _pair(pair: Pair) -> dict[str, Any]:
+    """Return the difference of two velocities as plain data."""
+    figures = {"worst": pair.worst, "rms": pair.rms, "sliding": pair.sliding}
+    rounded = {name: float(f"{value:.4g}") for name, value in figures.items()}
+    return {**pair._asdict(), **rounded, "within": pair.within}
 
-    An element has one viscous friction: the mean of both directions.
+
+def _pair_line(pair: Pair) -> str:
+    band = f"; source: ± {pair.band:g} %, {'kept' if pair.within else 'not kept'}" if pair.band else ""
+    return f"{pair.first} - {pair.second}: {pair.worst:.2g} % worst, {pair.sliding:.2g} % while sliding{band}"
+
+
+def write_friction(path: Path, found: RampTestResult, element: str, base: FrictionFile) -> None:
+    """Write friction parameters for rx90_sim; a viscous friction that is not physical becomes 0, marked as assumed.
 
     Args:
         path: file to write.
-        sides: the result of the measurement, of each direction where there are two.
+        found: the result of the measurement.
         element: name of the friction element of the measured joint.
         base: the friction file that gets this element.
 
@@ -299,42 +234,33 @@ def write_friction(path: Path, sides: Sequence[RampTestResult], element: str, ba
         ConfigError: if the Coulomb friction is not positive.
         Rx90Error: if the file cannot be written.
     """
-    (coulomb, viscous), (back, back_viscous) = sides[0].written, sides[-1].written
-    if len(sides) > 1:
-        # Not less than either's: the torque scale is the same error in both.
-        mean, error = (viscous.value + back_viscous.value) / 2, max(viscous.error, back_viscous.error)
-        viscous = interval(mean, error, math.inf, 0.0)
+    coulomb, viscous = found.written
     # Assumed are c0 and c1, a presliding of 0.1 mrad with critical-like damping, and tau_s, as much above tau_c as in
     # the element that is replaced.
     assumed = base.elements[element]
     stiffness = coulomb.value / STIFFNESS_SHARE
     rise = assumed.tau_s_positive / assumed.tau_c_positive
-    both = coulomb.value, back.value, rise * coulomb.value, rise * back.value
-    tau_c, back_c, tau_s, back_s, c0, c1, c2 = (
-        float(f"{value:.6g}") for value in (*both, stiffness, 1e-3 * stiffness, max(viscous.value, 0.0))
-    )
-    tau_s, back_s = max(tau_s, tau_c), max(back_s, back_c)
-    measured = FrictionElement(tau_c, back_c, tau_s, back_s, 0.05, 1.0, c0, c1, c2, 1.0)
+    tau_c, c2 = _rounded(coulomb.value), _rounded(max(viscous.value, 0.0))
+    tau_s = max(_rounded(rise * coulomb.value), tau_c)
+    c0, c1 = _rounded(stiffness), _rounded(1e-3 * stiffness)
+    measured = FrictionElement(tau_c, tau_c, tau_s, tau_s, 0.05, 1.0, c0, c1, c2, 1.0)
     assumption: dict[str, Any] = {"provenance": "assumed", "identifiable": False}
-    identified, of_c2 = "tau_c and c2", {"provenance": "identified", **_interval(viscous)}
+    identified = "tau_c and c2"
+    of_c2 = {"provenance": "identified", **_interval(viscous)}
     if viscous.value <= 0.0:
         identified = "tau_c"
-        of_c2 = {
-            **assumption,
-            "value": c2,
-            "estimate": _interval(viscous),
-            "reason": [text for side in sides for text in side.unphysical][-1],
-        }
+        of_c2 = {**assumption, "value": c2, "estimate": _interval(viscous), "reason": found.unphysical[-1]}
     source = f"ramp test on the friction rig: {identified} of {element} identified, the rest assumed"
-    of_tau_c: dict[str, Any] = {"tau_c": {"provenance": "identified", **_interval(coulomb)}}
-    if len(sides) > 1:
-        pair = {"tau_c_positive": coulomb, "tau_c_negative": back}
-        of_tau_c = {name: {"provenance": "identified", **_interval(one)} for name, one in pair.items()}
     parameters = {
-        **of_tau_c,
+        "tau_c": {"provenance": "identified", **_interval(coulomb)},
         "c2": of_c2,
         "tau_s": {"provenance": "assumed", "value": tau_s, "identifiable": False, "reason": STATIC},
         **{name: assumption.copy() for name in ("omega_s", "delta", "c0", "c1", "omega_d")},
     }
     elements = {**base.elements, element: measured}
     write_text(path, FrictionFile(elements, "assumed", source, {"parameters": {element: parameters}}).text())
+
+
+def _rounded(value: float) -> float:
+    """Return a value with the six digits of a friction file."""
+    return float(f"{value:.6g}")

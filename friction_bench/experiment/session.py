@@ -19,7 +19,7 @@ import numpy as np
 from tqdm import tqdm
 
 from friction_bench.rig.client import Port, RigClient, Sample
-from friction_bench.rig.emulated import EmulatedRig, PtyRig, VirtualPort
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.messages import Fault, RigError, RigFaultError, State, fault_text
 from friction_bench.rig.rig_file import TRAVEL_UNIT, Rig
 from friction_bench.rig.serial_port import SerialPort
@@ -27,7 +27,6 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError, FailureError, Rx90Error, write_error
-from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.process.interrupts import deferred_interrupts
 
@@ -44,25 +43,14 @@ SPEED_TICKS = 5
 _BAR = "{desc} {bar} {n:.0f}/{total:.0f} s [{elapsed}<{remaining}{postfix}]"
 
 
-def check_options(options: argparse.Namespace) -> None:
-    """Refuse options of an emulated rig with a real one, and of a line with an emulated one.
+def check_line(port: str, baud: int | None) -> None:
+    """Refuse a line rate for an emulated rig.
 
     Raises:
         ConfigError: naming the option.
     """
-    if options.port != EMULATED:
-        clock_option = "seed" if options.seed is not None else "real-time" if options.real_time else ""
-        if clock_option:
-            raise ConfigError(
-                f"--{clock_option} with --port {plain(options.port)}; accepted: with the emulated rig alone"
-            )
-    elif options.baud is not None:
-        raise ConfigError(f"--baud {options.baud} with the emulated rig; accepted: with --port of a serial line")
-
-
-def origin_of(options: argparse.Namespace) -> str:
-    """Return in words which rig measures."""
-    return "emulated rig" if options.port == EMULATED else f"rig at {options.port}"
+    if port == EMULATED and baud is not None:
+        raise ConfigError(f"--baud {baud} with the emulated rig; accepted: with --port of a serial line")
 
 
 def new_measurement(out: Path) -> None:
@@ -98,20 +86,20 @@ class Session:
 
 
 @contextmanager
-def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, what: str) -> Iterator[Session]:
-    """Yield a session on a rig; at its end, for any reason, the readings are written as `bag` to the folder.
+def measuring(options: argparse.Namespace, rig: Rig, seconds: float) -> Iterator[Session]:
+    """Yield a session on a rig; at its end, for any reason, the readings are written as `bag` to the output folder.
+
+    The folder is made; it is removed if nothing was measured, so that the next attempt may use its name.
 
     Args:
         options: of the command.
         rig: the rig.
-        out: the folder, which is made; it is removed if nothing was measured, so that the next attempt may use its
-            name.
         seconds: expected duration.
-        what: text before the progress bar.
 
     Raises:
         Rx90Error: for a folder that cannot be made, a rig that cannot be reached, a bag that cannot be written.
     """
+    out: Path = options.output
     new_measurement(out)
     port: Port
 
@@ -133,18 +121,15 @@ def measuring(options: argparse.Namespace, rig: Rig, out: Path, seconds: float, 
                 port = SerialPort(options.port, options.baud or rig.baud)
             else:
                 emulated = EmulatedRig(rig, options.seed or 0)
-                port, couple = VirtualPort(emulated), emulated.plant.load
-                if options.real_time:
-                    pty_rig = PtyRig(emulated)
-                    resources.callback(pty_rig.close)
-                    port, couple = SerialPort(pty_rig.path, rig.baud), pty_rig.load
+                port = VirtualPort(emulated)
+                couple = emulated.plant.load
         except Rx90Error:
             out.rmdir()
             raise
         resources.callback(port.close)
         session = Session(RigClient(port, rig), couple, None)
         try:
-            with tqdm(total=round(seconds, 1), unit="s", desc=what, disable=None, bar_format=_BAR) as session.bar:
+            with tqdm(total=round(seconds, 1), unit="s", desc="ramps", disable=None, bar_format=_BAR) as session.bar:
                 session.client.connect()
                 if options.clear:
                     session.client.clear()
@@ -172,13 +157,10 @@ def readings_series(samples: list[Sample], rig: Rig) -> list[JointSeries]:
 
 
 def sample_columns(samples: list[Sample]) -> tuple[Array, Array, Array, Array]:
-    """Return ticks, counts, DAC and ADC codes of readings, each of shape (n,).
-
-    The ADC measures the size of the current; its sign is that of the code until the reading.
-    """
+    """Return ticks, counts, DAC and ADC codes of readings, each of shape (n,)."""
     rows = [(s.tick, s.counts, s.report.dac, s.report.adc) for s in samples]
     ticks, counts, dac, adc = np.array(rows, dtype=np.float64).T
-    return ticks, counts, dac, np.where(np.concatenate((dac[:1], dac[:-1])) < 0.0, -adc, adc)
+    return ticks, counts, dac, adc
 
 
 def refuse_fault(sample: Sample) -> None:

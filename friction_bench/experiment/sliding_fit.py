@@ -290,17 +290,15 @@ class _Point:
 class _Ramps:
     """The windows of one load, and the steps of a fit to them."""
 
-    def __init__(self, windows: Sequence[SlidingWindow], runs: Sequence[int]) -> None:
+    def __init__(self, windows: Sequence[SlidingWindow]) -> None:
         self.windows = windows
-        self.run = np.array(runs)
         self.step, self.tick = windows[0].record.angle_step, windows[0].record.tick
         self.variance = self.step**2 / 12
-        slopes = np.zeros(self.run.max() + 1)
-        slopes[self.run] = [window.record.slope for window in windows]
+        slopes = np.array([window.record.slope for window in windows])
         self.repeats = [slopes == slope for slope in np.unique(slopes)]
         self.freedom = slopes.size - len(self.repeats)
         self.spread = np.zeros(2)
-        """Variances of alpha and beta from run to run."""
+        """Variances of alpha and beta from ramp to ramp."""
 
     def grid(self) -> list[Stribeck]:
         """Return the assumptions about a Stribeck effect, from the slowest that a reading resolves."""
@@ -347,8 +345,7 @@ class _Ramps:
         T = float(point.shared[2])
         halves = []
         for window, whole in zip(self.windows, self._columns(replace(point, stribeck=Stribeck())), strict=True):
-            middle, falling = window.time.size // 2, window.torque[-1] < window.torque[0]
-            half = slice(0, middle) if falling else slice(middle, None)  # the faster one
+            half = slice(window.time.size // 2, None)  # the faster one
             time, columns = window.time[half], whole[:, half].copy()
             columns[_SPEED] = -T * np.expm1(-(time - time[0]) / T)  # of a velocity that is free at its start
             halves.append((time, columns))
@@ -362,14 +359,14 @@ class _Ramps:
         return math.exp(float(minimize_scalar(misfit, bounds=(best - 2.0, best + 2.0), method="bounded").x))
 
     def between(self, point: _Point, noise: float) -> Array:
-        """Return the variances of alpha and beta from run to run of one slope, by restricted maximum likelihood.
+        """Return the variances of alpha and beta from ramp to ramp of one slope, by restricted maximum likelihood.
 
         Each slope has an alpha and a beta of its own here, so that model errors do not count as differences of repeats.
         The variances are 0 if no slope was run twice.
         """
         if self.freedom == 0:
             return np.zeros(2)
-        grams = self._of_runs(self.parts(point, noise))
+        grams = np.array([gram for gram, _, _ in self.parts(point, noise)])
         size = np.abs(point.shared[:2])
 
         def misfit(logarithms: Array) -> float:
@@ -401,12 +398,6 @@ class _Ramps:
         T = float(point.shared[2])
         return [_reduced(window.time, columns, T, noise, self.variance) for window, columns in pairs]
 
-    def _of_runs(self, parts: list[tuple[Array, Array, float]]) -> Array:
-        """Return the sums of the grams of each run's windows, shape (R, 7, 7)."""
-        sums = np.zeros((self.run.max() + 1, _ANGLE, _ANGLE))
-        np.add.at(sums, self.run, np.array([gram for gram, _, _ in parts]))
-        return sums
-
     def advance(self, point: _Point, noise: float, used: list[int]) -> _Point:
         """Take one Gauss-Newton step in the parameters `used`; T changes at most by a factor of two."""
         parts = self.parts(point, noise)
@@ -415,7 +406,7 @@ class _Ramps:
         if point.stribeck.velocity:
             prior[4:] = 1.0 / (CELL * widths) ** 2
             prior[3] = 1.0 / (RISE_PRIOR_SD * max(abs(float(point.shared[1])), 1e-9)) ** 2
-        grams = self._of_runs(parts)
+        grams = np.array([gram for gram, _, _ in parts])
         loose, determinants = _loosened(grams, self.spread)
         change, covariance, evidence, gain = _solve(loose.sum(axis=0), used, prior[indices], point.shared[indices])
         evidence -= gain + (sum(part[2] for part in parts) + float(determinants.sum())) / 2
@@ -423,11 +414,11 @@ class _Ramps:
         shared[indices] += change
         shared[2] = np.clip(shared[2], max(T / 2, SHORTEST * self.tick), 2 * T)
         shared[4:] = np.clip(shared[4:], -FARTHEST * widths, FARTHEST * widths)
-        # Differences of alpha and beta of each run: the best linear prediction from the residual after the change.
+        # Differences of alpha and beta of each ramp: the best linear prediction from the residual after the change.
         projected = grams[:, 1:3, 0] - grams[:, 1:3, used] @ change
         root = np.sqrt(self.spread)
         inner = np.eye(2) + root[:, None] * grams[:, 1:3, 1:3] * root
-        own = (root * np.linalg.solve(inner, (root * projected)[:, :, None])[:, :, 0])[self.run]
+        own = root * np.linalg.solve(inner, (root * projected)[:, :, None])[:, :, 0]
         starts, speeds = np.empty_like(point.starts), []
         for k, (window, shares) in enumerate(zip(self.windows, self._shares(point), strict=True)):
             by_row = parts[k][1]
@@ -444,10 +435,10 @@ def _speed(window: SlidingWindow, ends: slice) -> float:
 
 
 def _loosened(grams: Array, spread: Array) -> tuple[Array, Array]:
-    """Return grams of runs whose alpha and beta have individual errors, and the log determinants of these errors.
+    """Return grams of ramps whose alpha and beta have individual errors, and the log determinants of these errors.
 
     Args:
-        grams: of each run (see `_reduced`), shape (R, 7, 7).
+        grams: of each ramp (see `_reduced`), shape (K, 7, 7).
         spread: variances of the errors of alpha and beta, shape (2,).
     """
     root = np.sqrt(spread)
@@ -475,15 +466,13 @@ def _solve(gram: Array, used: list[int], prior: Array, at: Array) -> tuple[Array
     return change, covariance, -(square + determinant - strength) / 2, gain / 2
 
 
-def fit_sliding(windows: Sequence[SlidingWindow], runs: Sequence[int] | None = None) -> RampsFit:
+def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
     """Fit all ramps of one load.
 
     Args:
-        windows: of ramps with at least two slopes, or with rising and with falling torque.
-        runs: number, from 0, of the run of each window; None if each window is a run. Torque scale and friction differ
-            from run to run: they are drawn once for all windows of a swing.
+        windows: of ramps with at least two slopes.
     """
-    ramps = _Ramps(windows, range(len(windows)) if runs is None else runs)
+    ramps = _Ramps(windows)
     point = ramps.start()
     for _ in range(2):
         noise = ramps.noise(point)

@@ -48,8 +48,7 @@ def declare_bench_parameters(node: Node) -> tuple[Rig, str, int, int]:
     about = "slope of run_ramp, Nm/s at the motor"
     declare(node, "ramp_slope", rig.ramps.slopes[0], about, low=1e-4, high=1.0, read_only=False)
     about = "torque at which run_ramp ends, Nm at the motor"
-    low = -rig.dac_full_scale if rig.bipolar else 0.0
-    declare(node, "ramp_end_torque", rig.ramps.end_torque, about, low=low, high=rig.dac_full_scale, read_only=False)
+    declare(node, "ramp_end_torque", rig.ramps.end_torque, about, low=0.0, high=rig.dac_full_scale, read_only=False)
     return rig, port, baud, seed
 
 
@@ -106,12 +105,11 @@ class BenchNode:
         scale = self.rig.angle_step
         elapsed = sample.time - previous.time
         velocity = (sample.counts - previous.counts) * scale / elapsed if elapsed > 0.0 else 0.0
-        adc = -sample.report.adc if previous.report.dac < 0 else sample.report.adc  # the rig measures its size
         state = JointState(
             name=[JOINT],
             position=[sample.counts * scale],
             velocity=[velocity],
-            effort=[self.rig.measured_torque(adc)],
+            effort=[self.rig.measured_torque(sample.report.adc)],
         )
         command = JointState(name=[JOINT], effort=[self.rig.torque(sample.report.dac)])
         state.header.stamp = command.header.stamp = ros_time(self._epoch_ns + round(sample.time * NANOSECONDS))

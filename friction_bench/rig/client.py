@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from friction_bench.rig.messages import (
-    BACKWARD,
     PROTOCOL_VERSION,
     Command,
     CommandResult,
@@ -142,16 +141,12 @@ class RigClient:
             self.port.write(message)
 
     def send_torque(self, code: int) -> None:
-        """Send a DAC code to hold, without waiting for the answer: the next report has it; below 0 for backward.
+        """Send a DAC code to hold, without waiting for the answer: the next report has it.
 
         Raises:
             RigRefusedError: if there has been a stop that the caller did not know of; it is known from then on.
         """
-        self._send_unless_stopped(self._number(Command.TORQUE, *self.torque_values(code)), Command.TORQUE)
-
-    def torque_values(self, code: int) -> tuple[int, ...]:
-        """Return the values of TORQUE for a DAC code, below 0 for backward, which takes a bipolar rig."""
-        return (abs(code), int(code < 0)) if self.rig.bipolar else (code,)
+        self._send_unless_stopped(self._number(Command.TORQUE, code), Command.TORQUE)
 
     def urgent_stop(self) -> None:
         """Take the torque away now.
@@ -287,11 +282,8 @@ class RigClient:
         """Clear the latched faults; the rig is disarmed then."""
         self.request(Command.CLEAR)
 
-    def start_ramp(self, slope: float, end_torque: float, turns: int = 0) -> list[Sample]:
+    def start_ramp(self, slope: float, end_torque: float) -> list[Sample]:
         """Start the firmware's ramp of `slope` Nm/s up to `end_torque` Nm on an armed rig.
-
-        On a bipolar rig the end may be backward, below 0, and the ramp may turn there, without a pause, and go on to
-        the opposite end, up to MAX_TURNS times.
 
         Returns:
             The readings up to the ramp's first report.
@@ -299,19 +291,17 @@ class RigClient:
         Raises:
             RigInputError: if the firmware cannot run that slope or torque; else as `request`.
         """
-        way = ((end_torque < 0.0) * BACKWARD + turns,) if self.rig.bipolar else ()
         end = self.end_code(end_torque)
-        return self.request(Command.RAMP, self.rig.ramp_step(slope), abs(end), *way)
+        return self.request(Command.RAMP, self.rig.ramp_step(slope), end)
 
     def end_code(self, torque: float) -> int:
-        """Return the DAC code of a ramp's end, below 0 for one backward, which takes a bipolar rig.
+        """Return the DAC code of a ramp's end.
 
         Raises:
             RigInputError: if the firmware does not go there.
         """
         limit = self.hello.torque_limit_code if self.hello is not None else CODES
-        size = abs(torque) if self.rig.bipolar else torque
-        if not self.rig.torque(0.5) <= size < self.rig.torque(limit + 0.5):
+        if not self.rig.torque(0.5) <= torque < self.rig.torque(limit + 0.5):
             accepted = f"{self.rig.torque(1):.2g} to {self.rig.torque(limit):.3g} Nm"
             raise RigInputError(f"end torque {torque:g} Nm; accepted by the firmware: {accepted}")
         return self.rig.end_code(torque)

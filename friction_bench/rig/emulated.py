@@ -91,7 +91,7 @@ class NativeBoard:
         self._buffer = ctypes.create_string_buffer(4096)
         self._core.native_run.argtypes = (ctypes.c_uint32, ctypes.c_uint16, ctypes.c_uint8)
         self._core.native_run.restype = None
-        for name in ("native_dac", "native_reversed", "native_stage", "native_switched"):
+        for name in ("native_dac", "native_stage", "native_switched"):
             getattr(self._core, name).restype = ctypes.c_uint8
         self.reset(ResetCause.POWER)
 
@@ -114,8 +114,8 @@ class NativeBoard:
 
     @property
     def dac(self) -> int:
-        """Return the code on the DAC, below 0 if the direction line is backward."""
-        return -int(self._core.native_dac()) if self._core.native_reversed() else int(self._core.native_dac())
+        """Return the code on the DAC."""
+        return int(self._core.native_dac())
 
     @property
     def stage_on(self) -> bool:

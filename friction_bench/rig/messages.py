@@ -17,7 +17,9 @@ MAX_DECODED = 32
 """Longest frame before COBS, in bytes; a longer one is noise."""
 
 _HELLO = struct.Struct("<BBBHHHHBBBB")
-_BIPOLAR, _COUNTS_DOWN, _PULSED, _COARSE = (1 << bit for bit in range(4))
+_PULSED = 4
+_COARSE = 8
+"""Bits of the greeting that say how the firmware was built; the others are 0."""
 _REPORT = struct.Struct("<HHBBBBBBBB")
 
 
@@ -124,10 +126,7 @@ class Command(IntEnum):
     LIMITS = 0x08
 
 
-_PAYLOADS = {Command.HELLO: "<B", Command.TORQUE: "<BB", Command.RAMP: "<HBB", Command.LIMITS: "<HH"}
-BACKWARD = 0x80
-"""In the last byte of a bipolar rig's RAMP: its first end is backward; the other bits are the number of its turns."""
-MAX_TURNS = BACKWARD - 1
+_PAYLOADS = {Command.HELLO: "<B", Command.TORQUE: "<B", Command.RAMP: "<HB", Command.LIMITS: "<HH"}
 
 
 def payload_of(command: Command, *values: int) -> bytes:
@@ -135,11 +134,10 @@ def payload_of(command: Command, *values: int) -> bytes:
 
     Args:
         command: the command.
-        values: HELLO: protocol version. TORQUE: DAC code; on a bipolar rig also 1 for backward, else 0. RAMP: slope in
-            1/256 DAC code per tick, and the code at which it ends; on a bipolar rig also BACKWARD or 0, plus how often
-            it turns to the opposite end. LIMITS: travel in units of 256 counts, speed in counts per tick.
+        values: HELLO: protocol version. TORQUE: DAC code. RAMP: slope in 1/256 DAC code per tick, and the code at which
+            it ends. LIMITS: travel in units of 256 counts, speed in counts per tick.
     """
-    return struct.pack(_PAYLOADS.get(command, "<")[: 1 + len(values)], *values)
+    return struct.pack(_PAYLOADS.get(command, "<"), *values)
 
 
 class Answer(IntEnum):
@@ -212,8 +210,6 @@ class ResetCause(IntEnum):
     BROWN_OUT = 4
 
 
-STAGES = ("unipolar", "bipolar")
-"""Of the power stage: torque of one sign, or of both."""
 PROCESSORS = ("native", "mcs51", "avr")
 """What the firmware runs on, by its number."""
 
@@ -244,16 +240,6 @@ class HelloReply(NamedTuple):
     hold_ticks: int
 
     @property
-    def stage(self) -> str:
-        """Return which signs the torque has."""
-        return STAGES[bool(self.built & _BIPOLAR)]
-
-    @property
-    def counts_down(self) -> bool:
-        """Return whether the counts go down when the motor turns back."""
-        return bool(self.built & _COUNTS_DOWN)
-
-    @property
     def pulsed(self) -> bool:
         """Return whether the stage switches off for a moment in each tick of a ramp."""
         return bool(self.built & _PULSED)
@@ -268,7 +254,7 @@ class HelloReply(NamedTuple):
 
 
 class Report(NamedTuple):
-    """The rig's state at one tick; tick (16 bits) and counts (24 bits) roll over; `dac` below 0 is torque backward."""
+    """The rig's state at one tick; tick (16 bits) and counts (24 bits) roll over."""
 
     sequence: int
     tick: int
@@ -308,7 +294,18 @@ def parse_report(frame: Frame) -> Report | None:
     if frame.type != Answer.REPORT or len(frame.payload) != _REPORT.size:
         return None
     tick, low, high, dac, adc, status, fault, ack, result, bad = _REPORT.unpack(frame.payload)
-    counts, (greeted, stage_on, ramp_done, back) = low | high << 16, (bool(status & bit) for bit in (4, 8, 16, 32))
-    dac = -dac if back else dac
-    state, faults = State(status & 3), Fault(fault & 15)
-    return Report(frame.sequence, tick, counts, dac, adc, state, greeted, stage_on, ramp_done, faults, ack, result, bad)
+    return Report(
+        sequence=frame.sequence,
+        tick=tick,
+        counts=low | high << 16,
+        dac=dac,
+        adc=adc,
+        state=State(status & 3),
+        greeted=bool(status & 4),
+        stage_on=bool(status & 8),
+        ramp_done=bool(status & 16),
+        fault=Fault(fault & 15),
+        ack_sequence=ack,
+        result=result,
+        bad_frames=bad,
+    )

@@ -33,16 +33,11 @@ BRISTLE_STEPS = 20
 
 
 class Shaft(NamedTuple):
-    """What turns, at the motor: inertia, kg m², Coulomb friction, Nm, and viscous friction, Nm s/rad.
-
-    `more_coulomb` and `more_viscous` are by how much friction is greater backward.
-    """
+    """What turns, at the motor: inertia, kg m², Coulomb friction, Nm, and viscous friction, Nm s/rad."""
 
     inertia: float
     coulomb: float
     viscous: float
-    more_coulomb: float = 0.0
-    more_viscous: float = 0.0
 
 
 def shaft_of(rig: Rig, loaded: bool) -> Shaft:
@@ -56,32 +51,26 @@ def shaft_of(rig: Rig, loaded: bool) -> Shaft:
         raise RigInputError(f"{rig.file}: has no section 'emulation', so this rig cannot be emulated")
     load_inertia = p.load_inertia + (p.joint_inertia if loaded else 0.0)
     inertia = p.rotor_inertia + load_inertia / (rig.gear_ratio**2 * rig.gear_efficiency)
-    own = p.viscous * (1.0 + p.warming) if loaded else p.viscous
+    viscous = p.viscous * (1.0 + p.warming) if loaded else p.viscous
     if not loaded or not isinstance(p.joint, JointFriction):
-        return Shaft(inertia, p.coulomb, own)
-    forward, backward = (
-        (p.coulomb + coulomb / rig.joint_scale, own + viscous / (rig.joint_scale * rig.gear_ratio))
-        for coulomb, viscous in map(p.joint.of, (False, True))
-    )
-    return Shaft(inertia, *forward, backward[0] - forward[0], backward[1] - forward[1])
+        return Shaft(inertia, p.coulomb, viscous)
+    coulomb = p.coulomb + p.joint.coulomb / rig.joint_scale
+    return Shaft(inertia, coulomb, viscous + p.joint.viscous / (rig.joint_scale * rig.gear_ratio))
 
 
 @kernel
 def turn(angle: float, speed: float, torque: float, shaft: Shaft, dt: float) -> tuple[float, float]:
     """Advance J w' = torque - f_v w - f_c sgn w over `dt` with a constant torque, exactly.
 
-    Returns angle and speed. A body that comes to rest stays there unless the torque exceeds f_c of its direction.
+    Returns angle and speed. A body that comes to rest stays there unless the torque exceeds f_c.
     """
     remaining = dt
     for _ in range(2):  # at most one reversal: torque is constant
         sign = 1.0 if speed > 0.0 or (speed == 0.0 and torque > 0.0) else -1.0
-        coulomb, viscous = shaft.coulomb, shaft.viscous
-        if sign < 0.0:
-            coulomb, viscous = coulomb + shaft.more_coulomb, viscous + shaft.more_viscous
-        if speed == 0.0 and abs(torque) <= coulomb:
+        if speed == 0.0 and abs(torque) <= shaft.coulomb:
             return angle, 0.0
-        final = (torque - sign * coulomb) / viscous
-        tau = shaft.inertia / viscous
+        final = (torque - sign * shaft.coulomb) / shaft.viscous
+        tau = shaft.inertia / shaft.viscous
         run = remaining
         stops = speed * final < 0.0
         if stops:
@@ -208,9 +197,8 @@ class RigPlant:
             self._ramp_gain = 1.0 + p.ramp_error * next(self._noise)
         if p.joint_spread and isinstance(p.joint, JointFriction):
             drawn = max(0.0, 1.0 + p.joint_spread * next(self._noise))
-            forward, backward = (drawn * p.joint.of(way)[0] / self.rig.joint_scale for way in (False, True))
-            changed = {"coulomb": p.coulomb + forward, "more_coulomb": backward - forward}
-            self._shafts[True] = self._shafts[True]._replace(**changed)
+            coulomb = p.coulomb + drawn * p.joint.coulomb / self.rig.joint_scale
+            self._shafts[True] = self._shafts[True]._replace(coulomb=coulomb)
 
     def _normals(self) -> Iterator[float]:
         while True:
@@ -219,22 +207,17 @@ class RigPlant:
     def motor_torque(self, command: float, dt: float) -> float:
         """Return the torque, Nm, that the amplifier makes of `command` over `dt`.
 
-        The supply limits the current against the back-EMF; no stage makes torque against its direction line, which a
-        unipolar one does not have.
+        The supply limits the current against the back-EMF; the stage pushes one way only.
         """
         p = self.parameters
         if command == 0.0:
             return 0.0
-        way = math.copysign(1.0, command)
         noise = p.torque_noise * math.sqrt(1e-3 / dt) * next(self._noise) if p.torque_noise else 0.0
-        highest = (p.supply - p.torque_constant * way * self.speed) / p.resistance * p.torque_constant
-        return way * max(0.0, min(self._gain * self._ramp_gain * way * command + noise, highest))
+        highest = (p.supply - p.torque_constant * self.speed) / p.resistance * p.torque_constant
+        return max(0.0, min(self._gain * self._ramp_gain * command + noise, highest))
 
     def advance(self, command: float, dt: float) -> int:
-        """Hold the commanded torque, Nm, for `dt` seconds; return the encoder counts in that time.
-
-        They are negative if the motor turned back, and the encoder measures the direction.
-        """
+        """Hold the commanded torque, Nm, for `dt` seconds; return the encoder counts in that time, of any direction."""
         self.torque = self.motor_torque(command, dt)
         shaft = self._shafts[self.loaded]
         if self.loaded and self._joint is not None:
@@ -246,8 +229,8 @@ class RigPlant:
         count = math.floor(self.angle * self._scale + self._phase)
         edges = count - self._last_count
         self._last_count = count
-        return edges if self.rig.counts_down else abs(edges)
+        return abs(edges)
 
     def current_reading(self) -> float:
-        """Return the output of the current sense amplifier, as motor torque, Nm: its size, whatever the direction."""
-        return max(0.0, abs(self.torque) + self.parameters.adc_noise * next(self._noise))
+        """Return the output of the current sense amplifier, as motor torque, Nm."""
+        return max(0.0, self.torque + self.parameters.adc_noise * next(self._noise))

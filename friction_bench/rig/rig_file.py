@@ -9,11 +9,11 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar, TypeVar
 
-from friction_bench.rig.messages import STAGES, HelloReply, RigInputError
+from friction_bench.rig.messages import HelloReply, RigInputError
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.declared import Declared
-from rx90_common.base.entries import LEFT_OUT, Integer, Number, Numbers, Switch, Text
+from rx90_common.base.entries import LEFT_OUT, Integer, Number, Numbers, Switch
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group, Variants
 from rx90_common.friction.element import ELEMENT, FrictionElement
@@ -38,27 +38,12 @@ _positive = partial(Number, low=0.0, above=True)
 
 @dataclass(frozen=True)
 class JointFriction(Declared):
-    """Coulomb and viscous friction of the revolute joint at the load: Nm and Nm s/rad.
-
-    Those backward are None where they are as forward.
-    """
+    """Coulomb and viscous friction of the revolute joint at the load: Nm and Nm s/rad."""
 
     about: ClassVar[str] = "Coulomb and viscous friction."
 
     coulomb: Annotated[float, _least_0("Coulomb friction.", "Nm")]
     viscous: Annotated[float, _least_0("Viscous friction.", "Nm s/rad")]
-    coulomb_backward: Annotated[
-        float | None, _least_0("Coulomb friction backward, where it is another.", "Nm", default=LEFT_OUT)
-    ] = None
-    viscous_backward: Annotated[
-        float | None, _least_0("Viscous friction backward, where it is another.", "Nm s/rad", default=LEFT_OUT)
-    ] = None
-
-    def of(self, backward: bool) -> tuple[float, float]:
-        """Return Coulomb and viscous friction of one direction, Nm and Nm s/rad."""
-        coulomb = self.coulomb_backward if backward and self.coulomb_backward is not None else self.coulomb
-        viscous = self.viscous_backward if backward and self.viscous_backward is not None else self.viscous
-        return coulomb, viscous
 
 
 _JOINT_FRICTION = Variants(
@@ -172,17 +157,6 @@ class Rig(Declared):
 
     file: Path
     counts_per_revolution: Annotated[int, Integer("Encoder counts per turn of the motor.", low=1, high=65535)]
-    counts_down: Annotated[
-        bool,
-        Switch("Whether the counts go down when the motor turns back; a firmware built with COUNTS_DOWN does that."),
-    ] = False
-    stage: Annotated[
-        str,
-        Text(
-            "Signs of the torque: of a bipolar rig both, whose firmware is built with BIPOLAR; its counts go down.",
-            choices=STAGES,
-        ),
-    ] = STAGES[False]
     tick_us: Annotated[int, Integer("Period of the firmware's reports.", "us", low=1000, high=65535)]
     baud: Annotated[int, Integer("Rate of the serial line.", "baud", low=1200, high=1_000_000)]
     gear_ratio: Annotated[float, _positive("Motor turns per turn of the load shaft.", "1"), "gear.ratio"]
@@ -218,11 +192,6 @@ class Rig(Declared):
         return self.tick_us * 1e-6
 
     @property
-    def bipolar(self) -> bool:
-        """Return whether the torque has both signs."""
-        return self.stage == STAGES[True]
-
-    @property
     def hold_ticks(self) -> int:
         """Return for how many ticks the firmware holds the end torque of a ramp."""
         return round(self.ramps.hold / self.tick)
@@ -231,12 +200,6 @@ class Rig(Declared):
     def firmware_figures(self) -> dict[str, int]:
         """Return the figures that the firmware of an emulated rig is built for, where they are not the shipped ones."""
         figures: dict[str, int] = {}
-        if self.counts_down:
-            figures |= {
-                "COUNTS_PER_REV": self.counts_per_revolution, "COUNTS_DOWN": 1, "MAX_SPEED": self.limit_codes()[1],
-            }  # fmt: skip
-        if self.bipolar:
-            figures |= {"BIPOLAR": 1, "MAX_TRAVEL": self.limit_codes()[0]}
         if self.limit_lifted:
             scales = {"DAC_FULL_SCALE": self.dac_full_scale, "ADC_FULL_SCALE": self.adc_full_scale}
             figures |= {name: round(scale * 1e4) for name, scale in scales.items()}
@@ -251,11 +214,6 @@ class Rig(Declared):
     def angle_step(self) -> float:
         """Return the motor angle of one count, rad."""
         return math.tau / self.counts_per_revolution
-
-    @property
-    def joint_step(self) -> float:
-        """Return the joint angle of one count, rad."""
-        return math.tau / self.counts_per_revolution / self.gear_ratio
 
     @property
     def joint_scale(self) -> float:
@@ -276,11 +234,6 @@ class Rig(Declared):
             f"torques are carried over by the gear's efficiency, {efficiency:g} ± {error:g} (standard uncertainty, of "
             f"the rig file), which alone makes 95 % intervals of ± {share:.2g} %"
         )
-
-    @property
-    def joint_code(self) -> float:
-        """Return the joint torque of one DAC code, Nm."""
-        return self.torque(1) * self.joint_scale
 
     def torque(self, dac_code: Value) -> Value:
         """Return the commanded torque, Nm, of a DAC code or an array of them."""
@@ -322,15 +275,16 @@ class Rig(Declared):
         Raises:
             RigInputError: naming the figure that differs.
         """
-        pairs = {
-            name: (getattr(self, name), getattr(hello, name))
-            for name in ("stage", "counts_per_revolution", "counts_down", "tick_us", "dac_full_scale", "adc_full_scale")
-        }
-        pairs["ramps.hold, in ticks,"] = self.hold_ticks, hello.hold_ticks
+        pairs: list[tuple[str, float, float]] = [
+            ("counts_per_revolution", self.counts_per_revolution, hello.counts_per_revolution),
+            ("tick_us", self.tick_us, hello.tick_us),
+            ("dac_full_scale", round(self.dac_full_scale, 5), round(hello.dac_full_scale, 5)),
+            ("adc_full_scale", round(self.adc_full_scale, 5), round(hello.adc_full_scale, 5)),
+            ("ramps.hold, in ticks,", self.hold_ticks, hello.hold_ticks),
+        ]
         if self.plant is not None:  # the file of a rig that cannot be emulated does not contain it
-            pairs["emulation.amplifier.off_time > 0"] = self.plant.off_time > 0.0, hello.pulsed
-        for name, pair in pairs.items():
-            expected, firmware = (round(one, 5) if isinstance(one, float) else one for one in pair)
+            pairs.append(("emulation.amplifier.off_time > 0", self.plant.off_time > 0.0, hello.pulsed))
+        for name, expected, firmware in pairs:
             if firmware != expected:
                 raise RigInputError(f"{self.file}: {name} is {expected}, the rig's firmware has {firmware}")
 
@@ -347,10 +301,6 @@ def load_rig(path: Path) -> Rig:
     """
     root = load_yaml(path)
     content, plant = RIG.read(root), None
-    if content["stage"] == STAGES[True] and not content["counts_down"]:
-        raise ConfigError(
-            f"{root.where('')}counts_down is false; accepted with stage bipolar: true, because the motor turns back"
-        )
     for name in ("dac_full_scale", "adc_full_scale"):
         if content["torque"]["limit_lifted"] and content["torque"][name] > LARGEST_SCALE:
             found = f"{root.where('')}torque.{name} is {content['torque'][name]:g}"

@@ -90,7 +90,6 @@ def versions() -> dict[str, str]:
 PACKAGE = "rx90_emulator"
 SHIPPED_RIG = "rig/gm8224.yaml"
 SOURCE_RIG = "rig/source.yaml"
-PRESLIDING_RIG = "rig/presliding.yaml"
 
 
 def share_directory() -> Path:

@@ -31,7 +31,6 @@ EXECUTABLES = {
     **dict.fromkeys(NODES, "rx90_emulator.cli.node"),
     "friction_bench": "rx90_emulator.cli.friction_rig:bench",
     "friction_ramp": "rx90_emulator.cli.friction_rig:ramp",
-    "friction_presliding": "rx90_emulator.cli.friction_rig:presliding",
     "friction_rig_emulator": "rx90_emulator.cli.friction_rig:emulator",
     "rx90_bag": "rx90_emulator.cli.bag",
     "rx90_config": "rx90_emulator.cli.config",

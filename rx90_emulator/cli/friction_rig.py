@@ -1,7 +1,7 @@
-"""The commands of the friction rig, real or emulated: its node, the check of a board, ramps, presliding, the emulator.
+"""The commands of the friction rig, real or emulated: its node and self-test, ramps, the emulator.
 
 What has been measured until a refusal stands in the folder of results; `friction_ramp` ends with 1 where a load carries
-no estimate, `friction_presliding` where the law cannot be told or a part carries nothing.
+no estimate.
 """
 
 from __future__ import annotations
@@ -10,10 +10,9 @@ import argparse
 from pathlib import Path
 
 from friction_bench.experiment.record import TEXT_KINDS, VELOCITIES
-from friction_bench.presliding import KINDS, USUAL_BLOCKS, USUAL_CYCLES
 from rx90_common.base.errors import DONE, ConfigError
 from rx90_common.base.quoting import plain
-from rx90_common.base.share import PRESLIDING_RIG, SHIPPED_RIG, resolve_config
+from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.process.interrupts import stop_request
 from rx90_emulator.cli import node
 from rx90_emulator.cli.options import (
@@ -23,24 +22,19 @@ from rx90_emulator.cli.options import (
     add_rig_arguments,
     add_robot_argument,
     add_verbs,
-    new_file,
     whole_from,
 )
-
-BOARDS = ("8051", "nano")
 
 
 def add_bench(parser: argparse.ArgumentParser) -> None:
     """Accept arguments for ROS, or the verb."""
-    add_verbs(
-        parser, ((_add_check, check, "check each line, sign, scale and the watchdog of a board"),), required=False
-    )
+    add_verbs(parser, ((_add_selftest, selftest, "test a rig, without questions, at rest"),), required=False)
     node.add_arguments(parser)
-    parser.usage = f"{parser.usage}\n       {parser.prog} check --port PORT ..."
+    parser.usage = f"{parser.usage}\n       {parser.prog} selftest [--port PORT] ..."
 
 
 def bench(options: argparse.Namespace) -> int:
-    """Run the node of the friction rig, real or emulated; or, without ROS, check a board that has just been built."""
+    """Run the node of the friction rig, real or emulated; or, without ROS, test a rig."""
     if options.verb is None:
         node.main(options)
         return DONE
@@ -49,23 +43,20 @@ def bench(options: argparse.Namespace) -> int:
     return options.run(options)  # type: ignore[no-any-return]
 
 
-def _add_check(parser: argparse.ArgumentParser) -> None:
+def _add_selftest(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="the torque is off")
-    parser.add_argument("--port", required=True, help="serial device or URL")
+    parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
     parser.add_argument("--baud", type=BAUD, help="line rate (the rig file's)")
     parser.add_argument("--rig", default=SHIPPED_RIG, metavar="FILE", help="rig file (%(default)s)")
-    parser.add_argument("--board", choices=BOARDS, help="whose points are measured (the one of the processor)")
-    parser.add_argument("--output", type=new_file, metavar="FILE", help="new YAML file of what was found")
 
 
-def check(options: argparse.Namespace) -> int:
-    """Check a freshly built board step by step: what to measure, what to expect, and a verdict.
+def selftest(options: argparse.Namespace) -> int:
+    """Test line, figures, stop, torque limit and watchdog of a rig, and print what was expected and found.
 
-    Before the stage is switched on the command asks. A line on standard input answers a question: Enter goes on, or
-    leaves a measurement out; s skips the step. The exit code is 0 if all is as expected, 1 if something is not or was
-    not measured, 3 if the rig does not answer.
+    Nobody need be there, and the shaft stays at rest. The exit code is 0 if all is as expected, 1 if something is not,
+    3 if the rig does not answer.
     """
-    from friction_bench.experiment.bring_up import run  # here, because --help must not wait for it
+    from friction_bench.experiment.selftest import run  # here, because --help must not wait for it
 
     return run(options)
 
@@ -103,27 +94,6 @@ def add_ramp(parser: argparse.ArgumentParser) -> None:
 def ramp(options: argparse.Namespace) -> int:
     """Measure Coulomb and viscous friction with torque ramps on a friction rig, or read old ramps."""
     from friction_bench.experiment.job import run  # here, because --help must not wait for it
-
-    return run(options)
-
-
-def add_presliding(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `friction_presliding`."""
-    parser.set_defaults(load="joint")
-    parser.add_argument(
-        "--kinds", nargs="+", choices=KINDS, metavar="KIND",
-        help=f"experiments after the ramps: {', '.join(KINDS)} (default: all)",
-    )  # fmt: skip
-    parser.add_argument("--blocks", type=whole_from(6, 100), help=f"blocks of loops (default: {USUAL_BLOCKS})")
-    parser.add_argument(
-        "--cycles", type=whole_from(100, 100_000), help=f"small cycles of the drift (default: {USUAL_CYCLES})"
-    )
-    add_rig_arguments(parser, PRESLIDING_RIG, "out/presliding")
-
-
-def presliding(options: argparse.Namespace) -> int:
-    """Show friction around sliding on a rig: loops, break-away, slow speeds, stick-slip, drift; choose its law."""
-    from friction_bench.presliding.job import run  # here, because --help must not wait for it
 
     return run(options)
 

@@ -241,7 +241,6 @@ def add_rig_arguments(parser: argparse.ArgumentParser, rig: str, output: str) ->
     parser.add_argument("--rig", default=rig, help="rig file (default: %(default)s)")
     parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
     parser.add_argument("--seed", type=SEED, help="of the emulated rig's noise (0)")
-    parser.add_argument("--real-time", action="store_true", help="run the emulated rig in real time")
     parser.add_argument("--output", type=new_folder, default=output, help="new folder for bag and report")
 
 

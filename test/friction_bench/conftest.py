@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from functools import cache
 from pathlib import Path
@@ -37,10 +37,10 @@ def require(target: str, present: bool) -> None:
         (pytest.fail if os.environ.get("RIG_FIRMWARE_REQUIRED") else pytest.skip)(message)
 
 
-def make_firmware(target: str, sources: Path, out: Path, defines: str = "") -> Path:
+def make_firmware(target: str, sources: Path, out: Path) -> Path:
     """Build a target's binary by the firmware's own Makefile."""
     require(target, all(shutil.which(program) for program in TOOLS[target][0]))
-    command = ["make", "-s", "-C", str(sources), target, f"OUT={out}", f"DEFINES={defines}"]
+    command = ["make", "-s", "-C", str(sources), target, f"OUT={out}"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return out / BINARIES[target]
@@ -49,19 +49,10 @@ def make_firmware(target: str, sources: Path, out: Path, defines: str = "") -> P
 @pytest.fixture(scope="session")
 def firmware(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     """Return a builder of a target's binary, once a session."""
-    return _builder(tmp_path_factory, "firmware", "")
 
-
-@pytest.fixture(scope="session")
-def bipolar_firmware(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Return a builder of a target's binary for torque of both signs, once a session."""
-    return _builder(tmp_path_factory, "bipolar", "-DBIPOLAR=1 -DCOUNTS_DOWN=1")
-
-
-def _builder(factory: pytest.TempPathFactory, name: str, defines: str) -> Callable[[str], Path]:
     def build(target: str) -> Path:
         sources = REPOSITORY / "firmware"
-        folder = made_once(factory, f"{name}_{target}", lambda out: make_firmware(target, sources, out, defines))
+        folder = made_once(tmp_path_factory, f"firmware_{target}", lambda out: make_firmware(target, sources, out))
         return folder / BINARIES[target]
 
     return cache(build)
@@ -152,10 +143,10 @@ def mutate(folder: Path, file: str, old: str, new: str) -> Path:
 def mutant(tmp_path: Path) -> Callable[..., NativeBoard]:
     """Return a builder of a native board whose firmware has one text replaced."""
 
-    def build(file: str, old: str, new: str, figures: Mapping[str, int] | None = None) -> NativeBoard:
+    def build(file: str, old: str, new: str) -> NativeBoard:
         sources = mutate(tmp_path / "mutant", file, old, new)
         library = tmp_path / "mutant.so"
-        compile_core(sources, library, figures or {})
+        compile_core(sources, library, {})
         return NativeBoard(library=library)
 
     return build

@@ -157,13 +157,6 @@ def test_asymptote_is_that_of_generalised_least_squares() -> None:
     assert found[2] == pytest.approx(covariance[:0:-1, :0:-1], rel=1e-3)
 
 
-def test_exact_formula_recovers_noiseless_friction() -> None:
-    """From rounded encoder counts alone, two slopes give f_c, f_v to 0.1 % and J to 1 %."""
-    exact = identify_ramps([ideal_record(replace(MODEL, slope=m), 40.0) for m in (0.02, 0.05)], 0.0).exact
-    assert (exact.coulomb.value, exact.viscous.value) == pytest.approx((0.05, 0.02), rel=1e-3)
-    assert exact.inertia.value == pytest.approx(3e-3, rel=1e-2)
-
-
 GRID = [
     # f_c, f_v, J, slopes, end torque
     (0.030, 6.4e-4, 1.3e-5, (0.02, 0.05), 0.15),
@@ -358,18 +351,6 @@ def test_a_bent_ramp_is_left_out_as_if_it_had_not_been_run() -> None:
     for ramp in found.ramps:
         alone = fit_asymptote(ramp.record, T)
         assert (ramp.asymptote.a, ramp.asymptote.b) == pytest.approx((alone.a, alone.b), rel=1e-12)
-
-
-def test_ramps_that_cannot_be_used_are_named_and_the_others_count(rig: Rig) -> None:
-    """One ramp whose current saturates is left out with its label and reason; the rest carries the estimate."""
-    quick = QuickRig(own(rig, 0.05, 8e-4, 6e-5), 1)
-    records = [quick.ramp(slope, 0.15, False, f"ramp {slope} {k}") for k in range(2) for slope in (0.02, 0.05)]
-    records[1] = replace(records[1], measured_torque=np.minimum(records[1].measured_torque, 0.1))
-    found = identify_ramps(records, rig.scale_uncertainty)
-    assert [ramp.record.label for ramp in found.ramps] == ["ramp 0.02 0", "ramp 0.02 1", "ramp 0.05 1"]
-    (reason,) = found.unused
-    assert reason.startswith("ramp 0.05 0: the measured torque falls")
-    assert found.best.coulomb.value == pytest.approx(0.05, rel=0.01)
 
 
 @pytest.mark.parametrize(

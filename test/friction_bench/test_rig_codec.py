@@ -127,8 +127,8 @@ class NativeFrames:
         return bytes(self.sent)[: self.sent_length.value]
 
 
-def test_firmware_and_python_decode_100000_frames_alike(tmp_path: Path) -> None:
-    """With 1 % of the bytes hit, both sides accept the same frames, all of which had been sent."""
+def test_firmware_and_python_code_100000_frames_alike(tmp_path: Path) -> None:
+    """Both give the same bytes, and with 1 % of them hit accept the same frames, all of which had been sent."""
     random_ = random.Random(1)
     native = NativeFrames(tmp_path)
     decoder = FrameDecoder()
@@ -140,6 +140,7 @@ def test_firmware_and_python_decode_100000_frames_alike(tmp_path: Path) -> None:
             frame = Frame(random_.randrange(256), random_.randrange(256), random_.randbytes(random_.randrange(5)))
             sent.add(frame)
             stream += encode(frame)
+            assert native.encode(bytes([frame.type, frame.sequence]) + frame.payload) == encode(frame)
         for _ in range(len(stream) // 100):
             at, how = random_.randrange(len(stream)), random_.randrange(3)
             if how == 0:
@@ -152,12 +153,3 @@ def test_firmware_and_python_decode_100000_frames_alike(tmp_path: Path) -> None:
         assert sent.issuperset(theirs)
         accepted += len(theirs)
     assert accepted > 85_000
-
-
-def test_firmware_and_python_encode_alike(tmp_path: Path) -> None:
-    """Both sides give the same bytes for 5,000 random frames of all lengths the rig sends."""
-    random_ = random.Random(2)
-    native = NativeFrames(tmp_path)
-    for _ in range(5000):
-        body = bytes(random_.choice((0, random_.randrange(256))) for _ in range(random_.randrange(2, 16)))
-        assert native.encode(body) == encode(Frame(body[0], body[1], body[2:]))

@@ -10,13 +10,11 @@ from typing import Any
 
 import pytest
 from rig_bench import greeted
-from rig_conformance import BIPOLAR_TRANSCRIPTS, TRANSCRIPTS, MismatchError, Player, armed
+from rig_conformance import TRANSCRIPTS, MismatchError, Player, armed
 
 from friction_bench.experiment.job import run_ramp
-from friction_bench.rig.emulated import NativeBoard, native_library
-from friction_bench.rig.messages import PROCESSORS, Command, Fault, Frame, encode
-from friction_bench.rig.rig_file import Rig, load_rig
-from rx90_common.base.share import PRESLIDING_RIG, config_path
+from friction_bench.rig.messages import PROCESSORS, Command, Frame, encode
+from friction_bench.rig.rig_file import Rig
 
 SIMULATED = [pytest.param(target, marks=pytest.mark.firmware) for target in ("mcs51", "avr")]
 ALL = ["native", *SIMULATED]
@@ -57,84 +55,26 @@ MUTANTS = {
     "loose_limits": ("core/rig.c", "distance > MAX_TRAVEL", "0"),
     "loose_speed": ("core/rig.c", "speed > MAX_SPEED", "0"),
 }
-BIPOLAR_MUTANTS = {
-    "deaf direction": ("steer(frame_rx[3]);", ";"),
-    "forward ramp": ("steer((frame_rx[5] & WAY_BACKWARD) != 0);", ";"),
-    "pause at zero": ("(uint16_t)(slope + 0x100u - level)", "0x80u"),
-    "one side": ("steer(!backward);", ";"),
-    "endless turns": ("turns--;", ";"),
-    "third direction": ("if (frame_rx[3] > 1u)", "if (0)"),
-    "unsigned report": ("(backward ? STATUS_BACKWARD : 0u)", "0u"),
-}
 
 
 @pytest.mark.parametrize("target", ALL)
-@pytest.mark.parametrize(
-    "transcript", [*TRANSCRIPTS, *BIPOLAR_TRANSCRIPTS], ids=lambda path: f"{path.parent.stem}-{path.stem}"
-)
-def test_every_target_follows_the_transcript(
-    target: str, transcript: Path, make_board: Callable[..., Any], bipolar_firmware: Callable[[str], Path]
-) -> None:
-    """Native, 8051 and AVR firmware give the same answers, pins and timing in every scripted situation.
-
-    Built for torque of both signs they agree on torques, ramps through zero, faults and stops backward, too.
-    """
-    binary = bipolar_firmware(target) if transcript in BIPOLAR_TRANSCRIPTS else None
-    Player(make_board(target, binary=binary)).play(transcript)
+@pytest.mark.parametrize("transcript", TRANSCRIPTS, ids=lambda path: path.stem)
+def test_every_target_follows_the_transcript(target: str, transcript: Path, make_board: Callable[..., Any]) -> None:
+    """Native, 8051 and AVR firmware give the same answers, pins and timing in every scripted situation."""
+    Player(make_board(target)).play(transcript)
 
 
-@pytest.mark.parametrize("name", [*MUTANTS, *BIPOLAR_MUTANTS])
+@pytest.mark.parametrize("name", MUTANTS)
 def test_transcripts_catch_the_mutant(name: str, mutant: Callable[..., Any]) -> None:
-    """A firmware with one rule of safety, or of directions, taken out fails a transcript."""
-    board, transcripts = mutant(*MUTANTS[name]) if name in MUTANTS else None, TRANSCRIPTS
-    if board is None:
-        board = mutant("core/rig.c", *BIPOLAR_MUTANTS[name], {"BIPOLAR": 1, "COUNTS_DOWN": 1})
-        transcripts = BIPOLAR_TRANSCRIPTS
-    for transcript in transcripts:
+    """A firmware with one rule of safety taken out fails a transcript."""
+    board = mutant(*MUTANTS[name])
+    for transcript in TRANSCRIPTS:
         board.reset(1)
         try:
             Player(board).play(transcript)
         except MismatchError:
             return
     pytest.fail(f"no transcript notices the mutant {name}")
-
-
-@pytest.mark.firmware
-@pytest.mark.parametrize("target", ["mcs51", "avr"])
-def test_direction_changes_with_nothing_on_the_dac(
-    target: str, make_board: Callable[..., Any], bipolar_firmware: Callable[[str], Path]
-) -> None:
-    """From +100 to -100 the direction line changes at code 0; the 8051's stage is off for 50 us before and after."""
-    player = armed(make_board(target, binary=bipolar_firmware(target)))
-    player.do_send({"torque": [100, 0]})
-    player.do_beat(30)
-    assert player.board.dac == 100
-    player.do_send({"torque": [100, 1]})
-    player.do_run(4)  # all but the frame's last byte
-    seen = player.board.trace_until(lambda board: board.dac == -100)
-    changed = next(k for k, (_, _, backward, _) in enumerate(seen) if backward)
-    assert seen[changed - 1][1] == seen[changed][1] == 0
-    if target == "mcs51":
-        off = [time for time, _, _, stage in seen if not stage]
-        assert seen[changed][0] - off[0] > 50e-6
-        assert off[-1] - seen[changed][0] > 50e-6
-        assert off[-1] - off[0] < 300e-6
-
-
-def test_firmware_counts_down_and_limits_travel_both_ways() -> None:
-    """Built for a decoder, the firmware counts below zero, and limits the travel of a motor that turns back."""
-    rig = load_rig(config_path(PRESLIDING_RIG))
-    player = Player(NativeBoard(rig.baud, native_library(rig.firmware_figures)))
-    player.do_greet(None)
-    player.do_send({"limits": [2, 300]})
-    player.do_beat(60)
-    player.do_send("arm")
-    player.do_edges(-10)
-    player.do_beat(100)
-    before, last = player.reports[-2:]
-    assert last.counts < 2**24 - 400
-    assert last.counts - before.counts == -200
-    assert last.fault == Fault.TRAVEL  # beyond 2 x 256 counts
 
 
 def time_at_full_scale(board: Any) -> float:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
 import threading
 import time
-from collections.abc import Callable
-from typing import ClassVar
 
 import pytest
 from processes import TIMEOUT, wait_until
 from rig_bench import Bench
 
 from friction_bench.rig import link
-from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.client import RigClient
 from friction_bench.rig.messages import Command, RigLostError, RigRefusedError, RigResetError, State
 from friction_bench.rig.serial_port import SerialPort
 
@@ -36,15 +32,9 @@ def test_unplugging_is_survived_and_needs_arming(bench: Bench) -> None:
     bench.arm()
 
 
-@pytest.fixture
-def _never_calm(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have trouble after a pause, which a busy machine may make, be the same trouble."""
-    monkeypatch.setattr(link, "CALM", math.inf)
-
-
-@pytest.mark.usefixtures("_never_calm")
-def test_garbage_disarms_once_and_is_survived(bench: Bench) -> None:
+def test_garbage_disarms_once_and_is_survived(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Noise from the rig's side disarms the rig, is reported once, and the link goes on."""
+    monkeypatch.setattr(link, "CALM", math.inf)  # trouble after a pause, which a busy machine may make, is the same
     bench.arm()
     client = bench.link.client
     assert client is not None
@@ -64,39 +54,6 @@ def test_garbage_disarms_once_and_is_survived(bench: Bench) -> None:
     bench.arm()  # what disarmed the rig does not do so again
     bench.listen(10)
     assert bench.state == State.ARMED
-
-
-def test_reset_is_reported_once_and_needs_arming(bench: Bench) -> None:
-    """A rig that restarts by itself is greeted again, reported once, and stays disarmed."""
-    bench.arm()
-    bench.reset()
-    wait_until(lambda: any("restarted" in text for text in bench.troubles), "the report")
-    wait_until(lambda: bench.link.connected and bench.state == State.DISARMED, "the greeting")
-    assert sum("restarted" in text for text in bench.troubles) == 1
-    bench.arm()
-
-
-def test_last_report_is_asked_for_while_the_link_forgets_it(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who asks for the last report while the rig is greeted anew gets the one that was, or none, and no error."""
-    client = bench.link.client
-    assert client is not None
-    sample = client.last
-
-    class Forgetful:
-        """A client that is greeted between two looks at its last reading."""
-
-        answers: ClassVar = [None, sample]
-
-        @property
-        def last(self) -> Sample | None:
-            """Return the reading once."""
-            return self.answers.pop()
-
-    monkeypatch.setattr(bench.link, "client", Forgetful())
-    last = bench.link.last
-    monkeypatch.undo()
-    assert sample is not None
-    assert last == sample.report
 
 
 def test_second_opener_is_turned_away(bench: Bench) -> None:
@@ -127,29 +84,6 @@ def test_job_is_not_run_after_a_reset_or_once_given_up(bench: Bench) -> None:
         pytest.fail("armed after a reset")
     assert isinstance(first, RigLostError | RigResetError | RigRefusedError)
     assert not bench.board.stage_on
-
-
-@pytest.mark.usefixtures("_never_calm")
-def test_program_that_steals_bytes_is_survived_and_needs_arming(bench: Bench) -> None:
-    """A reader that does not heed the lock costs the arming, is reported once, and leaves a link that goes on."""
-    bench.arm()
-    thief = os.open(bench.path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
-
-    def steal_until(condition: Callable[[], bool]) -> None:
-        while not condition():
-            with contextlib.suppress(BlockingIOError):
-                os.read(thief, 8)
-
-    try:
-        began = time.monotonic()
-        steal_until(lambda: bench.troubles != [] or time.monotonic() > began + 20.0)
-        first = time.monotonic()
-        steal_until(lambda: time.monotonic() > first + 1.0)  # time for more of them
-    finally:
-        os.close(thief)
-    wait_until(lambda: bench.link.connected and bench.state == State.DISARMED, "the rig's end")
-    assert len(bench.troubles) == 1
-    bench.arm()
 
 
 def test_dead_owner_loses_the_torque(bench: Bench) -> None:

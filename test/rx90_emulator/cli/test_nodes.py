@@ -119,7 +119,6 @@ CALLS = {
     "rx90_controller": ([], "numpy"),
     "rx90_cell": ([], "rclpy"),
     "friction_bench": ([], "serial"),
-    "friction_presliding": (["--output", "out"], "matplotlib"),
     "friction_ramp": (["--output", "out"], "tqdm"),
     "friction_rig_emulator": ([], "numba"),
     "rx90_bag": (["record", "--output", "bag"], "rosbags"),

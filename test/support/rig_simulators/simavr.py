@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import subprocess
 import weakref
-from collections.abc import Callable
 from pathlib import Path
 
 SHIM = Path(__file__).with_name("simavr_board.c")
@@ -35,7 +34,7 @@ class SimavrBoard:
     def __init__(self, library: Path, firmware: Path) -> None:
         self._lib = ctypes.CDLL(str(library))
         self._lib.board_new.restype = ctypes.c_void_p
-        for name in ("board_dac", "board_worst_dac", "board_stage", "board_reversed", "board_register"):
+        for name in ("board_dac", "board_worst_dac", "board_stage", "board_register"):
             getattr(self._lib, name).restype = ctypes.c_uint8
         flash = read_intel_hex(firmware)
         self._board = ctypes.c_void_p(self._lib.board_new(flash, len(flash)))
@@ -56,14 +55,13 @@ class SimavrBoard:
         return self._buffer.raw[:count]
 
     def run(self, slice_us: int, edges: int, adc: int) -> None:
-        """Let time pass with these encoder edges, below 0 backward by the decoder's line, and this ADC code."""
+        """Let time pass with these encoder edges and this ADC code."""
         self._lib.board_run(self._board, slice_us, edges, adc)
 
     @property
     def dac(self) -> int:
-        """Return the code on the DAC, below 0 where A1 says backward."""
-        code = int(self._lib.board_dac(self._board))
-        return -code if self._lib.board_reversed(self._board) else code
+        """Return the code on the DAC."""
+        return int(self._lib.board_dac(self._board))
 
     @property
     def stage_on(self) -> bool:
@@ -81,16 +79,6 @@ class SimavrBoard:
     def worst_dac(self) -> int:
         """Return the highest DAC code seen with the stage on since the last call."""
         return int(self._lib.board_worst_dac(self._board))
-
-    def trace_until(self, done: Callable[[SimavrBoard], bool]) -> list[tuple[float, int, bool, bool]]:
-        """Let microseconds pass until `done`; return time, s, DAC, backward and stage after each of them."""
-        seen = []
-        for us in range(20_000):
-            self.run(1, 0, 0)
-            seen.append((us * 1e-6, self.dac, bool(self._lib.board_reversed(self._board)), self.stage_on))
-            if done(self):
-                return seen
-        raise RuntimeError("it did not come about")
 
     def close(self) -> None:
         """End the simulation."""

@@ -11,11 +11,11 @@
 #define LINE 4096u
 #define CYCLES_PER_US 16u
 #define BYTE_CYCLES (CYCLES_PER_US * 10000000u / 19200u)
-enum { PINB_DDR = 0x24, PORTB = 0x25, DDRC = 0x27, PORTC = 0x28, DDRD = 0x2a, PORTD = 0x2b };
+enum { PINB_DDR = 0x24, PORTB = 0x25, DDRD = 0x2a, PORTD = 0x2b };
 
 struct board {
     avr_t *avr;
-    avr_irq_t *rx, *adc, *encoder, *direction;
+    avr_irq_t *rx, *adc, *encoder;
     uint8_t to_rig[LINE], from_rig[LINE];
     uint32_t to_head, to_tail, from_head, from_tail;
     avr_cycle_count_t next_byte;
@@ -45,7 +45,6 @@ struct board *board_new(uint8_t *flash, uint32_t size)
     board->rx = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
     board->adc = avr_io_getirq(avr, AVR_IOCTL_ADC_GETIRQ, ADC_IRQ_ADC0);
     board->encoder = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 2);
-    board->direction = avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('D'), 3);
     return board;
 }
 
@@ -73,13 +72,6 @@ uint8_t board_stage(const struct board *board)
 {
     const uint8_t *io = board->avr->data;
     return (io[PINB_DDR] & 0x10) && !(io[PORTB] & 0x10);
-}
-
-/* A1, the direction of a bipolar stage; an input on boards without one. */
-uint8_t board_reversed(const struct board *board)
-{
-    const uint8_t *io = board->avr->data;
-    return (io[DDRC] & 0x02) && !(io[PORTC] & 0x02);
 }
 
 /* A register of the data space: what a moved pin does. */
@@ -120,17 +112,14 @@ static void run_until(struct board *board, avr_cycle_count_t end)
     }
 }
 
-/* Edges below 0 are backward, by the decoder's line. */
-void board_run(struct board *board, uint32_t us, int16_t edges, uint8_t reading)
+void board_run(struct board *board, uint32_t us, uint16_t edges, uint8_t reading)
 {
     avr_cycle_count_t start = board->avr->cycle;
     avr_cycle_count_t length = (avr_cycle_count_t)us * CYCLES_PER_US;
-    uint16_t i, number = (uint16_t)(edges < 0 ? -edges : edges);
+    uint16_t i;
     avr_raise_irq(board->adc, (reading * 5000u + 2500u) / 256u);
-    if (edges)
-        avr_raise_irq(board->direction, edges > 0);
-    for (i = 0; i < number; i++) {
-        run_until(board, start + length * (i + 1u) / (number + 1u));
+    for (i = 0; i < edges; i++) {
+        run_until(board, start + length * (i + 1u) / (edges + 1u));
         avr_raise_irq(board->encoder, 0);
         avr_raise_irq(board->encoder, 1); /* idles high, by the pull-up */
     }

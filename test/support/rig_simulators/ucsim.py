@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import tempfile
 import termios
-from collections.abc import Callable
 from pathlib import Path
 
 SHIM = Path(__file__).with_name("ucsim_poll.c")
@@ -65,8 +64,6 @@ class UcsimBoard:
         )
         self.adc_port, self.dac_port, self.stage = 2, 1, 0x10
         """Ports of current sense and DAC, and the bit of P3 that switches the stage off."""
-        self.levels = 0xFF
-        """What is on the pins of P3 between two edges."""
         self._target = 0.0
         self._clock = 0
         self._dac = 0
@@ -109,8 +106,7 @@ class UcsimBoard:
             return b""
 
     def run(self, slice_us: int, edges: int, adc: int) -> None:
-        """Let time pass with these encoder edges, below 0 backward by the decoder's line, and this ADC code."""
-        idle, edges = (self.levels, edges) if edges >= 0 else (self.levels & 0xF7, -edges)
+        """Let time pass with these encoder edges and this ADC code."""
         self._target += slice_us * CRYSTAL_MHZ
         steps = max(1, round((self._target - self._clock) / CLOCKS_PER_INSTRUCTION))
         # The simulator looks for input every million instructions, unless told; twice the time that the bytes take.
@@ -119,16 +115,16 @@ class UcsimBoard:
         given = {
             f"expr uart0_check_often={int(listens)}",
             f"set hw port[{self.adc_port}] {adc}",
-            f"set hw port[3] {idle}",
+            "set hw port[3] 255",
         }
         lines = sorted(given - self._given)
         self._given = given
         for _ in range(edges):
             lines += [
                 f"step {max(1, steps // (edges + 1))}",
-                f"set hw port[3] {idle & 0xFB}",
+                "set hw port[3] 251",
                 "step 4",
-                f"set hw port[3] {idle}",
+                "set hw port[3] 255",
             ]
         self._look([*lines, f"step {max(1, steps // (edges + 1))}"])
 
@@ -152,16 +148,6 @@ class UcsimBoard:
         self._look(["expr uart0_check_often=1", f"step {count}"])
         self._target = float(self._clock)
 
-    def trace_until(self, done: Callable[[UcsimBoard], bool]) -> list[tuple[float, int, bool, bool]]:
-        """Execute single instructions until `done`; return time, s, DAC, backward and stage after each of them."""
-        seen = []
-        for _ in range(8000):
-            self.instructions(1)
-            seen.append((self.time, self.dac, not self._port3 & 0x20, self.stage_on))
-            if done(self):
-                return seen
-        raise RuntimeError("it did not come about")
-
     def clock_when(self, address: int, value: int, not_before: int = 0) -> int:
         """Run until the byte of internal RAM at `address` is `value`; return the clock then.
 
@@ -182,9 +168,8 @@ class UcsimBoard:
 
     @property
     def dac(self) -> int:
-        """Return the code on the DAC, below 0 where P3.5 says backward: low, which it is never without that line."""
-        code = self._dac & 0xFF
-        return code if self._port3 & 0x20 else -code
+        """Return the code on the DAC."""
+        return self._dac & 0xFF
 
     @property
     def stage_on(self) -> bool:

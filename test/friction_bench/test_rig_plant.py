@@ -1,0 +1,136 @@
+"""The emulated rig's mechanics against a stiff solver: shaft, joint with bristles, and the motor's supply."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from friction_bench.rig.plant import RigPlant, Shaft, turn
+from friction_bench.rig.rig_file import Rig, load_rig
+from rx90_common.base.arrays import Array
+from rx90_common.base.share import config_path
+from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
+
+
+@pytest.fixture(scope="module")
+def lugre_rig() -> Rig:
+    """Return the shipped rig whose joint has bristles, without errors of its amplifier and friction of its motor."""
+    rig = load_rig(config_path("rig/gm8224_lugre.yaml"))
+    return replace(rig, plant=replace(rig.plant, gain_error=0.0, torque_noise=0.0, coulomb=0.0))
+
+
+def by_solver(shaft: Shaft, state: Array, torque: float, duration: float) -> Array:
+    """Return angle and speed of J w' = torque - f_v w - f_c sgn w after a time, from one stop to the next."""
+    left = duration
+    while left > 1e-12:
+        sign = math.copysign(1.0, state[1]) if state[1] else math.copysign(1.0, torque)
+        if state[1] == 0.0 and abs(torque) <= shaft.coulomb:
+            return state
+
+        def motion(_: float, y: Array, s: float = sign) -> list[float]:
+            return [y[1], (torque - s * shaft.coulomb - shaft.viscous * y[1]) / shaft.inertia]
+
+        def stops(_: float, y: Array, s: float = sign) -> float:
+            return s * y[1] + 1e-12
+
+        stops.terminal, stops.direction = True, -1.0
+        solved = solve_ivp(motion, (0.0, left), state, events=stops, rtol=1e-10, atol=1e-12, max_step=1e-3)
+        state = solved.y[:, -1].copy()
+        if solved.status == 1:
+            state[1] = 0.0
+        left -= float(solved.t[-1])
+    return state
+
+
+def test_a_shaft_turns_as_scipy_integrates_it() -> None:
+    """Under torques of both signs a shaft slides, stops, rests, and slides the other way as equations 1 and 2 say."""
+    shaft = Shaft(6e-5, 0.05, 1e-3)
+    angle, speed, state = 0.0, 0.0, np.zeros(2)
+    found, expected = [], []
+    for torque in (0.08, -0.08, -0.01, 0.09):
+        for _ in range(20):
+            angle, speed = turn(angle, speed, torque, shaft, 3e-3)
+            state = by_solver(shaft, state, torque, 3e-3)
+            found.append((angle, speed))
+            expected.append(state.tolist())
+    assert np.array(found) == pytest.approx(np.array(expected), rel=1e-6, abs=1e-6)
+    speeds = np.array(found)[:, 1]
+    assert speeds.max() > 10.0
+    assert speeds.min() < -5.0
+    assert (speeds == 0.0).any()
+
+
+def test_back_emf_limits_the_torque(rig: Rig) -> None:
+    """At 500 rad/s 24 V leave (24 - 22.5) / 2.6 A; a torque is never below zero."""
+    plant = RigPlant(replace(rig, plant=replace(rig.plant, gain_error=0.0, torque_noise=0.0)), 0)
+    assert plant.motor_torque(0.15, 1e-3) == 0.15
+    plant.speed = 500.0
+    assert plant.motor_torque(0.15, 1e-3) == pytest.approx((24.0 - 0.045 * 500.0) / 2.6 * 0.045)
+    plant.speed = 600.0
+    assert plant.motor_torque(0.15, 1e-3) == 0.0
+
+
+def elastic_share(y: float, steady: float, elastic: float) -> float:
+    """Return Dupont's alpha: 0 up to break-away, 1 in steady sliding, half a sine between."""
+    if y <= elastic:
+        return 0.0
+    if y >= steady:
+        return 1.0
+    return 0.5 + 0.5 * math.sin(math.pi * (y - 0.5 * (steady + elastic)) / (steady - elastic))
+
+
+@pytest.mark.parametrize("bristles", [None, ElastoPlastic(0.5)], ids=["LuGre", "elasto-plastic"])
+def test_the_rigs_joint_moves_as_scipy_integrates_it(lugre_rig: Rig, bristles: ElastoPlastic | None) -> None:
+    """Under a torque in steps the joint moves as equations 17 to 19 say, with other bristles, too."""
+    changes: dict[str, Any] = {"c1": 20.0}  # critical damping: no oscillation whose phase the splitting of steps shifts
+    if bristles is not None:
+        changes["bristles"] = bristles
+    rig = replace(lugre_rig, plant=replace(lugre_rig.plant, joint=replace(lugre_rig.plant.joint, **changes)))
+    joint = rig.plant.joint
+    plant = RigPlant(rig, 0)
+    plant.load(True)
+    of_motor = rig.plant.viscous * rig.gear_ratio * rig.joint_scale
+    inertia = rig.plant.load_inertia + rig.plant.joint_inertia
+    inertia += rig.plant.rotor_inertia * rig.gear_ratio * rig.joint_scale
+
+    def motion(_: float, state: Array, torque: float) -> list[float]:
+        _, v, z = state
+        rise = joint.tau_s_positive - joint.tau_c_positive
+        steady = (joint.tau_c_positive + rise * math.exp(-abs(v) / joint.omega_s)) / joint.c0
+        sense = math.copysign(1.0, v)
+        alpha = 1.0
+        if bristles is not None:
+            alpha = elastic_share(sense * z, steady, 0.5 * joint.tau_c_positive / joint.c0)
+        z_dot = v * (1.0 - alpha * sense * z / steady)
+        friction = joint.c0 * z + joint.c1 * math.exp(-((v / joint.omega_d) ** 2)) * z_dot + (joint.c2 + of_motor) * v
+        return [v, (torque * rig.joint_scale - friction) / inertia, z_dot]
+
+    state, found, expected = np.zeros(3), [], []
+    for torque in (0.018, 0.036, 0.012, 0.042, 0.0):  # Nm at the motor
+        for _ in range(80):
+            plant.advance(torque, 1e-3)
+        found.append(plant.angle / rig.gear_ratio)
+        solved = solve_ivp(motion, (0.0, 0.08), state, args=(torque,), rtol=1e-9, atol=1e-13, max_step=1e-3)
+        state = solved.y[:, -1]
+        expected.append(float(state[0]))
+    assert found == pytest.approx(expected, rel=5e-3, abs=2e-7)
+
+
+def test_a_joint_put_on_again_begins_anew(lugre_rig: Rig) -> None:
+    """Taking the joint off and on forgets the deflections: the same torques give the same motion to the last bit."""
+    joint = replace(lugre_rig.plant.joint, bristles=MaxwellSlip((0.6, 0.4), (0.2, 0.8), 500.0))
+    plant, paths = RigPlant(replace(lugre_rig, plant=replace(lugre_rig.plant, joint=joint)), 1), []
+    for _ in range(2):
+        plant.load(True)
+        plant.angle = 0.0
+        paths.append([])
+        for _ in range(50):
+            plant.advance(0.02, 1e-3)
+            paths[-1].append((plant.angle, plant.speed, plant.bristle))
+    assert paths[0] == paths[1]
+    assert paths[0][-1][2] > 0.0
