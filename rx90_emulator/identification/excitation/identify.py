@@ -34,7 +34,6 @@ from rx90_emulator.identification.excitation.friction import (
     identify_friction_parts,
     predicted_torque,
 )
-from rx90_emulator.identification.excitation.instruments import check_closed_loop
 from rx90_emulator.identification.excitation.known_payload import (
     DriveGains,
     LoadParts,
@@ -156,10 +155,8 @@ def identify_excitation(
     problem = change(problem)
     progress("friction")
     friction = identify_friction_parts(problem, prior=known, **tried)
-    progress("instrumental variables")
-    closed_loop, friction = check_closed_loop(problem, friction, known)
-    remarks = [closed_loop.remark, *([] if loads is None else [loads.remark(problem.arm.element_names)])]
-    friction = replace(friction, remarks=(*friction.remarks, *remarks))
+    if loads is not None:
+        friction = replace(friction, remarks=(*friction.remarks, loads.remark(problem.arm.element_names)))
     progress("consistent inertias")
     consistency = make_consistent(problem, friction, source, robot)
     elements = simulated_elements(friction.elements, source.fallback, loads)
@@ -180,12 +177,11 @@ def identify_excitation(
         problem=problem,
         friction=friction,
         elements=elements,
-        base=base_parameters(problem, friction, consistency, closed_loop),
+        base=base_parameters(problem, friction, consistency),
         consistency=consistency,
         torques=fitted,
         validations=tuple(checks),
         trends=trends(fitted, friction.blocks.length),
-        instruments=closed_loop,
         zeros=zeros,
         gains=gains,
         loads=loads,
@@ -237,7 +233,7 @@ def count_steps(
 ) -> int:
     """Return how often `identify_excitation` calls `progress` for a number of bags and validation runs."""
     choices = 1 + payloads  # of the friction's parts: known payloads need one more, for the drive gains or load parts
-    return bags + 2 * validation + 3 + choices * (1 + stages(*_requested_parts(bristles, model)))
+    return bags + 2 * validation + 2 + choices * (1 + stages(*_requested_parts(bristles, model)))
 
 
 def _requested_parts(bristles: bool, model: Sequence[str] | None) -> tuple[tuple[Part, ...], bool]:

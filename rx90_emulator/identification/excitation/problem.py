@@ -291,10 +291,6 @@ def described_inertials(columns: StandardColumns, base: BaseGroups, relative: fl
     return Prior(base.combination @ value, precision)
 
 
-Motion = tuple[Array, Array, Array]
-"""Position, velocity and acceleration, each of shape (m, n)."""
-
-
 @dataclass(frozen=True, eq=False)
 class ExcitationProblem:
     """The equations `torque` = `regressor` @ parameters + friction; rows sorted by run, joint, time.
@@ -458,18 +454,6 @@ class ExcitationProblem:
 
     def _filtered(self, along: Sequence[Array]) -> Array:
         return np.concatenate([run.parallel(values) for run, values in zip(self.runs, along, strict=True)])
-
-    def moved(self, motions: Sequence[Motion]) -> ExcitationProblem:
-        """Return the same rows with the columns of other motions, one for each run, at its times.
-
-        Columns of the result (its regressor, friction along its runs) are instruments for the original.
-        """
-        runs = tuple(
-            replace(run, position=q, velocity=v, acceleration=a, torque_velocity=v, resampling=None)
-            for run, (q, v, a) in zip(self.runs, motions, strict=True)
-        )
-        other = replace(self, runs=runs, payloads=(None,) * len(runs))
-        return replace(other, regressor=other.through(np.eye(len(self.arm.names)))[0])
 
     def through(self, share: Array) -> tuple[Array, Array]:
         """Return the rows of the base's columns and of the payloads for a part of the torque, shape (r, b) and (r,).

@@ -29,7 +29,6 @@ from rx90_emulator.identification.excitation.bodies import Consistency
 from rx90_emulator.identification.excitation.choice import ModelRow
 from rx90_emulator.identification.excitation.fit import LinearFit, time_blocks
 from rx90_emulator.identification.excitation.friction import FrictionSelection
-from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
 from rx90_emulator.identification.excitation.known_payload import DriveGains, LoadParts
 from rx90_emulator.identification.excitation.law import overall
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
@@ -52,9 +51,8 @@ class BaseParameter:
         name: short, such as mzR_2: the R means that other parameters belong to its group.
         group: in words, such as "mz_2 + 0.45 m_3".
         unit: SI.
-        estimate: together with the friction, by weighted least squares, or by instrumental variables if these are used.
+        estimate: together with the friction, by weighted least squares.
         consistent: its value by the physically consistent inertias.
-        other: by the other one of the two methods.
     """
 
     name: str
@@ -62,7 +60,6 @@ class BaseParameter:
     unit: str
     estimate: ParameterEstimate
     consistent: float
-    other: ParameterEstimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +136,6 @@ class ExcitationIdentification:
         validations: the same for runs that were not used, with a verdict.
         trends: drifts within a run.
         bags: the bags by use: excitation, validation.
-        instruments: comparison of least squares and instrumental variables.
         zeros: which encoder zeros seem wrong.
         gains: of the drives, by which the recorded torques were multiplied; None without a known payload.
         loads: the friction's load parts, whose torque was subtracted from the problem's; None if not requested.
@@ -157,7 +153,6 @@ class ExcitationIdentification:
     validations: tuple[TorqueValidation, ...]
     trends: tuple[Trend, ...]
     bags: tuple[tuple[str, BagSource], ...]
-    instruments: InstrumentalComparison
     zeros: ZeroCheck
     gains: DriveGains | None = None
     loads: LoadParts | None = None
@@ -222,23 +217,19 @@ class ExcitationIdentification:
 
 
 def base_parameters(
-    problem: ExcitationProblem,
-    friction: FrictionSelection,
-    consistency: Consistency,
-    comparison: InstrumentalComparison,
+    problem: ExcitationProblem, friction: FrictionSelection, consistency: Consistency
 ) -> tuple[BaseParameter, ...]:
-    """Return the linear parameters beside friction with their deviations, and by the other method."""
-    fit, other = friction.fit, comparison.least_squares if comparison.biased else comparison.instrumental
-    unknown, none = undetermined(problem, fit), ParameterEstimate.unknown(NOT_DETERMINED)
-    found = []
+    """Return the linear parameters beside friction with their deviations."""
+    fit = friction.fit
+    unknown = undetermined(problem, fit)
+    parameters = []
     for k, (name, group) in enumerate(zip(problem.names, problem.base.groups, strict=True)):
-        estimate, second = (ParameterEstimate(float(one.value[k]), float(one.deviation[k])) for one in (fit, other))
-        determined = name not in unknown
-        second = second if determined and math.isfinite(second.deviation) else none
+        estimate = ParameterEstimate(float(fit.value[k]), float(fit.deviation[k]))
+        if name in unknown:
+            estimate = ParameterEstimate.unknown(NOT_DETERMINED)
         unit = UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2")
-        near = float(consistency.inertias.base[k])
-        found.append(BaseParameter(name, group, unit, estimate if determined else none, near, second))
-    return tuple(found)
+        parameters.append(BaseParameter(name, group, unit, estimate, float(consistency.inertias.base[k])))
+    return tuple(parameters)
 
 
 def undetermined(problem: ExcitationProblem, fit: LinearFit) -> tuple[str, ...]:

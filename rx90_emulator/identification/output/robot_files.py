@@ -419,9 +419,6 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
     """
     friction, bandwidths = result.friction, result.problem.runs[0].bandwidths
     bodies = result.consistency.inertias
-    chosen, other = "instrumental variables", "least squares"
-    if not result.instruments.biased:
-        chosen, other = other, chosen
 
     def checked(prefix: str, check: CrossValidation | None) -> dict[str, Any]:
         if check is None:
@@ -440,7 +437,6 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         "base_parameters": {
             one.name: {"unit": one.unit, "group": one.group, **_estimate(one.estimate)}
             | {"consistent": digits(one.consistent)}
-            | ({} if one.other is None else {other.replace(" ", "_"): _estimate(one.other)})
             for one in result.base
         },
         "friction": {
@@ -471,8 +467,6 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
                 name for name, one in zip(bodies.prior.joints, bodies.open.tolist(), strict=True) if one
             ],
         },
-        "estimator": chosen,
-        "instrumental_variables": result.instruments.reason,
     }
     if result.gains is not None:
         pairs = zip(result.gains.factor.tolist(), result.gains.deviation.tolist(), strict=True)

@@ -181,7 +181,6 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     lines.append(f"low-pass: {bandwidths.position:.3g} Hz, torques {bandwidths.torque:.3g} Hz: {bandwidths.reason}")
     lines += [note if note.startswith("warning") else f"recording: {note}" for note in result.notes]
     lines.append(f"model: {kept_parts(result)}; last step of the choice: {result.model.reason}")
-    lines.append(f"closed loop: {result.instruments.remark}")
     lines += filter(None, (result.consistency.text, result.consistency.open_text))
     if gains := gain_texts(result):
         factors = (
