@@ -44,7 +44,6 @@ COMMANDS = {
     "excitation_time": "identification_time excitation",
     "wrong_zeros": "wrong_zeros",
     "poor_logs": "poor_logs",
-    "load_parts": "load_parts",
     "transmission": "transmission",
     "published_friction": "published_friction",
     "bristles": "bristles",

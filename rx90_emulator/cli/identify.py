@@ -74,12 +74,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     bags.add_argument("--bristle-kinds", action="store_true", help="with micro-oscillations: choose LuGre, "
                       "elasto-plastic or Maxwell-slip bristles for each joint by what predicts them best, or say that "
                       "they cannot tell; takes some seconds for each joint (docs/explanation/bristles.md)")  # fmt: skip
-    bags.add_argument("--payload", type=Path, metavar="FILE", help="with --excitation: YAML that names the bags whose "
-                      "run carried a known body, with its mass, centre and inertia; runs with and without one tell the "
-                      "drive gains (docs/explanation/excitation.md)")  # fmt: skip
-    bags.add_argument("--load-part", action="store_true", help="with --payload: let the payloads tell how friction "
-                      "grows with the load, each element's load part, in place of the drive gains, which count as "
-                      "right")  # fmt: skip
     bags.add_argument("--no-rotors", action="store_true", help="with --excitation and --urdf: leave the inertias of "
                       "rotors out, for torques of sensors between gear and link")  # fmt: skip
     bags.add_argument("--prior", type=POSITIVE, metavar="SHARE", help="with --excitation: let the inertials of the "
@@ -119,7 +113,7 @@ _UNUSED = (
     ("excitation", "worst_torque_tolerance tip_tolerance", "with excitation runs",
      "--torque-tolerance and --total-torque-tolerance"),
     ("check sweeps", "bristles", _WITHOUT, "with --excitation BAG ..., or --bristle-kinds for micro-oscillations"),
-    ("check sweeps", "load_part payload prior bandwidth no_rotors", _WITHOUT, "with --excitation BAG ..."),
+    ("check sweeps", "prior bandwidth no_rotors", _WITHOUT, "with --excitation BAG ..."),
     ("check", "folder sliding presliding output bristle_kinds model", "with --friction",
      "--validation BAG ... alone, for nothing is identified or written"),
 )  # fmt: skip
@@ -158,13 +152,11 @@ def main(options: argparse.Namespace) -> int:
             bristle_kinds=options.bristle_kinds, model=options.model, force=options.force,
         )  # fmt: skip
     else:
-        if options.load_part and options.payload is None:
-            raise IdentificationError("--load-part without --payload; accepted: with --payload FILE")
         wider = ExcitationTolerances(tolerances.get("total", RECORDED.total), tolerances.get("torque", RECORDED.torque))
         confirmed = job.run_excitation(
             options.excitation, robot, options.validation, wider, options.output,
-            bristles=options.bristles, model=options.model, payload=options.payload, load_part=options.load_part,
-            prior=options.prior, rotors=not options.no_rotors, bandwidth=options.bandwidth, force=options.force,
+            bristles=options.bristles, model=options.model, prior=options.prior, rotors=not options.no_rotors,
+            bandwidth=options.bandwidth, force=options.force,
         )  # fmt: skip
     if confirmed:
         return DONE

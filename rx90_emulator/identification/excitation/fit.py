@@ -1,7 +1,7 @@
 """Least squares: a robust linear fit with deviations that hold under misfit, and a separable non-linear fit.
 
-Every linear fit of excitation runs is one call of `solve`: the base fit, drive gains, load parts, free exponents, parts
-that may exist, load dependence.
+Every linear fit of excitation runs is one call of `solve`: the base fit, free exponents, parts that may exist, load
+dependence.
 
 Residuals of an excitation run are not white noise: effects outside the model (ripple, load, temperature) return with
 the motion. So a fit is written as the sum of the contributions of all instants, their influences: inverse curvature
@@ -141,9 +141,7 @@ def solve(
     # Huber's criterion is quadratic where the weight is 1 and linear beyond.
     curvature = solved(per_row * (weights == 1.0))[1]
     influence = _influence_by_time(problem, (weighted * outside[:, None]) @ curvature.T)
-    # Errors common to all rows are no noise: they shift the values as they shift the torque.
-    shared = inverse @ (weighted.T @ problem.uncertain)
-    covariance = hac(influence) + curvature @ precision @ curvature.T + shared @ shared.T
+    covariance = hac(influence) + curvature @ precision @ curvature.T
     covariance[~determined, ~determined] = np.inf
     return LinearFit(value, covariance, residual, sigma, weights, determined, influence)
 

@@ -29,7 +29,6 @@ from rx90_emulator.identification.excitation.bodies import Consistency
 from rx90_emulator.identification.excitation.choice import ModelRow
 from rx90_emulator.identification.excitation.fit import LinearFit, time_blocks
 from rx90_emulator.identification.excitation.friction import FrictionSelection
-from rx90_emulator.identification.excitation.known_payload import DriveGains, LoadParts
 from rx90_emulator.identification.excitation.law import overall
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions
@@ -137,8 +136,6 @@ class ExcitationIdentification:
         trends: drifts within a run.
         bags: the bags by use: excitation, validation.
         zeros: which encoder zeros seem wrong.
-        gains: of the drives, by which the recorded torques were multiplied; None without a known payload.
-        loads: the friction's load parts, whose torque was subtracted from the problem's; None if not requested.
         notes: what was excluded or bridged in the recordings, and what they cannot determine.
     """
 
@@ -154,8 +151,6 @@ class ExcitationIdentification:
     trends: tuple[Trend, ...]
     bags: tuple[tuple[str, BagSource], ...]
     zeros: ZeroCheck
-    gains: DriveGains | None = None
-    loads: LoadParts | None = None
     notes: tuple[str, ...] = ()
 
     @cached_property
@@ -257,9 +252,7 @@ _NEUTRAL = {"omega_s": 0.1, "delta": 1.0, "c2": 0.0}  # without effect while tau
 
 
 def simulated_elements(
-    estimates: Sequence[ElementEstimate],
-    fallback: Sequence[FrictionElement] | None,
-    loads: LoadParts | None = None,
+    estimates: Sequence[ElementEstimate], fallback: Sequence[FrictionElement] | None
 ) -> tuple[IdentifiedElement, ...]:
     """Return the elements with values for all parameters.
 
@@ -271,7 +264,6 @@ def simulated_elements(
     Args:
         estimates: by the names of FrictionElement.
         fallback: elements in the same order; None if there are none.
-        loads: the load parts; None if they were not requested.
 
     Raises:
         IdentificationError: naming the elements, if no Coulomb torque is identified and there is no fallback.
@@ -284,14 +276,12 @@ def simulated_elements(
             "a friction file"
         )
     found = []
-    for number, (one, other) in enumerate(zip(estimates, fallback or (None,) * len(estimates), strict=True)):
+    for one, other in zip(estimates, fallback or (None,) * len(estimates), strict=True):
         values = dict(one.parameters)
         if not any(estimate.identifiable for estimate in values.values()) and other is not None:
             element = other
         else:
             element = _element(values, other, min(known, default=0.0))
-        if loads is not None:
-            element, values = replace(element, load=loads.part(number)), values | loads.estimates(number)
         found.append(IdentifiedElement.of(element, values, dict.fromkeys(values, one.sources), other))
     return tuple(found)
 

@@ -22,7 +22,6 @@ from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat,
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.output import summary
-from rx90_emulator.identification.output.robot_files import torque_constants
 from rx90_emulator.identification.presliding.bristle_motion import MAX_MOTIONS_ALONE, MAX_MOTIONS_OF_BAG
 from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE
 from rx90_emulator.identification.records import in_unit
@@ -261,8 +260,6 @@ def excitation_page(
     correlation = friction.fit.covariance[np.ix_(known, known)] / np.outer(deviation[known], deviation[known])
     close = [(names[i], names[j], float(correlation[i, j]))
              for i, j in np.argwhere(np.triu(np.abs(correlation) > _MAX_CORRELATION, 1))]  # fmt: skip
-    gains, identified = summary.gain_texts(result), torque_constants(result)
-    constants = [] if identified is None else [f"{value:.4g}" for value in identified.value]
     return _render(
         "excitation.html.j2",
         date,
@@ -277,7 +274,6 @@ def excitation_page(
         curves=_friction_plot(result),
         spectra=_spectra_plot(checked or result.torques),
         by_speed=_speed_plot(result),
-        gains=list(zip(gains, gains.values(), constants or [""] * len(gains), strict=True)),
         by_time=_time_plot(result.torques, friction.blocks.length),
         correlation=Plot([Heat(names, correlation)], height=7.0),
         close=sorted(close, key=lambda pair: -abs(pair[2]))[:20],

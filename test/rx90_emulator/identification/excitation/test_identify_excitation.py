@@ -25,8 +25,9 @@ import rx90_emulator as rx
 from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO
 from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
+from rx90_emulator.identification.excitation.friction import identify_friction_parts
 from rx90_emulator.identification.excitation.law import Part
-from rx90_emulator.identification.excitation.result import TorqueValidation, trends
+from rx90_emulator.identification.excitation.result import TorqueValidation, base_parameters, trends
 from rx90_emulator.identification.output.summary import unseen_verdict
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.robot import RecordedRobot
@@ -401,6 +402,28 @@ def test_currents_without_constants_stay_currents(bench: Bench, outcome: Outcome
     assert check.unit == "A"
     with pytest.raises(rx.Rx90Error, match="its torques are in A; accepted: bags with efforts in A"):
         rx.check_friction(tmp_path / "identified" / "friction.yaml", [bench.folder / "run"], robot)
+
+
+def test_a_prior_stands_in_for_what_runs_do_not_tell(tmp_path: Path) -> None:
+    """Where one joint hardly moves a narrow prior holds its weight at the description's; else it would be named."""
+    text = urdf_text(NAMES, ["0 0 1", "0 1 0"], [5.0, 3.0])
+    (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
+    time = np.arange(0.0, 12.0, 1.0 / RATE)[:, None]
+    rate, size = 2.0 * np.pi * np.array([0.3, 0.2]), np.array([1.0, 0.1])
+    motion = size * np.sin(rate * time), size * rate * np.cos(rate * time)
+    torque = drive_torque(pin.buildModelFromXML(text), np.eye(2), CURVES, motion, RATE)
+    noise = 5.0 * np.random.default_rng(1).normal(size=torque.shape)
+    bag = write(tmp_path / "bag", "/joint_states", NAMES, RATE, (*motion, torque + noise))
+    held = rx.identify_excitation([bag], rx.RobotOptions(urdf=tmp_path / "arm.urdf"), prior=0.05)
+    described = held.problem.base.combination @ held.problem.columns.values()
+    k = held.problem.names.index("mx_2")
+    estimate = held.base[k].estimate
+    assert abs(estimate.value - described[k]) < 3.0 * estimate.deviation < 0.2
+    assert "mx_2" not in held.undetermined
+    free = identify_friction_parts(held.problem, ())
+    alone = replace(held, base=base_parameters(held.problem, free, held.consistency))
+    assert "mx_2" in alone.undetermined
+    assert f"not determined by these runs: {', '.join(alone.undetermined)};" in rx.excitation_summary(alone)
 
 
 def series(friction: Array, noise: float, rng: np.random.Generator) -> RunTorques:
