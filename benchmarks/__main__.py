@@ -47,7 +47,6 @@ COMMANDS = {
     "transmission": "transmission",
     "published_friction": "published_friction",
     "bristles": "bristles",
-    "bristle_kinds": "bristle_kinds",
     "correction": "correction",
 }
 """The module of each benchmark, and what it is asked for."""

@@ -71,9 +71,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       f"{', '.join((COULOMB_VISCOUS, *MODEL_PARTS))}; Coulomb and viscous friction are always there, "
                       "and a part that ends at a bound of its range goes; bristles are of excitation runs alone (what "
                       "predicts better is chosen)")  # fmt: skip
-    bags.add_argument("--bristle-kinds", action="store_true", help="with micro-oscillations: choose LuGre, "
-                      "elasto-plastic or Maxwell-slip bristles for each joint by what predicts them best, or say that "
-                      "they cannot tell; takes some seconds for each joint (docs/explanation/bristles.md)")  # fmt: skip
     bags.add_argument("--no-rotors", action="store_true", help="with --excitation and --urdf: leave the inertias of "
                       "rotors out, for torques of sensors between gear and link")  # fmt: skip
     bags.add_argument("--prior", type=POSITIVE, metavar="SHARE", help="with --excitation: let the inertials of the "
@@ -108,13 +105,10 @@ _WITHOUT = "without excitation runs"
 _UNUSED = (
     ("excitation", "folder sliding presliding friction report", "with --excitation",
      "--validation BAG ... alone, and --output FOLDER"),
-    ("excitation", "bristle_kinds", "with excitation runs",
-     "with --presliding BAG ..., or --bristles, which tries LuGre's along such runs"),
     ("excitation", "worst_torque_tolerance tip_tolerance", "with excitation runs",
      "--torque-tolerance and --total-torque-tolerance"),
-    ("check sweeps", "bristles", _WITHOUT, "with --excitation BAG ..., or --bristle-kinds for micro-oscillations"),
-    ("check sweeps", "prior bandwidth no_rotors", _WITHOUT, "with --excitation BAG ..."),
-    ("check", "folder sliding presliding output bristle_kinds model", "with --friction",
+    ("check sweeps", "bristles prior bandwidth no_rotors", _WITHOUT, "with --excitation BAG ..."),
+    ("check", "folder sliding presliding output model", "with --friction",
      "--validation BAG ... alone, for nothing is identified or written"),
 )  # fmt: skip
 """What a command line is for, options that do not count for it, what it is with, and what is accepted instead."""
@@ -149,7 +143,7 @@ def main(options: argparse.Namespace) -> int:
     elif what == "sweeps":
         confirmed = job.run_identification(
             _bags(options), robot, tolerances, options.output, options.report,
-            bristle_kinds=options.bristle_kinds, model=options.model, force=options.force,
+            model=options.model, force=options.force,
         )  # fmt: skip
     else:
         wider = ExcitationTolerances(tolerances.get("total", RECORDED.total), tolerances.get("torque", RECORDED.torque))

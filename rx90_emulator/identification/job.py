@@ -38,8 +38,6 @@ from rx90_emulator.identification.output.summary import (
     identification_summary,
     measured_summary,
 )
-from rx90_emulator.identification.presliding.kinds import kind_steps
-from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured, simulated_setup
 from rx90_emulator.loop.setup import Setup
 
@@ -118,7 +116,6 @@ def run_identification(
     output: Path,
     report: Path | None = None,
     *,
-    bristle_kinds: bool = False,
     model: Sequence[str] | None = None,
     force: bool = False,
 ) -> bool:
@@ -132,10 +129,8 @@ def run_identification(
     _checked_targets(output, report, force=force)
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
     total = sum(map(len, vars(chosen).values())) + 2 + len(chosen.validation)
-    if bristle_kinds:
-        total += kind_steps(RecordedRobot.load(robot, chosen.sliding).arm)
     with steps(total) as step:
-        result = identify_friction(chosen, robot, tolerances, step, bristle_kinds=bristle_kinds, model=model)
+        result = identify_friction(chosen, robot, tolerances, step, model=model)
     files = write_identification(result, output, report, force=force)
     print(f"{identification_summary(result)}\nfriction file: {files[0]}\nreport: {files[1]}")
     return result.confirmed

@@ -64,12 +64,6 @@ def identification_summary(result: FrictionIdentification) -> str:
     if others := ", ".join(name for name in names if name not in result.identified_elements):
         lines.append(f"{others}: nothing identified")
     lines += [f"not identifiable: {which(lacking)}: {reason}" for reason, lacking in result.unidentifiable.items()]
-    if compared := [kind for kind in result.kinds if kind.trials]:
-        lines.append("bristles: missed of the friction torque (standard errors behind the best kind)")
-        families = [trial.family.name for trial in compared[0].trials]
-        rows = [[kind.element, *(f"{t.missed:.1%} ({t.behind:.1f})" for t in kind.trials)] for kind in compared]
-        lines += _table(["element", *families], [_width(10, names), *[25] * len(families)], rows)
-    lines += [f"bristles of {of}: {text}" for of, text in together((kind.element, kind.text) for kind in result.kinds)]
     if given_bristles := ", ".join(result.with_given_bristles):
         lines.append(f"bristles of {given_bristles}: as c0 those of {result.fallback_name}, assumed")
     lines += [line for name, one in zip(names, sliding.quality, strict=True) if one for line in one.lines(name)]

@@ -259,7 +259,6 @@ def test_an_interrupt_leaves_nothing(
         (["run", "--validation", "run"], "run: also used for the identification; accepted: another bag"),
         (["run", "--validation", "unseen", "later"], r"later: 2\d% of its motion also used .* as \S+run; accepted"),
         (["run", "--sliding", "run"], "run with --excitation; accepted: --validation BAG"),
-        (["run", "--bristle-kinds"], "--bristle-kinds with excitation runs; accepted"),
         (["run", "--output", "identified"], "identified/report.html exists; accepted: another name, or --force"),
         (["run", "--output", "arm.urdf"], "arm.urdf is no folder; accepted"),
         (["run", "--output", "nowhere/deep"], "nowhere does not exist"),
