@@ -42,11 +42,9 @@ COMMANDS = {
     "excitation_time": "identification_time excitation",
     "wrong_zeros": "wrong_zeros",
     "poor_logs": "poor_logs",
-    "load_parts": "load_parts",
     "transmission": "transmission",
     "published_friction": "published_friction",
     "bristles": "bristles",
-    "bristle_kinds": "bristle_kinds",
     "correction": "correction",
 }
 """The module of each benchmark, and what it is asked for."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import bilinear, lfilter
+from scipy.signal import lfilter
 
 from benchmarks.random_arms import SyntheticArm
 from rx90_common.bags.joint_series import JointSeries
@@ -36,8 +36,6 @@ class Disturbances:
         load: relative change of the Coulomb torque at the joint's RMS torque: friction grows with the load.
         jitter: of the sampling times, in parts of the period.
         stamp: standard deviation of the error of a stamp, s.
-        feedback: standard deviation of the noise of positions that the position control answers to, rad.
-        bandwidth: of that control, Hz.
     """
 
     white: float = 0.02
@@ -48,8 +46,6 @@ class Disturbances:
     load: float = 0.0
     jitter: float = 0.02
     stamp: float = 0.0
-    feedback: float = 0.0
-    bandwidth: float = 12.0
 
 
 NOISE = Disturbances()
@@ -182,8 +178,7 @@ def measured(
     d, n = disturbances, len(arm.links)
     even = np.arange(int(motion.duration * rate)) / rate
     time = even + np.clip(d.jitter * rng.normal(size=even.shape), -0.4, 0.4) / rate
-    reference = motion.at(time)[0]
-    exact, sensor = _closed_loop(motion, time, d, rng)
+    exact = motion.at(time)
     joint = torque_along(arm, time, exact, d.load)
     turns = arm.coupling
     motor_torque = np.linalg.solve(turns.T, joint.T).T
@@ -194,7 +189,7 @@ def measured(
     angle = exact[0] @ turns.T * arm.gear
     harmonic, phase = rng.choice([1.0, 2.0, 6.0], n), rng.uniform(0.0, 2.0 * np.pi, n)
     ripple = d.ripple * rms * np.sin(harmonic * angle + phase)
-    position = exact[0] + sensor
+    position = exact[0]
     if d.counts:
         step = 2.0 * np.pi / d.counts
         counted = np.round(position @ turns.T * arm.gear / step) * step
@@ -203,7 +198,7 @@ def measured(
     velocity = np.gradient(position, stamps, axis=0)
     torque = joint + (noise + ripple) @ turns
     name = f"run_{seed}"
-    return ExcitationRun(stamps, reference, position, velocity, torque, exact, noise @ turns, ripple @ turns, name)
+    return ExcitationRun(stamps, exact[0], position, velocity, torque, exact, noise @ turns, ripple @ turns, name)
 
 
 def _first_order(rng: np.random.Generator, corner: float, shape: tuple[int, ...]) -> Array:
@@ -212,31 +207,6 @@ def _first_order(rng: np.random.Generator, corner: float, shape: tuple[int, ...]
     white = rng.normal(size=shape)
     white[1:] *= np.sqrt(1.0 - keep**2)
     return np.asarray(lfilter([1.0], [1.0, -keep], white, axis=0))
-
-
-def _closed_loop(motion: FourierMotion, time: Array, d: Disturbances, rng: np.random.Generator) -> tuple[Motion, Array]:
-    """Return the motion that comes of control with noisy positions, and that noise, shape (m, n).
-
-    The control moves the arm against the noise w of its positions: q = r - T w with the loop's complementary
-    sensitivity T. Torque, which moves the arm, and measured position, q + w = r + (1 - T) w, then hold the same noise:
-    that biases plain least squares.
-    """
-    nominal = motion.at(time)
-    if not d.feedback:
-        return nominal, np.zeros_like(nominal[0])
-    rate = max(1000.0, 1.0 / float(np.median(np.diff(time))))
-    grid = np.arange(0.0, time[-1] + 2.0 / rate, 1.0 / rate)
-    noise = d.feedback * rng.normal(size=(len(grid), nominal[0].shape[1]))
-    omega = 2.0 * np.pi * d.bandwidth
-    loop = np.polymul([1.0 / omega**2, 1.2 / omega, 1.0], [1.0 / (4.0 * omega) ** 2, 1.4 / (4.0 * omega), 1.0])
-    answers = [lfilter(*bilinear(top, loop, rate), noise, axis=0) for top in ([1.0], [1.0, 0.0], [1.0, 0.0, 0.0])]
-
-    def at_samples(values: Array) -> Array:
-        return np.column_stack([np.interp(time, grid, column) for column in values.T])
-
-    exact = tuple(plain - at_samples(answer) for plain, answer in zip(nominal, answers, strict=True))
-    nearest = np.minimum(np.rint(time * rate).astype(np.intp), len(grid) - 1)
-    return (exact[0], exact[1], exact[2]), noise[np.maximum(nearest, 0)]
 
 
 def write_run(run: ExcitationRun, arm: SyntheticArm, folder: Path, *, wrong: float = 0.0) -> tuple[Path, Path]:

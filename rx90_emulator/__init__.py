@@ -30,9 +30,9 @@ Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepB
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
                 check_friction, Experiment, FrictionIdentification, IdentificationBags, RobotOptions, Validation,
                 ValidationTolerances; from excitation runs: identify_excitation, excitation_summary,
-                write_excitation, read_payloads, ExcitationIdentification, ExcitationTolerances, Payload; for one of
-                your own: regressor, excitation_problem, predict_torque, identify_friction_parts, RigidArm, Regressor,
-                ExcitationProblem, BaseParameter, Part
+                write_excitation, ExcitationIdentification, ExcitationTolerances; for one of your own: regressor,
+                excitation_problem, predict_torque, identify_friction_parts, RigidArm, Regressor, ExcitationProblem,
+                BaseParameter, Part
 Exports         export_robot, write_export, export_plot, Export, FrictionFit; import_bam, import_mjcf_friction,
                 import_arm
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted;
@@ -116,7 +116,6 @@ if TYPE_CHECKING:
         predict_torque as predict_torque,
         regressor as regressor,
     )
-    from rx90_emulator.identification.excitation.problem import Payload as Payload, read_payloads as read_payloads
     from rx90_emulator.identification.excitation.problem import ExcitationProblem as ExcitationProblem
     from rx90_emulator.identification.excitation.result import (
         BaseParameter as BaseParameter,

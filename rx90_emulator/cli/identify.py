@@ -71,15 +71,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       f"{', '.join((COULOMB_VISCOUS, *MODEL_PARTS))}; Coulomb and viscous friction are always there, "
                       "and a part that ends at a bound of its range goes; bristles are of excitation runs alone (what "
                       "predicts better is chosen)")  # fmt: skip
-    bags.add_argument("--bristle-kinds", action="store_true", help="with micro-oscillations: choose LuGre, "
-                      "elasto-plastic or Maxwell-slip bristles for each joint by what predicts them best, or say that "
-                      "they cannot tell; takes some seconds for each joint (docs/explanation/bristles.md)")  # fmt: skip
-    bags.add_argument("--payload", type=Path, metavar="FILE", help="with --excitation: YAML that names the bags whose "
-                      "run carried a known body, with its mass, centre and inertia; runs with and without one tell the "
-                      "drive gains (docs/explanation/excitation.md)")  # fmt: skip
-    bags.add_argument("--load-part", action="store_true", help="with --payload: let the payloads tell how friction "
-                      "grows with the load, each element's load part, in place of the drive gains, which count as "
-                      "right")  # fmt: skip
     bags.add_argument("--no-rotors", action="store_true", help="with --excitation and --urdf: leave the inertias of "
                       "rotors out, for torques of sensors between gear and link")  # fmt: skip
     bags.add_argument("--prior", type=POSITIVE, metavar="SHARE", help="with --excitation: let the inertials of the "
@@ -114,13 +105,10 @@ _WITHOUT = "without excitation runs"
 _UNUSED = (
     ("excitation", "folder sliding presliding friction report", "with --excitation",
      "--validation BAG ... alone, and --output FOLDER"),
-    ("excitation", "bristle_kinds", "with excitation runs",
-     "with --presliding BAG ..., or --bristles, which tries LuGre's along such runs"),
     ("excitation", "worst_torque_tolerance tip_tolerance", "with excitation runs",
      "--torque-tolerance and --total-torque-tolerance"),
-    ("check sweeps", "bristles", _WITHOUT, "with --excitation BAG ..., or --bristle-kinds for micro-oscillations"),
-    ("check sweeps", "load_part payload prior bandwidth no_rotors", _WITHOUT, "with --excitation BAG ..."),
-    ("check", "folder sliding presliding output bristle_kinds model", "with --friction",
+    ("check sweeps", "bristles prior bandwidth no_rotors", _WITHOUT, "with --excitation BAG ..."),
+    ("check", "folder sliding presliding output model", "with --friction",
      "--validation BAG ... alone, for nothing is identified or written"),
 )  # fmt: skip
 """What a command line is for, options that do not count for it, what it is with, and what is accepted instead."""
@@ -155,16 +143,14 @@ def main(options: argparse.Namespace) -> int:
     elif what == "sweeps":
         confirmed = job.run_identification(
             _bags(options), robot, tolerances, options.output, options.report,
-            bristle_kinds=options.bristle_kinds, model=options.model, force=options.force,
+            model=options.model, force=options.force,
         )  # fmt: skip
     else:
-        if options.load_part and options.payload is None:
-            raise IdentificationError("--load-part without --payload; accepted: with --payload FILE")
         wider = ExcitationTolerances(tolerances.get("total", RECORDED.total), tolerances.get("torque", RECORDED.torque))
         confirmed = job.run_excitation(
             options.excitation, robot, options.validation, wider, options.output,
-            bristles=options.bristles, model=options.model, payload=options.payload, load_part=options.load_part,
-            prior=options.prior, rotors=not options.no_rotors, bandwidth=options.bandwidth, force=options.force,
+            bristles=options.bristles, model=options.model, prior=options.prior, rotors=not options.no_rotors,
+            bandwidth=options.bandwidth, force=options.force,
         )  # fmt: skip
     if confirmed:
         return DONE

@@ -20,7 +20,6 @@ from rx90_controller.law.parameters import CONTROLLER, load_controller
 from rx90_controller.lines.task import TASK, load_task
 from rx90_emulator.conformance.quantities import CHECK_LIMITS, CheckLimits
 from rx90_emulator.correction.file import CORRECTION, load_correction
-from rx90_emulator.identification.excitation.problem import PAYLOADS, read_payloads
 from rx90_emulator.identification.experiments.plan import EXPERIMENTS, POSES, Poses, read_index
 from rx90_emulator.loop.path_file import PATH, TRAJECTORY, load_path, load_trajectory
 from rx90_emulator.sweep.plan import PLAN, load_sweep_plan
@@ -94,7 +93,6 @@ KINDS = (
     FileKind("tolerances", TOLERANCES, load_rules),
     FileKind("check_limits", CHECK_LIMITS, CheckLimits.load),
     FileKind("correction", CORRECTION, load_correction),
-    FileKind("payloads", PAYLOADS, read_payloads),
     FileKind("experiments", EXPERIMENTS, lambda path: read_index(path.parent)),
 )
 """All kinds but the nodes' parameter files, which need ROS: see nodes.py.

@@ -183,20 +183,14 @@ class IdentifiedElement:
         """Return an element with the fallback's bristles where its c0 is the fallback's: they belong together.
 
         Args:
-            element: with its own bristles if they were identified; these are not replaced.
+            element: to simulate with.
             estimates: of its parameters.
             sources: of the estimates.
-            fallback: source of values that are not identifiable; None without one, or if LuGre's bristles were
-                identified.
+            fallback: source of values that are not identifiable; None without one.
         """
         part = None if fallback is None else fallback.bristles
-        if part is None or element.bristles is not None or ("c0" in estimates and estimates["c0"].identifiable):
+        if part is None or ("c0" in estimates and estimates["c0"].identifiable):
             return cls(element, dict(estimates), sources)
         unknown = ParameterEstimate.unknown("it goes with c0, which is not identified")
         numbers = {f"{part.name}.{name}": unknown for name in part.numbers()}
         return cls(replace(element, bristles=part), {**estimates, **numbers}, sources, given_bristles=True)
-
-    def value(self, name: str) -> float:
-        """Return the element's value of a parameter, by the name of its estimate."""
-        part, _, key = name.rpartition(".")
-        return float(self.element.parts[part].numbers()[key] if part else getattr(self.element, name))

@@ -1,6 +1,6 @@
 """From bags to identified friction, or to a verdict on a given one, for Python users and the command alike.
 
-Records -> sliding regime -> presliding regime -> kinds of bristles by prediction -> result -> validation.
+Records -> sliding regime -> presliding regime -> result -> validation.
 """
 
 from __future__ import annotations
@@ -42,7 +42,6 @@ from rx90_emulator.identification.options import (
     model_parts,
 )
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
-from rx90_emulator.identification.presliding.kinds import ElementKind, choose_kinds
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
@@ -67,7 +66,6 @@ class FrictionIdentification:
         fallback_name: file of the values that replace parameters that are not identifiable, if any.
         bags: what was read, by use: sliding, presliding, validation.
         validations: comparisons with bags that the identification did not use.
-        kinds: of the elements' bristles; empty if not requested.
         truth: the elements that emulated runs were made with, by name; empty where none are known.
     """
 
@@ -78,7 +76,6 @@ class FrictionIdentification:
     fallback_name: str | None = None
     bags: tuple[tuple[str, BagSource], ...] = ()
     validations: tuple[Validation, ...] = ()
-    kinds: tuple[ElementKind, ...] = ()
     truth: Mapping[str, FrictionElement] = field(default_factory=dict)
 
     @property
@@ -146,7 +143,6 @@ def identify_friction(
     tolerances: GivenTolerances = NO_TOLERANCES,
     progress: Callable[[str], None] = lambda _: None,
     *,
-    bristle_kinds: bool = False,
     model: Sequence[str] | None = None,
 ) -> FrictionIdentification:
     """Identify the friction of a robot from recorded bags (section 4 of Aarts, Jonker and Waiboer).
@@ -156,10 +152,7 @@ def identify_friction(
         robot: that the bags come from; by default this project's.
         tolerances: what counts as agreement with the validation bags; by default, value by value, as in
             `check_friction`.
-        progress: called with the name of each step before it: each bag, the two fits, each kind of bristles of each
-            joint, each validation.
-        bristle_kinds: whether the kind of each joint's bristles is chosen by cross-validation over its
-            micro-oscillations, which takes seconds for each joint; otherwise they are LuGre's.
+        progress: called with the name of each step before it: each bag, the two fits, each validation.
         model: parts that all elements have in sliding, without selection: "coulomb-viscous", which every model
             contains, and the names in `options.SLIDING_PARTS`; by default the parts that the sweeps support are
             selected.
@@ -176,8 +169,6 @@ def identify_friction(
     by_use = {use: getattr(chosen, use) for use in ("sliding", "presliding", "validation")}
     if not chosen.sliding:
         raise IdentificationError("no bag with sweeps at constant velocity; accepted: a folder, or --sliding BAG ...")
-    if bristle_kinds and not chosen.presliding:
-        raise IdentificationError("--bristle-kinds without micro-oscillations; accepted: with --presliding BAG ...")
     if model is not None:
         model_parts(model, SLIDING_PARTS)  # refused before any bag is read
     check_given_once(by_use)
@@ -189,9 +180,7 @@ def identify_friction(
             "--fallback FILE"
         )
     records = read_records(by_use, source, progress)
-    result = identify_records(
-        records["sliding"], records["presliding"], source, progress, bristle_kinds=bristle_kinds, model=model
-    )
+    result = identify_records(records["sliding"], records["presliding"], source, progress, model=model)
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
@@ -374,7 +363,6 @@ def identify_records(
     robot: RecordedRobot,
     progress: Callable[[str], None] = lambda _: None,
     *,
-    bristle_kinds: bool = False,
     model: Sequence[str] | None = None,
 ) -> FrictionIdentification:
     """Identify the friction of all elements of an arm from records.
@@ -384,7 +372,6 @@ def identify_records(
         presliding: micro-oscillations; without any, c0 and c1 are not identifiable.
         robot: rigid-body model, fallback values and the torques' delay.
         progress: called with the name of each step before it.
-        bristle_kinds: whether the kind of each element's bristles is selected, too; otherwise they are LuGre's.
         model: as in `identify_friction`.
 
     Returns:
@@ -410,23 +397,15 @@ def identify_records(
     else:
         reason = "no bag with micro-oscillations was given"
         cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names))
-    kinds = choose_kinds(cycles, arm, progress) if bristle_kinds else ()
     elements = []
-    for first, second, other, kind in zip(
-        slides.estimates, cycles.estimates, fallback, kinds or (None,) * len(fallback), strict=True
-    ):
-        # c0 and c1 belong to the bristles: a stiffness fitted with LuGre's does not suit another kind.
-        chosen = None if kind is None else kind.trial
-        own, bags = second.parameters, second.sources
-        if kind is not None and chosen is not None:
-            own, bags = chosen.estimates, kind.sources
-        sources = dict.fromkeys(own, bags) | dict.fromkeys(first.parameters, first.sources)
-        element = replace(_element(first, own, other), bristles=None if chosen is None else chosen.bristles)
+    for first, second, other in zip(slides.estimates, cycles.estimates, fallback, strict=True):
+        element = _element(first, second.parameters, other)
         if other is None:
             element = with_passive_fading(element, None)
-        given = None if kind is not None and kind.decided else other
-        elements.append(IdentifiedElement.of(element, {**first.parameters, **own}, sources, given))
-    return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name, kinds=kinds)
+        sources = dict.fromkeys(second.parameters, second.sources) | dict.fromkeys(first.parameters, first.sources)
+        estimates = {**first.parameters, **second.parameters}
+        elements.append(IdentifiedElement.of(element, estimates, sources, other))
+    return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name)
 
 
 _NO_RISE_VALUES = {"omega_s": 0.1, "delta": 1.0}  # without effect while tau_s = tau_c

@@ -18,7 +18,6 @@ from rx90_common.description.robot_files import FILES, MODEL_FILES, RobotFiles
 from rx90_common.process.files import write_all, write_text
 from rx90_controller.law.parameters import load_controller
 from rx90_emulator.identification.excitation.identify import count_steps, identify_excitation
-from rx90_emulator.identification.excitation.problem import read_payloads
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.experiments.plan import IdentificationBags, read_index
 from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction
@@ -39,8 +38,6 @@ from rx90_emulator.identification.output.summary import (
     identification_summary,
     measured_summary,
 )
-from rx90_emulator.identification.presliding.kinds import kind_steps
-from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured, simulated_setup
 from rx90_emulator.loop.setup import Setup
 
@@ -119,7 +116,6 @@ def run_identification(
     output: Path,
     report: Path | None = None,
     *,
-    bristle_kinds: bool = False,
     model: Sequence[str] | None = None,
     force: bool = False,
 ) -> bool:
@@ -133,10 +129,8 @@ def run_identification(
     _checked_targets(output, report, force=force)
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
     total = sum(map(len, vars(chosen).values())) + 2 + len(chosen.validation)
-    if bristle_kinds:
-        total += kind_steps(RecordedRobot.load(robot, chosen.sliding).arm)
     with steps(total) as step:
-        result = identify_friction(chosen, robot, tolerances, step, bristle_kinds=bristle_kinds, model=model)
+        result = identify_friction(chosen, robot, tolerances, step, model=model)
     files = write_identification(result, output, report, force=force)
     print(f"{identification_summary(result)}\nfriction file: {files[0]}\nreport: {files[1]}")
     return result.confirmed
@@ -217,7 +211,6 @@ def run_excitation(
     tolerances: ExcitationTolerances,
     output: Path,
     *,
-    payload: Path | None = None,
     force: bool = False,
     bristles: bool = False,
     model: Sequence[str] | None = None,
@@ -225,14 +218,14 @@ def run_excitation(
 ) -> bool:
     """Identify with a progress bar, write the folder, print a summary, and return whether all validation runs agree.
 
-    The arguments are those of `identify_excitation`, `payload` a file of known payloads; the folder is checked first.
+    The arguments are those of `identify_excitation`; the folder is checked first.
 
     Raises:
         Rx90Error: for every refusal and failure; nothing has been written then.
     """
     _check_folder(output, force=force)
-    how |= {"bristles": bristles, "model": model, "payloads": {} if payload is None else read_payloads(payload)}
-    total = count_steps(len(bags), len(validation), bristles=bristles, model=model, payloads=bool(how["payloads"]))
+    how |= {"bristles": bristles, "model": model}
+    total = count_steps(len(bags), len(validation), bristles=bristles, model=model)
     with steps(total) as step:
         result = identify_excitation(bags, robot, validation, tolerances, progress=step, **how)
     folder = write_excitation(result, output, force=force)

@@ -12,7 +12,7 @@ import pytest
 from page_session import PageSession, blocks
 from processes import Processes
 
-from rx90_emulator.identification.excitation import filtering, instruments
+from rx90_emulator.identification.excitation import filtering
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 MADE = {
@@ -43,8 +43,7 @@ def test_a_page_does_what_it_says(
     folder = tmp_path / "reader"
     folder.mkdir()
     monkeypatch.chdir(folder)
-    # Tests of identification look at simulations of the closed loop and at all rows; words and files need a part.
-    monkeypatch.setattr(instruments, "_MAX_ROUNDS", 0)
+    # Tests of identification look at all rows; words and files need a part.
     monkeypatch.setattr(filtering, "_MAX_ROWS", 4000)
     mpl.use("Agg")
     PageSession(page, processes).run()

@@ -75,9 +75,6 @@ seen: ["encoders, engine", "tip, record"]
 worst: [1.0e-4, 1.0e-5]
 offsets: {file: correction.npz, sha256: SHA256}
 """,
-    "payloads": """\
-loaded: {mass: 4.0, centre: [0.0, 0.01, 0.1], inertia: [0.02, 0.0, 0.0, 0.02, 0.0, 0.02]}
-""",
     "experiments": """\
 sliding: [one]
 presliding: [two]

@@ -46,12 +46,10 @@ class Bench:
         urdf.write_text(urdf_text(NAMES, ["0 1 0", "0 1 0"], [5.0, 3.0]), encoding="utf-8")
         return cls(folder, urdf, pin.buildModelFromXML(urdf.read_text(encoding="utf-8")))
 
-    def torque(self, motion: tuple[Array, Array], factor: float = 1.0, body: Any = None) -> Array:
-        """Return the drives' torques without noise, with the friction times a factor, and a body at the last link."""
-        curves, model = [curve.scaled(factor) for curve in CURVES], self.model.copy()
-        if body is not None:
-            model.inertias[2] = model.inertias[2] + body
-        return drive_torque(model, np.eye(2), curves, motion, RATE)
+    def torque(self, motion: tuple[Array, Array], factor: float = 1.0) -> Array:
+        """Return the drives' torques without noise, with the friction times a factor."""
+        curves = [curve.scaled(factor) for curve in CURVES]
+        return drive_torque(self.model, np.eye(2), curves, motion, RATE)
 
     def bag(self, name: str, seed: int, factor: float = 1.0, seconds: float = 20.0, first: int = 0) -> Path:
         """Write a run, from a sample on; its stamps begin at 0."""

@@ -3,6 +3,6 @@
 filtering (runs at an even rate, differentiated) -> problem (the stacked rows and their linear parameters) -> fit
 (values and deviations) -> bandwidths, checks (filters, signs, zeros, by the simplest friction) -> law, choice (the
 parts of each element, by cross-validation) -> final_fit, friction (their values, with the effect of neglected parts) ->
-known_payload (drive gains, load parts) -> instruments (closed loops) -> bodies (links that can exist) -> result;
+bodies (links that can exist) -> result;
 identify runs all of them.
 """

@@ -6,8 +6,7 @@ torque and is never reported. A torque constant of the wrong sign reverses its m
 driven by friction. A gear of the wrong sign reverses torque and motion: power and friction are right, and the joint
 bends the other way. Both errors, and a reversed motion alone, are tried one motor after the other, with friction
 bounded to 0 or more. Some signs of gears cannot be determined: an arm whose joints all turn about vertical and parallel
-axes moves as its mirror image does. Signs are checked with runs of a single payload, or none; the payload counts as a
-part of the last link, so that a wrong payload is not taken for a wrong sign.
+axes moves as its mirror image does.
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ _SIGN_ERRORS = ((False, True), (True, True), (True, False))
 _MIN_SIGN_GAIN = 0.15  # share of the torque error, at least, that a right sign explains
 ROWS_PER_PARAMETER = 2.0
 """Of the simplest model, at least: fewer predict nothing, and fit any sign."""
-_SHORT_ROWS_PER_PARAMETER = 8.0  # with 2 to 6 of one payload 7 % of right signs looked wrong, with more none
+_SHORT_ROWS_PER_PARAMETER = 8.0  # with 2 to 6 7 % of right signs looked wrong, with more none
 _SHORT_ERROR, _SHORT_REMAINDER = 0.1, 1.0 / 3.0  # of short runs: share of the torque unexplained; of it after a change
 _CLEAR_SE = 3.0  # standard errors by which a sign, or a zero, must explain more
 
@@ -80,7 +79,7 @@ def check_signs(problem: ExcitationProblem, options: RobotOptions = SHIPPED_ROBO
         IdentificationError: naming the joints, the unexplained torque with either sign, and the options to use instead.
     """
     search = _Search(problem)
-    rows = len(search.one_payload) / problem.parameters
+    rows = len(problem) / problem.parameters
     if rows < ROWS_PER_PARAMETER:
         return
     wrong, before, after = search.wrong_signs()
@@ -181,18 +180,6 @@ class _Search:
         return np.asarray(rows[self._problem.sample[rows] % max(1, math.ceil(len(rows) / _SCREENING_ROWS)) == 0])
 
     @cached_property
-    def one_payload(self) -> Index:
-        """Return the rows of the runs with the payload, or none, that most rows have."""
-        bodies = [np.zeros(10) if body is None else body.parameters() for body in self._problem.payloads]
-        kind = np.unique(bodies, axis=0, return_inverse=True)[1].reshape(-1)[self._problem.run]
-        return np.flatnonzero(kind == np.argmax(np.bincount(kind)))
-
-    @cached_property
-    def _of_one_payload(self) -> Index:
-        """Return the rows for the comparison of signs."""
-        return self._screened(self.one_payload)
-
-    @cached_property
     def independent(self) -> Mask:
         """Return the joints whose zero the torques determine: no base parameter compensates its error, shape (n,)."""
         arm = self._problem.arm
@@ -272,7 +259,7 @@ class _Search:
             ]
             wrong = (*wrong[:k], one._replace(interchangeable=tuple(interchangeable)), *wrong[k + 1 :])
         named = [motor for one in wrong for motor in (one.motor, *one.interchangeable)]
-        own = np.isin(self._problem.joint[self._of_one_payload], named)
+        own = np.isin(self._problem.joint[self._some], named)
         size = max(float(np.linalg.norm(first.torque[own])), 1e-300)
         before, after = (float(np.linalg.norm(one.residual(now.sigma)[own])) / size for one in (first, now))
         return wrong, before, after
@@ -286,17 +273,17 @@ class _Search:
 
         A wrong sign makes the noise of its joint large and so hides in it; the right one does not.
         """
-        block, count = self._block[self._of_one_payload], int(self._block.max()) + 1
+        block, count = self._block[self._some], int(self._block.max()) + 1
         left = ((one.residual(other.sigma) / other.sigma) ** 2 for one in (now, other))
         first, second = (np.bincount(block, squares, count).astype(np.float64) for squares in left)
         return first, second
 
     def _signed(self, wrong: Sequence[WrongSign]) -> _Signed:
-        """Return the equations of the rows of one payload, a part of the last link, with some signs reversed.
+        """Return the equations of the rows, with some signs reversed.
 
         The friction's columns are those of the filtered velocities, which is accurate enough here.
         """
-        problem, rows, coupling = self._problem, self._of_one_payload, self._problem.arm.coupling
+        problem, rows, coupling = self._problem, self._some, self._problem.arm.coupling
         signs = np.ones((2, len(coupling)))
         for motor, motion, torque, _ in wrong:
             signs[[motion, torque], motor] = -1.0

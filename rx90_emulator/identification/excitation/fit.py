@@ -1,7 +1,7 @@
 """Least squares: a robust linear fit with deviations that hold under misfit, and a separable non-linear fit.
 
-Every linear fit of excitation runs is one call of `solve`: the base fit, drive gains, load parts, free exponents, parts
-that may exist, load dependence.
+Every linear fit of excitation runs is one call of `solve`: the base fit, free exponents, parts that may exist, load
+dependence.
 
 Residuals of an excitation run are not white noise: effects outside the model (ripple, load, temperature) return with
 the motion. So a fit is written as the sum of the contributions of all instants, their influences: inverse curvature
@@ -82,27 +82,19 @@ class LinearFit:
 
 
 def solve(
-    problem: ExcitationProblem,
-    columns: Array,
-    torque: Array | None = None,
-    *,
-    prior: Prior | None = None,
-    instruments: Array | None = None,
+    problem: ExcitationProblem, columns: Array, torque: Array | None = None, *, prior: Prior | None = None
 ) -> LinearFit:
     """Fit a torque by columns, each joint weighted by its own residuals; outlying rows weigh less (Huber).
 
-    The equation solved is instruments^T W (torque - columns @ value) + precision (mean - value) = 0.
+    The equation solved is columns^T W (torque - columns @ value) + precision (mean - value) = 0.
 
     Args:
         problem: r rows of n joints.
         columns: shape (r, q).
         torque: torque to explain, Nm, shape (r,); by default that of the problem.
         prior: of the first of the q parameters.
-        instruments: shape (r, q): columns that share the motion with `columns`, but not their noise. By default the
-            columns themselves: least squares.
     """
     target = problem.torque if torque is None else torque
-    instruments = columns if instruments is None else instruments
     joints = [np.flatnonzero(problem.joint == joint) for joint in range(len(problem.arm.names))]
     own_columns = [columns[rows] for rows in joints]
     precision, known = np.zeros((columns.shape[1],) * 2), np.zeros(columns.shape[1])
@@ -115,7 +107,7 @@ def solve(
 
         Directions that the rows do not determine stay 0.
         """
-        weighted = instruments * weights[:, None]
+        weighted = columns * weights[:, None]
         # Joint by joint: this gives the leverages of its rows without a product of all rows with the inverse.
         parts = [weighted[rows].T @ own for rows, own in zip(joints, own_columns, strict=True)]
         gram = np.sum(parts, axis=0) + precision
@@ -144,14 +136,12 @@ def solve(
         if np.max(np.abs(value - before) / deviation, initial=0.0) < _CONVERGED:
             break
     residual, per_row = target - columns @ value, 1.0 / sigma[problem.joint] ** 2
-    weighted = instruments * (per_row * weights)[:, None]
+    weighted = columns * (per_row * weights)[:, None]
     outside = outside_residuals(columns, weighted, residual, time_blocks(problem))
     # Huber's criterion is quadratic where the weight is 1 and linear beyond.
     curvature = solved(per_row * (weights == 1.0))[1]
     influence = _influence_by_time(problem, (weighted * outside[:, None]) @ curvature.T)
-    # Errors common to all rows are no noise: they shift the values as they shift the torque.
-    shared = inverse @ (weighted.T @ problem.uncertain)
-    covariance = hac(influence) + curvature @ precision @ curvature.T + shared @ shared.T
+    covariance = hac(influence) + curvature @ precision @ curvature.T
     covariance[~determined, ~determined] = np.inf
     return LinearFit(value, covariance, residual, sigma, weights, determined, influence)
 
@@ -172,23 +162,23 @@ def time_blocks(problem: ExcitationProblem) -> Index:
     return np.asarray(first[motion] + problem.phase * counts[motion] // lengths[motion])
 
 
-def outside_residuals(columns: Array, instruments: Array, residual: Array, block: Index) -> Array:
+def outside_residuals(columns: Array, weighted: Array, residual: Array, block: Index) -> Array:
     """Return residuals of each block of rows from the fit to all other blocks, shape (r,).
 
-    The equations of the fit are instruments^T (target - columns @ value) = 0.
+    The equations of the fit are weighted^T (target - columns @ value) = 0.
 
     Args:
         columns: shape (r, q).
-        instruments: weighted columns for least squares, shape (r, q).
+        weighted: the columns times the weights of the rows, shape (r, q).
         residual: of the fit to all rows, shape (r,).
         block: number of each row's block, shape (r,).
     """
-    whole = instruments.T @ columns
+    whole = weighted.T @ columns
     outside = residual.copy()
     for number in np.unique(block).tolist():
         rows = block == number
-        without = whole - instruments[rows].T @ columns[rows]
-        outside[rows] += columns[rows] @ lstsq(without, instruments[rows].T @ residual[rows], cond=1e-12)[0]
+        without = whole - weighted[rows].T @ columns[rows]
+        outside[rows] += columns[rows] @ lstsq(without, weighted[rows].T @ residual[rows], cond=1e-12)[0]
     return outside
 
 

@@ -260,37 +260,6 @@ def linear_columns(selection: FrictionSelection, problem: ExcitationProblem) -> 
     return tuple(names[k] for k in there), columns[:, there]
 
 
-def with_linear(
-    selection: FrictionSelection, problem: ExcitationProblem, names: Sequence[str], fit: LinearFit
-) -> FrictionSelection:
-    """Return a selection with the linear parameters of another fit and unchanged shapes.
-
-    Args:
-        selection: the selection before.
-        problem: the rows of both.
-        names: of the values of the other fit: all linear ones of the selection.
-        fit: for the selection's shapes. The uncertainty of the shapes is added to its covariance.
-    """
-    covariance, places = selection.fit.covariance.copy(), np.array([selection.names.index(name) for name in names])
-    shapes = np.setdiff1d(np.arange(len(covariance)), places)
-    between = covariance[np.ix_(shapes, shapes)]
-    slope = covariance[np.ix_(places, shapes)] @ np.linalg.pinv(between)
-    covariance[np.ix_(places, places)] = fit.covariance + slope @ between @ slope.T
-    value = np.zeros(len(selection.names))
-    value[places] = fit.value
-    pairs = [name.rpartition(".") for name in selection.names[len(problem.names) :]]
-    inner = [(problem.arm.element_names.index(element), name) for element, _, name in pairs]
-    fitted, elements = _with_values(selection.fitted, inner, value, covariance), []
-    for one, old in zip(fitted, selection.elements, strict=True):
-        reasons = {part: old.parameters[name].reason for name, part in _PART_OF.items()}
-        torques = {name: old.parameters[f"{name}_positive" if name == "tau_c" else name].reason for name in LINEAR[:2]}
-        elements.append(element_estimate(one, reasons.__getitem__, torques, old.sources))
-    other = replace(selection, fitted=fitted, elements=tuple(elements), fit=replace(fit, value=value))
-    predicted = predicted_torque(other, problem)
-    whole = replace(other.fit, covariance=covariance, residual=problem.torque - predicted)
-    return replace(other, fit=whole, predicted=predicted)
-
-
 _CONSTANT_RESIDUAL = 1e-6  # largest unexplained share of a constant torque that the regressor explains
 
 

@@ -11,10 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,7 +23,7 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
 from rx90_emulator.identification.excitation.bodies import make_consistent, written_arm
 from rx90_emulator.identification.excitation.checks import ROWS_PER_PARAMETER, check_signs, check_zeros
-from rx90_emulator.identification.excitation.choice import select_parts, stages
+from rx90_emulator.identification.excitation.choice import stages
 from rx90_emulator.identification.excitation.filtering import Bandwidths, recording_notes, without_shocks
 from rx90_emulator.identification.excitation.friction import (
     ALL_PARTS,
@@ -34,21 +31,12 @@ from rx90_emulator.identification.excitation.friction import (
     identify_friction_parts,
     predicted_torque,
 )
-from rx90_emulator.identification.excitation.instruments import check_closed_loop
-from rx90_emulator.identification.excitation.known_payload import (
-    DriveGains,
-    LoadParts,
-    identify_gains,
-    identify_load_parts,
-)
 from rx90_emulator.identification.excitation.law import Part
 from rx90_emulator.identification.excitation.problem import (
     BaseGroups,
     ExcitationProblem,
-    Payload,
     StandardColumns,
     described_inertials,
-    payloads_of,
 )
 from rx90_emulator.identification.excitation.result import (
     ExcitationIdentification,
@@ -69,7 +57,6 @@ from rx90_emulator.identification.validation.prediction import (
 )
 from rx90_emulator.identification.validation.verdict import run_torques
 
-_NO_PAYLOADS: Mapping[str, Payload] = MappingProxyType({})
 _DEFAULT_TOLERANCES = ExcitationTolerances()
 
 
@@ -81,8 +68,6 @@ def identify_excitation(
     *,
     bristles: bool = False,
     model: Sequence[str] | None = None,
-    payloads: Mapping[str, Payload] = _NO_PAYLOADS,
-    load_part: bool = False,
     rotors: bool = True,
     prior: float | None = None,
     bandwidth: float | None = None,
@@ -102,9 +87,6 @@ def identify_excitation(
         model: parts that all elements have, without selection: "coulomb-viscous", which every model contains, and the
             names in `options.MODEL_PARTS`; by default parts are selected by prediction. Only a part that ends at a
             bound is dropped.
-        payloads: known bodies at the last link, by name or path of the bag; runs that are not named carry none. Runs
-            with and without a payload determine the drive gains.
-        load_part: whether they determine load parts of the friction instead of the gains, which then count as right.
         rotors: whether the recorded torques contain those of the rotors; torques of sensors between gear and link do
             not.
         prior: relative standard deviation of the description's inertials, if they are to be used; by default they are
@@ -127,7 +109,6 @@ def identify_excitation(
         raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
     check_given_once(by_use)
     parts, fixed = _requested_parts(bristles, model)
-    carried = payloads_of(everything, payloads)
     _check_robot(robot, rotors=rotors)
     source = RecordedRobot.load(robot, everything, massless=True, follow=True)
     records = read_records(by_use, source, progress, currents=True)
@@ -135,7 +116,7 @@ def identify_excitation(
     notes = _without_shock_rows(records, source)
 
     def equations(some: Sequence[JointRecord], bandwidths: Bandwidths) -> ExcitationProblem:
-        return recorded_equations(some, source, bandwidths, carried, rotors=rotors)
+        return recorded_equations(some, source, bandwidths, rotors=rotors)
 
     bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
     notes += [*recording_notes(records["excitation"], bandwidths), *log_warnings(problem, source.held)]
@@ -143,31 +124,16 @@ def identify_excitation(
     check_signs(problem, replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source)))
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
-    gains: DriveGains | None = None
-    loads: LoadParts | None = None
-    tried: dict[str, Any] = {"parts": parts, "progress": progress, "fixed": fixed}
-    if load_part:
-        progress("load parts")
-        loads = identify_load_parts(problem, partial(select_parts, **tried))
-    elif np.any(problem.payload):
-        progress("drive gains")
-        gains = identify_gains(problem, partial(identify_friction_parts, **tried))
-    change = next((one.applied for one in (gains, loads) if one is not None), lambda unchanged: unchanged)
-    problem = change(problem)
     progress("friction")
-    friction = identify_friction_parts(problem, prior=known, **tried)
-    progress("instrumental variables")
-    closed_loop, friction = check_closed_loop(problem, friction, known)
-    remarks = [closed_loop.remark, *([] if loads is None else [loads.remark(problem.arm.element_names)])]
-    friction = replace(friction, remarks=(*friction.remarks, *remarks))
+    friction = identify_friction_parts(problem, parts, known, progress, fixed=fixed)
     progress("consistent inertias")
     consistency = make_consistent(problem, friction, source, robot)
-    elements = simulated_elements(friction.elements, source.fallback, loads)
+    elements = simulated_elements(friction.elements, source.fallback)
     written = written_arm(problem, consistency)
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
-        other = change(equations([record], validation_bandwidths(record, bandwidths)))
+        other = equations([record], validation_bandwidths(record, bandwidths))
         identified = predicted_torque(friction, other)
         with_bodies = identified + other.regressor @ consistency.inertias.shift
         by_files = written_torque(other, written, [one.element for one in elements])
@@ -180,15 +146,12 @@ def identify_excitation(
         problem=problem,
         friction=friction,
         elements=elements,
-        base=base_parameters(problem, friction, consistency, closed_loop),
+        base=base_parameters(problem, friction, consistency),
         consistency=consistency,
         torques=fitted,
         validations=tuple(checks),
         trends=trends(fitted, friction.blocks.length),
-        instruments=closed_loop,
         zeros=zeros,
-        gains=gains,
-        loads=loads,
         notes=tuple(notes),
         bags=tuple((use, record.bag) for use, some in records.items() for record in some),
     )
@@ -233,11 +196,9 @@ def count_steps(
     *,
     bristles: bool = False,
     model: Sequence[str] | None = None,
-    payloads: bool = False,
 ) -> int:
     """Return how often `identify_excitation` calls `progress` for a number of bags and validation runs."""
-    choices = 1 + payloads  # of the friction's parts: known payloads need one more, for the drive gains or load parts
-    return bags + 2 * validation + 3 + choices * (1 + stages(*_requested_parts(bristles, model)))
+    return bags + 2 * validation + 3 + stages(*_requested_parts(bristles, model))
 
 
 def _requested_parts(bristles: bool, model: Sequence[str] | None) -> tuple[tuple[Part, ...], bool]:

@@ -10,133 +10,25 @@ Torque and columns pass the same low-pass, and some two samples per period of it
 at an instant is excluded while an element that acts on the joint stands still: its torque may then have any value up to
 break-away. Reversals, in which an element passes through rest, are included: only they contain information on bristles,
 and the Coulomb columns, filtered like the torque, have their step at the right time.
-
-The torque of a payload of known inertia at the last link is the only one that is known without a drive gain.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
-from numpy.typing import ArrayLike
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import correlate
 
 from rx90_common.base.arrays import Array, Index, Mask
-from rx90_common.base.config import load_yaml
-from rx90_common.base.entries import Number, Numbers
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.groups import Entries, Group
-from rx90_common.base.quoting import listed, quoted
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import SLOW_SHARE, SLOW_SPEED, FilteredRun
 from rx90_emulator.identification.records import stretches
-
-PAYLOADS = Entries(
-    "What was fixed to the last link in each loaded run, by name or path of the bag.",
-    of=Group(
-        "A rigid body.",
-        keys={
-            "mass": Number("Mass.", "kg", low=0.0, above=True),
-            "centre": Numbers("Centre of mass in the frame of the last joint.", "m", count=3),
-            "inertia": Numbers(
-                "About the centre of mass, along the axes of that frame: ixx, ixy, ixz, iyy, iyz, izz.",
-                "kg m^2", count=6,
-            ),
-        },
-    ),
-)  # fmt: skip
-"""The contents of a payload file."""
-_MOMENTS = [[0, 1, 2], [1, 3, 4], [2, 4, 5]]  # index of each entry of the inertia among the six moments of a file
-
-
-@dataclass(frozen=True, eq=False)
-class Payload:
-    """A rigid body that is fixed to the last link during a run.
-
-    Attributes:
-        mass: kg.
-        centre: of mass, in the frame of the last joint, m, shape (3,).
-        inertia: about the centre of mass, along the axes of that frame, kg m^2, shape (3, 3).
-
-    Raises:
-        IdentificationError: for a mass that is not positive, a wrong shape, and an inertia that no body has.
-    """
-
-    mass: float
-    centre: ArrayLike
-    inertia: ArrayLike
-
-    def __post_init__(self) -> None:
-        centre, inertia = np.asarray(self.centre, dtype=np.float64), np.asarray(self.inertia, dtype=np.float64)
-        if not 0.0 < self.mass < np.inf:
-            raise IdentificationError(f"payload of {self.mass} kg; accepted: a mass above 0")
-        if centre.shape != (3,) or not np.isfinite(centre).all():
-            raise IdentificationError(f"payload's centre of mass: {centre.tolist()}; accepted: 3 numbers, m")
-        if inertia.shape != (3, 3) or not np.isfinite(inertia).all() or not np.allclose(inertia, inertia.T):
-            reason = f"payload's inertia: {inertia.tolist()}; accepted: a symmetric 3 x 3 matrix, kg m^2"
-            raise IdentificationError(reason)
-        moments = np.linalg.eigvalsh(inertia)
-        if moments[0] < 0.0 or 2.0 * moments[2] > moments.sum() * (1.0 + 1e-9):
-            raise IdentificationError(
-                f"payload's principal moments: {moments.tolist()} kg m^2; accepted: not negative, and none above the "
-                "sum of the others"
-            )
-
-    def parameters(self) -> Array:
-        """Return mass, first moment and inertia about the joint in Pinocchio's order, shape (10,)."""
-        body = pin.Inertia(self.mass, np.asarray(self.centre, float), np.asarray(self.inertia, float))
-        return np.array(body.toDynamicParameters())
-
-
-def read_payloads(path: Path | str) -> dict[str, Payload]:
-    """Return the payloads of runs, by the names or paths of their bags.
-
-    The file has an entry for each loaded bag: `mass`, kg, `centre` of mass in the frame of the last link, m, and
-    `inertia` about the centre of mass, kg m^2: ixx, ixy, ixz, iyy, iyz, izz, in a URDF's order.
-
-    Raises:
-        ConfigError: for a file that cannot be used.
-        IdentificationError: for a body that cannot exist.
-    """
-    file, found = load_yaml(Path(path)), {}
-    for name, body in PAYLOADS.read(file).items():
-        try:
-            found[name] = Payload(body["mass"], body["centre"], np.array(body["inertia"])[_MOMENTS])
-        except IdentificationError as error:
-            raise IdentificationError(f"{file.where(name)}: {error}") from None
-    return found
-
-
-def payloads_of(bags: Sequence[Path], payloads: Mapping[str, Payload]) -> dict[Path, Payload | None]:
-    """Return the payload of each bag, by its path; None for bags that are not named.
-
-    Args:
-        bags: of all runs.
-        payloads: by name or path of the bag.
-
-    Raises:
-        IdentificationError: for a name of no bag, or of several.
-    """
-    carried: dict[Path, Payload | None] = dict.fromkeys(bags)
-    for name, body in payloads.items():
-        matching = [bag for bag in bags if name == bag.name or Path(name).resolve() == bag.resolve()]
-        if len(matching) != 1 or carried[matching[0]] is not None:
-            how = "two bags are called so, or it is named twice" if matching else "no such run"
-            there = listed(bag.name for bag in bags)
-            raise IdentificationError(
-                f"payload of {quoted(name)}: {how}; accepted: each of {there} once, by name or path"
-            )
-        carried[matching[0]] = body
-    return carried
-
 
 _LINK = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 
@@ -291,10 +183,6 @@ def described_inertials(columns: StandardColumns, base: BaseGroups, relative: fl
     return Prior(base.combination @ value, precision)
 
 
-Motion = tuple[Array, Array, Array]
-"""Position, velocity and acceleration, each of shape (m, n)."""
-
-
 @dataclass(frozen=True, eq=False)
 class ExcitationProblem:
     """The equations `torque` = `regressor` @ parameters + friction; rows sorted by run, joint, time.
@@ -309,12 +197,8 @@ class ExcitationProblem:
         place: index of each row among the run's filtered samples, shape (r,).
         time: s, shape (r,).
         reversal: rows at which an element that acts on the joint passes through rest, shape (r,).
-        payloads: of each run.
-        payload: torque of the payloads, filtered, Nm, shape (r,).
-        torque: recorded torque less that of known payloads, filtered, Nm, shape (r,).
+        torque: recorded torque, filtered, Nm, shape (r,).
         regressor: filtered columns of the b base parameters, shape (r, b).
-        uncertain: k independent errors common to all rows, such as those of identified drive gains, each of one
-            standard deviation, Nm, shape (r, k).
     """
 
     arm: RigidArm
@@ -326,46 +210,27 @@ class ExcitationProblem:
     place: Index
     time: Array
     reversal: Mask
-    payloads: tuple[Payload | None, ...]
-    payload: Array
     torque: Array
     regressor: Array
-    uncertain: Array
 
     @classmethod
-    def of(
-        cls,
-        arm: RigidArm,
-        runs: Sequence[FilteredRun],
-        payloads: Sequence[Payload | None] | None = None,
-        *,
-        rotors: bool = True,
-    ) -> ExcitationProblem:
+    def of(cls, arm: RigidArm, runs: Sequence[FilteredRun], *, rotors: bool = True) -> ExcitationProblem:
         """Stack the equations of runs.
 
         Args:
             arm: kinematics, couplings and elements; springs are identified on the joints that have one in it.
             runs: of this arm.
-            payloads: of each run; by default none.
             rotors: as in `StandardColumns`.
 
         Raises:
             IdentificationError: for runs of other joints, and if no joint moves.
         """
-        bare = cls.without_columns(arm, runs, payloads, rotors=rotors)
-        regressor, payload = bare.through(np.eye(len(arm.names)))
-        return replace(bare, torque=bare.torque - payload, payload=payload, regressor=regressor)
+        bare = cls.without_columns(arm, runs, rotors=rotors)
+        return replace(bare, regressor=bare._base_columns())
 
     @classmethod
-    def without_columns(
-        cls,
-        arm: RigidArm,
-        runs: Sequence[FilteredRun],
-        payloads: Sequence[Payload | None] | None = None,
-        *,
-        rotors: bool = True,
-    ) -> ExcitationProblem:
-        """Return the rows of runs with their torque, payloads included, and no regressor; arguments as in `of`.
+    def without_columns(cls, arm: RigidArm, runs: Sequence[FilteredRun], *, rotors: bool = True) -> ExcitationProblem:
+        """Return the rows of runs with their torque and no regressor; arguments as in `of`.
 
         Raises:
             IdentificationError: as `of`.
@@ -374,7 +239,6 @@ class ExcitationProblem:
             if one.names != arm.names:
                 there, wanted = ", ".join(one.names), ", ".join(arm.names)
                 raise IdentificationError(f"{one.source.path}: joints {there}; accepted: {wanted}")
-        carried = (None,) * len(runs) if payloads is None else tuple(payloads)
         columns = StandardColumns(arm, rotors=rotors)
         acts = arm.element_matrix != 0.0
         found = []
@@ -387,8 +251,8 @@ class ExcitationProblem:
         if not len(run):
             raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
         empty = np.empty((len(run), 0))
-        bare = cls(arm, tuple(runs), columns, BaseGroups.of(columns), run, joint, place, time, reversal,
-                   carried, np.zeros(len(run)), empty, empty, empty)  # fmt: skip
+        base = BaseGroups.of(columns)
+        bare = cls(arm, tuple(runs), columns, base, run, joint, place, time, reversal, empty, empty)
         return replace(bare, torque=bare.rows_of([one.torque[:, :, None] for one in runs])[:, 0])
 
     def __len__(self) -> int:
@@ -459,37 +323,17 @@ class ExcitationProblem:
     def _filtered(self, along: Sequence[Array]) -> Array:
         return np.concatenate([run.parallel(values) for run, values in zip(self.runs, along, strict=True)])
 
-    def moved(self, motions: Sequence[Motion]) -> ExcitationProblem:
-        """Return the same rows with the columns of other motions, one for each run, at its times.
-
-        Columns of the result (its regressor, friction along its runs) are instruments for the original.
-        """
-        runs = tuple(
-            replace(run, position=q, velocity=v, acceleration=a, torque_velocity=v, resampling=None)
-            for run, (q, v, a) in zip(self.runs, motions, strict=True)
-        )
-        other = replace(self, runs=runs, payloads=(None,) * len(runs))
-        return replace(other, regressor=other.through(np.eye(len(self.arm.names)))[0])
-
-    def through(self, share: Array) -> tuple[Array, Array]:
-        """Return the rows of the base's columns and of the payloads for a part of the torque, shape (r, b) and (r,).
-
-        Args:
-            share: weight of each joint's torque (row) in that of each joint (column), shape (n, n): the identity for
-                all of it, other matrices for the part of one motor.
-        """
-        leading, n = list(self.base.leading), len(self.arm.names)
-        regressor, payload = np.zeros((len(self), len(leading))), np.zeros(len(self))
-        for number, (run, body) in enumerate(zip(self.runs, self.payloads, strict=True)):
+    def _base_columns(self) -> Array:
+        """Return the filtered columns of the base parameters, shape (r, b)."""
+        leading = list(self.base.leading)
+        regressor = np.zeros((len(self), len(leading)))
+        for number, run in enumerate(self.runs):
             for samples, rows in run.blocks():
                 values = self.columns.torque(run.position[samples], run.velocity[samples], run.acceleration[samples])
                 here = np.flatnonzero((self.run == number) & (self.place >= rows.start) & (self.place < rows.stop))
-                place, to = self.place[here] - rows.start, share[:, self.joint[here]].T
-                regressor[here] = np.einsum("rj,rjb->rb", to, run.parallel(values[:, :, leading])[place])
-                if body is not None:
-                    torque = run.parallel(values[:, :, 10 * n - 10 : 10 * n] @ body.parameters())
-                    payload[here] = np.sum(to * torque[place], axis=1)
-        return regressor, payload
+                filtered = run.parallel(values[:, :, leading])
+                regressor[here] = filtered[self.place[here] - rows.start, self.joint[here]]
+        return regressor
 
 
 _MIN_SLOW_SPEED = 1e-3  # rad/s: an element that is never faster stands still

@@ -29,8 +29,6 @@ from rx90_emulator.identification.excitation.bodies import Consistency
 from rx90_emulator.identification.excitation.choice import ModelRow
 from rx90_emulator.identification.excitation.fit import LinearFit, time_blocks
 from rx90_emulator.identification.excitation.friction import FrictionSelection
-from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
-from rx90_emulator.identification.excitation.known_payload import DriveGains, LoadParts
 from rx90_emulator.identification.excitation.law import overall
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions
@@ -52,9 +50,8 @@ class BaseParameter:
         name: short, such as mzR_2: the R means that other parameters belong to its group.
         group: in words, such as "mz_2 + 0.45 m_3".
         unit: SI.
-        estimate: together with the friction, by weighted least squares, or by instrumental variables if these are used.
+        estimate: together with the friction, by weighted least squares.
         consistent: its value by the physically consistent inertias.
-        other: by the other one of the two methods.
     """
 
     name: str
@@ -62,7 +59,6 @@ class BaseParameter:
     unit: str
     estimate: ParameterEstimate
     consistent: float
-    other: ParameterEstimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,10 +135,7 @@ class ExcitationIdentification:
         validations: the same for runs that were not used, with a verdict.
         trends: drifts within a run.
         bags: the bags by use: excitation, validation.
-        instruments: comparison of least squares and instrumental variables.
         zeros: which encoder zeros seem wrong.
-        gains: of the drives, by which the recorded torques were multiplied; None without a known payload.
-        loads: the friction's load parts, whose torque was subtracted from the problem's; None if not requested.
         notes: what was excluded or bridged in the recordings, and what they cannot determine.
     """
 
@@ -157,10 +150,7 @@ class ExcitationIdentification:
     validations: tuple[TorqueValidation, ...]
     trends: tuple[Trend, ...]
     bags: tuple[tuple[str, BagSource], ...]
-    instruments: InstrumentalComparison
     zeros: ZeroCheck
-    gains: DriveGains | None = None
-    loads: LoadParts | None = None
     notes: tuple[str, ...] = ()
 
     @cached_property
@@ -222,23 +212,19 @@ class ExcitationIdentification:
 
 
 def base_parameters(
-    problem: ExcitationProblem,
-    friction: FrictionSelection,
-    consistency: Consistency,
-    comparison: InstrumentalComparison,
+    problem: ExcitationProblem, friction: FrictionSelection, consistency: Consistency
 ) -> tuple[BaseParameter, ...]:
-    """Return the linear parameters beside friction with their deviations, and by the other method."""
-    fit, other = friction.fit, comparison.least_squares if comparison.biased else comparison.instrumental
-    unknown, none = undetermined(problem, fit), ParameterEstimate.unknown(NOT_DETERMINED)
-    found = []
+    """Return the linear parameters beside friction with their deviations."""
+    fit = friction.fit
+    unknown = undetermined(problem, fit)
+    parameters = []
     for k, (name, group) in enumerate(zip(problem.names, problem.base.groups, strict=True)):
-        estimate, second = (ParameterEstimate(float(one.value[k]), float(one.deviation[k])) for one in (fit, other))
-        determined = name not in unknown
-        second = second if determined and math.isfinite(second.deviation) else none
+        estimate = ParameterEstimate(float(fit.value[k]), float(fit.deviation[k]))
+        if name in unknown:
+            estimate = ParameterEstimate.unknown(NOT_DETERMINED)
         unit = UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2")
-        near = float(consistency.inertias.base[k])
-        found.append(BaseParameter(name, group, unit, estimate if determined else none, near, second))
-    return tuple(found)
+        parameters.append(BaseParameter(name, group, unit, estimate, float(consistency.inertias.base[k])))
+    return tuple(parameters)
 
 
 def undetermined(problem: ExcitationProblem, fit: LinearFit) -> tuple[str, ...]:
@@ -266,9 +252,7 @@ _NEUTRAL = {"omega_s": 0.1, "delta": 1.0, "c2": 0.0}  # without effect while tau
 
 
 def simulated_elements(
-    estimates: Sequence[ElementEstimate],
-    fallback: Sequence[FrictionElement] | None,
-    loads: LoadParts | None = None,
+    estimates: Sequence[ElementEstimate], fallback: Sequence[FrictionElement] | None
 ) -> tuple[IdentifiedElement, ...]:
     """Return the elements with values for all parameters.
 
@@ -280,7 +264,6 @@ def simulated_elements(
     Args:
         estimates: by the names of FrictionElement.
         fallback: elements in the same order; None if there are none.
-        loads: the load parts; None if they were not requested.
 
     Raises:
         IdentificationError: naming the elements, if no Coulomb torque is identified and there is no fallback.
@@ -293,14 +276,12 @@ def simulated_elements(
             "a friction file"
         )
     found = []
-    for number, (one, other) in enumerate(zip(estimates, fallback or (None,) * len(estimates), strict=True)):
+    for one, other in zip(estimates, fallback or (None,) * len(estimates), strict=True):
         values = dict(one.parameters)
         if not any(estimate.identifiable for estimate in values.values()) and other is not None:
             element = other
         else:
             element = _element(values, other, min(known, default=0.0))
-        if loads is not None:
-            element, values = replace(element, load=loads.part(number)), values | loads.estimates(number)
         found.append(IdentifiedElement.of(element, values, dict.fromkeys(values, one.sources), other))
     return tuple(found)
 

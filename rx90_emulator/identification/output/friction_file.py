@@ -65,7 +65,7 @@ def elements_text(
         elements: identified values of each.
         fallback_name: file of the values that replace parameters that are not identifiable, if any.
         now: date of the identification; by default the present.
-        result: from sweeps, whose use of the bags, goodness of fit and kinds of bristles are written into the file.
+        result: from sweeps, whose use of the bags and goodness of fit are written into the file.
         joints: torques beside links and friction, as in `FrictionFile.joints`.
         bandwidths: of excitation runs, which a validation of the file uses again.
         unit: of the torques, if they are currents.
@@ -77,16 +77,15 @@ def elements_text(
         ConfigError: for an absurd deviation.
     """
     date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
-    named, kinds = dict(zip(names, elements, strict=True)), () if result is None else result.kinds
+    named = dict(zip(names, elements, strict=True))
     rounded = {name: _rounded(name, one) for name, one in named.items()}
-    used = [bags for one in elements for bags in one.sources.values()] + [kind.sources for kind in kinds]
+    used = [bags for one in elements for bags in one.sources.values()]
     labels = {bag: f"bag_{k}" for k, bag in enumerate(dict.fromkeys(bag for bags in used for bag in bags), 1)}
-    notes = dict(warnings) | {kind.element: f"bristles: {kind.text}" for kind in kinds}
+    notes = dict(warnings)
     for name, one in named.items():
         if one.given_bristles:
             before = f"{notes[name]}; " if name in notes else ""
-            before += "" if before.startswith("bristles: ") else "bristles: "
-            notes[name] = f"{before}as its c0 those of {fallback_name}, assumed"
+            notes[name] = f"{before}bristles: as its c0 those of {fallback_name}, assumed"
     bags = {label: {"path": str(b.path), "sha256": b.sha256, "recorded": b.recorded} for b, label in labels.items()}
     identification: dict[str, Any] = {"date": date, "bags": bags}
     if unit != "Nm":
@@ -103,15 +102,6 @@ def elements_text(
         usage, fits = result.sliding.usage, zip(names, result.sliding.quality, strict=True)
         identification["sweeps"] = {labels[use.bag]: use.text(names) for use in usage if use.bag in labels}
         identification["fit"] = {name: one.content for name, one in fits if one is not None}
-    for kind in kinds:
-        chosen: dict[str, Any] = {"decision": kind.decision} | ({"reason": kind.reason} if kind.reason else {})
-        identification.setdefault("bristles", {})[kind.element] = chosen
-        if kind.trials:
-            chosen["tried"] = {
-                trial.family.name: {"missed": digits(trial.missed), "behind": digits(trial.behind)}
-                for trial in kind.trials
-            }
-            chosen["bags"] = [labels[bag] for bag in kind.sources]
     identification["parameters"] = {
         name: _provenance(one, rounded[name], labels, date, fallback_name) for name, one in named.items()
     }
@@ -137,17 +127,6 @@ def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:
                 "with a finite deviation; nothing is written"
             )
     values: dict[str, Any] = {each: digits(getattr(one.element, each)) for each in FRICTION_UNITS}
-    if one.element.bristles is not None and not one.given_bristles:
-        numbers: dict[str, Any] = {}
-        for key, value in vars(one.element.bristles).items():
-            if not isinstance(value, tuple):
-                numbers[key] = digits(value)
-            else:  # numbers of a list still sum to 1
-                parts = [digits(each) for each in value]
-                largest = parts.index(max(parts))  # a small one could be less than the rounding errors of the others
-                parts[largest] = round(1.0 - math.fsum(parts[:largest] + parts[largest + 1 :]), 12)
-                numbers[key] = tuple(parts)
-        values["bristles"] = replace(one.element.bristles, **numbers)
     return replace(one.element, **values)
 
 

@@ -22,9 +22,6 @@ from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat,
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.output import summary
-from rx90_emulator.identification.output.robot_files import torque_constants
-from rx90_emulator.identification.presliding.bristle_motion import MAX_MOTIONS_ALONE, MAX_MOTIONS_OF_BAG
-from rx90_emulator.identification.presliding.kinds import DISTINGUISHABLE_SE
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.sliding.quality import CurvePoints
 from rx90_emulator.identification.validation.measured import MeasuredComparison
@@ -148,10 +145,7 @@ def report_page(result: FrictionIdentification, friction_file: str) -> str:
     """
     names, sliding, presliding = result.arm.element_names, result.sliding, result.presliding
     named = dict(zip(names, result.elements, strict=True))
-    compared = [kind for kind in result.kinds if kind.trials]
-    own_bristles = [kind.element for kind in compared if kind.trial is not None]
     curves = [(name, curve) for name, curve in zip(names, sliding.curves, strict=True) if len(curve.velocity)]
-    loops = {joint: loop for joint, loop in presliding.loops.items() if joint not in own_bristles}
     return _render(
         "identification.html.j2",
         result=result,
@@ -169,17 +163,8 @@ def report_page(result: FrictionIdentification, friction_file: str) -> str:
             (Level(0.0), Dots(curve.time, np.sign(curve.velocity) * (curve.torque - curve.fitted))),
             name, "time in the series, s", "residual, Nm",
         )], height=1.8) for name, curve in curves],
-        loops=[_loop_plot(joint, "friction torque, Nm", *loop) for joint, loop in loops.items()],
-        own_bristles=own_bristles,
-        compared=compared,
-        decisions=summary.together((kind.element, kind.text) for kind in result.kinds),
-        numbers=[(name, number, estimate.texts() if estimate.identifiable else (f"{one.value(number):.4g}", ""))
-                 for name, one in named.items() if not one.given_bristles
-                 for number, estimate in one.estimates.items() if number.startswith("bristles.")],
-        most_motions=MAX_MOTIONS_ALONE, most_of_bag=MAX_MOTIONS_OF_BAG,
-        distinguishable_se=DISTINGUISHABLE_SE,
-        kind_loops=[_loop_plot(one.element, "torque of the bristles, Nm", *one.largest) for one in compared],
-        correlations=_correlation_plots(result, own_bristles),
+        loops=[_loop_plot(joint, *loop) for joint, loop in presliding.loops.items()],
+        correlations=_correlation_plots(result),
     )  # fmt: skip
 
 
@@ -205,28 +190,26 @@ def _curve_plot(name: str, curve: CurvePoints) -> Plot:
     return Plot(panels, height=2.3)
 
 
-def _loop_plot(name: str, label: str, position: Array, torques: Mapping[str, Array]) -> Plot:
-    """Show torques against position in the middle of a micro-motion: measured, and by each model."""
+def _loop_plot(name: str, position: Array, torques: Mapping[str, Array]) -> Plot:
+    """Show torques against position in the middle of a micro-motion: measured and simulated."""
     count = len(position)
     part = slice((_DRAWN_SHARE - 1) * count // (2 * _DRAWN_SHARE), (_DRAWN_SHARE + 1) * count // (2 * _DRAWN_SHARE))
-    colours = (_RECORDED, _PREDICTED, COLOURS[2], COLOURS[3])
     curves = [
         Curve(position[part] * 1e6, torque[part], of, colour, 1.8 if of == "measured" else 0.8)
-        for (of, torque), colour in zip(torques.items(), colours, strict=False)
+        for (of, torque), colour in zip(torques.items(), (_RECORDED, _PREDICTED), strict=True)
     ]
-    return Plot([Panel(curves, name, "position, µrad", label)], height=3.2)
+    return Plot([Panel(curves, name, "position, µrad", "friction torque, Nm")], height=3.2)
 
 
-def _correlation_plots(result: FrictionIdentification, others: Sequence[str]) -> list[Plot]:
-    """Return the correlation of each element's parameters; c0 and c1 of the elements `others` are not this fit's."""
+def _correlation_plots(result: FrictionIdentification) -> list[Plot]:
+    """Return the correlation of each element's parameters."""
     plots = []
     pairs = zip(result.arm.element_names, result.sliding.estimates, result.presliding.estimates, strict=True)
     for name, sliding, presliding in pairs:
         names = (*sliding.parameters, *presliding.parameters)
         first, matrix = len(sliding.parameters), np.full((len(names), len(names)), np.nan)
         matrix[:first, :first] = sliding.correlation
-        if name not in others:
-            matrix[first:, first:] = presliding.correlation
+        matrix[first:, first:] = presliding.correlation
         if np.isfinite(matrix).any():
             plots.append(Plot([Heat(names, matrix, name)]))
     return plots
@@ -261,8 +244,6 @@ def excitation_page(
     correlation = friction.fit.covariance[np.ix_(known, known)] / np.outer(deviation[known], deviation[known])
     close = [(names[i], names[j], float(correlation[i, j]))
              for i, j in np.argwhere(np.triu(np.abs(correlation) > _MAX_CORRELATION, 1))]  # fmt: skip
-    gains, identified = summary.gain_texts(result), torque_constants(result)
-    constants = [] if identified is None else [f"{value:.4g}" for value in identified.value]
     return _render(
         "excitation.html.j2",
         date,
@@ -277,7 +258,6 @@ def excitation_page(
         curves=_friction_plot(result),
         spectra=_spectra_plot(checked or result.torques),
         by_speed=_speed_plot(result),
-        gains=list(zip(gains, gains.values(), constants or [""] * len(gains), strict=True)),
         by_time=_time_plot(result.torques, friction.blocks.length),
         correlation=Plot([Heat(names, correlation)], height=7.0),
         close=sorted(close, key=lambda pair: -abs(pair[2]))[:20],

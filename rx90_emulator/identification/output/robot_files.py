@@ -36,7 +36,7 @@ from rx90_emulator.identification.excitation.choice import CrossValidation
 from rx90_emulator.identification.excitation.result import ASSUMED, ExcitationIdentification, misfits
 from rx90_emulator.identification.output.assumed_files import assumed_files
 from rx90_emulator.identification.output.friction_file import elements_text
-from rx90_emulator.identification.output.summary import bodies_warnings, gain_warnings, in_currents
+from rx90_emulator.identification.output.summary import bodies_warnings, in_currents
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.validation.verdict import RunTorques
 
@@ -376,29 +376,7 @@ def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[
             if options.gear is not None and values is not None:
                 provenance = f"as given with --{key.replace('_', '-')}"
                 drives[block, key] = Identified([float(value) for value in values], "assumed", provenance)
-    if (constants := torque_constants(result)) is not None:
-        drives["motor", "torque_constant"] = constants
     return robot_texts(result, urdf, base, drives, date), note
-
-
-def torque_constants(result: ExcitationIdentification) -> Identified | None:
-    """Return the motors' torque constants with identified drive gains; None if nothing determines them.
-
-    Efforts of another robot that are no currents of its motors determine gains, but no constants.
-    """
-    gains, setup, options = result.gains, result.robot.setup, result.options
-    if gains is None or (setup is None and (options.gear is None or options.torque_constant is None)):
-        return None
-    before = options.torque_constant if setup is None else setup.drives.torque_constant
-    values = np.asarray(before, dtype=np.float64) * gains.factor
-    identified = [name for name, one in zip(result.problem.arm.names, gains.deviation, strict=True) if np.isfinite(one)]
-    note = (
-        "" if len(identified) == len(values) else "; the others are as before, for the payload does not determine them"
-    )
-    odd = [result.problem.arm.names[k] for k in gains.implausible]
-    note += f"; {listed(odd)} hardly to be believed: parameters.yaml says why" if odd else ""
-    source = f"torques of {listed(identified)} in runs with and without a known payload{note}"
-    return Identified([digits(value) for value in values.tolist()], "identified", source)
 
 
 _PARAMETERS_HEAD = """\
@@ -419,9 +397,6 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
     """
     friction, bandwidths = result.friction, result.problem.runs[0].bandwidths
     bodies = result.consistency.inertias
-    chosen, other = "instrumental variables", "least squares"
-    if not result.instruments.biased:
-        chosen, other = other, chosen
 
     def checked(prefix: str, check: CrossValidation | None) -> dict[str, Any]:
         if check is None:
@@ -440,7 +415,6 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         "base_parameters": {
             one.name: {"unit": one.unit, "group": one.group, **_estimate(one.estimate)}
             | {"consistent": digits(one.consistent)}
-            | ({} if one.other is None else {other.replace(" ", "_"): _estimate(one.other)})
             for one in result.base
         },
         "friction": {
@@ -471,17 +445,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
                 name for name, one in zip(bodies.prior.joints, bodies.open.tolist(), strict=True) if one
             ],
         },
-        "estimator": chosen,
-        "instrumental_variables": result.instruments.reason,
     }
-    if result.gains is not None:
-        pairs = zip(result.gains.factor.tolist(), result.gains.deviation.tolist(), strict=True)
-        content["drive_gains"] = {
-            name: _rounded({"true_over_recorded": factor, "deviation": deviation})
-            if math.isfinite(deviation)
-            else {"identifiable": False, "reason": "the payload does not determine it; 1 is taken"}
-            for name, (factor, deviation) in zip(result.problem.arm.names, pairs, strict=True)
-        }
     variance = friction.fit.covariance.diagonal()
     deviation = np.sqrt(np.where((variance > 0.0) & np.isfinite(variance), variance, np.nan))
     correlation = (friction.fit.covariance / np.outer(deviation, deviation)).tolist()
@@ -494,7 +458,6 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             *result.notes,
             *friction.remarks,
             *result.warnings,
-            *gain_warnings(result),
             *bodies_warnings(result),
         ],
         "correlation": {

@@ -10,7 +10,6 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import TypeVar
 
 from rx90_emulator.identification.estimates import ParameterEstimate
-from rx90_emulator.identification.excitation.known_payload import PLAUSIBLE
 from rx90_emulator.identification.excitation.law import Part
 from rx90_emulator.identification.excitation.result import ExcitationIdentification, TorqueValidation, misfits
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
@@ -65,12 +64,6 @@ def identification_summary(result: FrictionIdentification) -> str:
     if others := ", ".join(name for name in names if name not in result.identified_elements):
         lines.append(f"{others}: nothing identified")
     lines += [f"not identifiable: {which(lacking)}: {reason}" for reason, lacking in result.unidentifiable.items()]
-    if compared := [kind for kind in result.kinds if kind.trials]:
-        lines.append("bristles: missed of the friction torque (standard errors behind the best kind)")
-        families = [trial.family.name for trial in compared[0].trials]
-        rows = [[kind.element, *(f"{t.missed:.1%} ({t.behind:.1f})" for t in kind.trials)] for kind in compared]
-        lines += _table(["element", *families], [_width(10, names), *[25] * len(families)], rows)
-    lines += [f"bristles of {of}: {text}" for of, text in together((kind.element, kind.text) for kind in result.kinds)]
     if given_bristles := ", ".join(result.with_given_bristles):
         lines.append(f"bristles of {given_bristles}: as c0 those of {result.fallback_name}, assumed")
     lines += [line for name, one in zip(names, sliding.quality, strict=True) if one for line in one.lines(name)]
@@ -181,17 +174,8 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     lines.append(f"low-pass: {bandwidths.position:.3g} Hz, torques {bandwidths.torque:.3g} Hz: {bandwidths.reason}")
     lines += [note if note.startswith("warning") else f"recording: {note}" for note in result.notes]
     lines.append(f"model: {kept_parts(result)}; last step of the choice: {result.model.reason}")
-    lines.append(f"closed loop: {result.instruments.remark}")
     lines += filter(None, (result.consistency.text, result.consistency.open_text))
-    if gains := gain_texts(result):
-        factors = (
-            f"{name} {' +- '.join(text) or '1 (the payload does not determine it)'}" for name, text in gains.items()
-        )
-        text = f"drive gains, true over recorded torque: {', '.join(factors)}"
-        lines.append(f"{text}; all values are for torques multiplied by them")
-    warnings = (*result.warnings, *gain_warnings(result), *bodies_warnings(result))
-    lines += [f"warning: {warning}" for warning in warnings]
-    lines += [] if result.loads is None else [result.loads.remark(names)]
+    lines += [f"warning: {warning}" for warning in (*result.warnings, *bodies_warnings(result))]
     lines += [f"misfit: {text}" for text in misfits(result.speeds)]
     lines += [f"drift: {one.text}" for one in result.trends]
     for check in result.validations:
@@ -223,36 +207,6 @@ def kept_parts(result: ExcitationIdentification) -> str:
     return " + ".join(texts)
 
 
-def gain_texts(result: ExcitationIdentification) -> dict[str, tuple[str, ...]]:
-    """Return gain and deviation of each motor, nothing for one that is not identified; empty without any."""
-    if result.gains is None:
-        return {}
-    pairs = zip(result.gains.factor.tolist(), result.gains.deviation.tolist(), strict=True)
-    texts = (ParameterEstimate(*pair).texts() if math.isfinite(pair[1]) else () for pair in pairs)
-    return dict(zip(result.problem.arm.names, texts, strict=True))
-
-
-def gain_warnings(result: ExcitationIdentification) -> list[str]:
-    """Return which drive gains are not plausible, which motors keep theirs, and the consequences."""
-    if result.gains is None:
-        return []
-    gains, names, lines = result.gains, result.problem.arm.names, []
-    if len(gains.implausible):
-        values = ", ".join(f"{names[k]} {gains.factor[k]:.3g}" for k in gains.implausible)
-        lines.append(
-            f"hardly a drive gain: {values}; torque constants, hot magnets and gears explain {PLAUSIBLE[0]:g} to "
-            f"{PLAUSIBLE[1]:g}. Is the payload's mass or centre, the run that carried it, a gear or the unit of effort "
-            "another one (A RMS for peak A: 0.71 or 1.41)? Inertias, friction and torque constants are as much off then"
-        )
-    unchanged = [name for k, name in enumerate(names) if k not in gains.identified]
-    if unchanged:
-        lines.append(
-            f"{', '.join(unchanged)} keep{'s' if len(unchanged) == 1 else ''} the given gain, whose scale may not fit "
-            "that of the identified ones: inertias, which all joints share, and torques there can be off by as much"
-        )
-    return lines
-
-
 def bodies_warnings(result: ExcitationIdentification) -> list[str]:
     """Return whether the bodies in the files are far from the base parameters, and which rotors are below 0."""
     found = [result.consistency.warning] if result.consistency.warning else []
@@ -272,7 +226,7 @@ def bodies_warnings(result: ExcitationIdentification) -> list[str]:
     return found
 
 
-_REPORTED = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1", "load.driving", "load.driven")
+_REPORTED = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1")
 
 
 def friction_columns(estimates: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:

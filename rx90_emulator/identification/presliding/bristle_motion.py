@@ -1,4 +1,4 @@
-"""Micro-motions with bristles of given kinds: the predicted torques in the band of micro-oscillations.
+"""Micro-motions with LuGre's bristles: the predicted torques in the band of micro-oscillations.
 
 A bristle is deflected along the measured motion, and torques are compared at the frequencies of micro-oscillations
 alone. In this band the noise of the encoder, which reaches the torque through the controller, is some thousandths of
@@ -12,92 +12,23 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import pairwise
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult, least_squares
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import decay
-from rx90_common.friction.compiled_elements import BRISTLE_STATE_DTYPE, bristles_dtype, element_arrays, follow_bristles
-from rx90_common.friction.parts.bristles import MAX_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.presliding.micro_motion import BLOCK, MicroMotion, band_spectrum
 from rx90_emulator.identification.records import block_means
 
-MAX_COMPARED_S: Final = 2.0
-"""Longest compared part of a micro-motion, s: it contains some six of its slowest waves."""
-MAX_MOTIONS_ALONE: Final = 5
-"""Largest number of compared micro-motions of a joint with elements of its own."""
-MAX_MOTIONS_OF_BAG: Final = 3
-"""The same for joints that share elements, from each bag."""
-ATTRACTION: Final = "attraction"
-"""The parameter of Maxwell slip that has no effect in presliding."""
 INERTIA_SD: Final = 0.05
 """Prior standard deviation of the errors of the mass matrix, in units of sqrt(M_jj M_ii)."""
 _CACHED_SPECTRA = 16  # of a motion: difference quotients use the same start deflection again
-_MAX_STEP_S = 5.1e-4  # s, of a step: at 33 Hz the mean over it is 0.1 % off
-_ATTRACTION_RATE = 200.0  # 1/s: the sliding curve has little effect in presliding, and its attraction none
+_START_SD = 0.3  # prior standard deviation of a start deflection, in units of that of steady sliding
 _PARAMETER_STEP = 1e-4  # step of difference quotients, for parameters of the order of 1
-
-
-@dataclass(frozen=True)
-class KindFamily:
-    """Bristles of one kind, with unbounded numbers for its parameters.
-
-    Attributes:
-        blocks: 0 for a bristle with one deflection.
-        elastic: whether it is elasto-plastic.
-    """
-
-    blocks: int = 0
-    elastic: bool = False
-
-    @property
-    def kind(self) -> str:
-        """Return "LuGre", "elasto-plastic" or "Maxwell slip"."""
-        if self.blocks:
-            return "Maxwell slip"
-        return "elasto-plastic" if self.elastic else "LuGre"
-
-    @property
-    def name(self) -> str:
-        """Return its name in a table."""
-        return f"{self.kind} ({self.blocks} blocks)" if self.blocks else self.kind
-
-    @property
-    def count(self) -> int:
-        """Return the number of parameters of its own."""
-        return 2 * (self.blocks - 1) if self.blocks else int(self.elastic)
-
-    def guesses(self) -> list[Array]:
-        """Return start values for fits."""
-        if self.elastic:
-            return [np.array([0.0]), np.array([1.2])]
-        if not self.blocks:
-            return [np.zeros(0)]
-        # The stiffness of LuGre's virgin curve falls as exp(-x / g): blocks of equal stiffness with these reaches.
-        reach = -np.log1p(-(np.arange(self.blocks) + 0.5) / self.blocks)
-        return [np.concatenate([np.zeros(self.blocks - 1), np.log(reach[1:] / reach[0])])]
-
-    def bristles(self, shape: Array, coulomb: float) -> BristlesPart | None:
-        """Return the bristles with such numbers, for a Coulomb torque, Nm; None for LuGre's."""
-        if self.elastic:
-            return ElastoPlastic(float(MAX_BREAK_AWAY / (1.0 + np.exp(-np.clip(shape[0], -30.0, 30.0)))))
-        if not self.blocks:
-            return None
-        parts = [np.exp(np.append(0.0, half)) for half in np.split(np.clip(shape, -8.0, 8.0), 2)]
-        stiffness, share = (part / part.sum() for part in parts)
-        # Blocks are sorted in the order in which they slip, so that fits without one motion each can be compared.
-        order = np.argsort(share / stiffness, kind="stable")
-        return MaxwellSlip(tuple(stiffness[order].tolist()), tuple(share[order].tolist()), _ATTRACTION_RATE * coulomb)
-
-
-FAMILIES = (KindFamily(), KindFamily(elastic=True), *(KindFamily(blocks) for blocks in (2, 3, 4)))
-"""Kinds that are tried: LuGre, elasto-plastic, and Maxwell slip with 2 to 4 blocks."""
 
 
 @kernel
@@ -127,66 +58,41 @@ class ElementTrace:
         speed: constant in each step, rad/s, shape (m,).
         viscous: viscous torque, Nm, block means, shape (b,).
         step: s.
-        steps: in a block.
     """
 
     element: FrictionElement
     speed: Array
     viscous: Array
     step: float
-    steps: int
 
     @classmethod
-    def of(cls, element: FrictionElement, speed: Array, step: float, steps: int = BLOCK) -> ElementTrace:
+    def of(cls, element: FrictionElement, speed: Array, step: float) -> ElementTrace:
         """Return the trace of an element, c0 and c1 of which are not used, at input velocities in a record's steps."""
         plain = replace(element.without_parts(), c1=1.0, c2=0.0)
         viscous = block_means(element.viscous_torque(speed), BLOCK)
-        block_speed = block_means(speed[: len(viscous) * BLOCK], BLOCK // steps)
-        return cls(plain, block_speed, viscous, step * BLOCK / steps, steps)
-
-    @property
-    def position(self) -> Array:
-        """Return the position relative to the beginning of the motion, rad, block means, shape (b,)."""
-        return block_means(np.cumsum(self.speed) * self.step, self.steps)
+        return cls(plain, speed[: len(viscous) * BLOCK], viscous, step)
 
     @cached_property
-    def spectra(self) -> Callable[[BristlesPart | None, float, float], Array]:
+    def spectra(self) -> Callable[[float, float], Array]:
         """Return a function for the spectra of the results of `bristles`, shape (r, 2), with a cache."""
         return lru_cache(_CACHED_SPECTRA)(lambda *bristle: self.spectrum(self.bristles(*bristle)))
 
     def spectrum(self, means: Array) -> Array:
         """Return the spectrum of block means, shape (b, c) to (r, c)."""
-        return band_spectrum(means, self.step * self.steps / BLOCK)[0]
+        return band_spectrum(means, self.step)[0]
 
-    def bristles(self, kind: BristlesPart | None, c0: float, start: float) -> Array:
+    def bristles(self, c0: float, start: float) -> Array:
         """Return block means of the bristles' torque, Nm, and of the rate that c1 multiplies, rad/s, shape (b, 2).
 
         Args:
-            kind: of the bristles; None for LuGre's.
             c0: Nm/rad.
             start: deflection at the beginning over that of steady sliding.
         """
         first = start * self.element.tau_c_positive / c0
         found = np.empty((len(self.speed), 2))
-        if kind is None:
-            _deflect_lugre(self.speed, self._sliding_torque, self.step, c0, first, found)
-        else:
-            constants, state = np.zeros(1, bristles_dtype(1)), np.zeros(1, BRISTLE_STATE_DTYPE)
-            fill_bristles(constants[0], [kind])
-            state["z"] = first
-            state["bristles"]["blocks"][0, 0, 0] = first * constants["blocks"]["reach"][0, 0]
-            element = self._constants.copy()
-            element["c0"] = c0
-            torque, deflection = np.empty_like(self.speed), np.empty_like(self.speed)
-            steps = np.full_like(self.speed, self.step)
-            follow_bristles(element, constants, state, self.speed, steps, torque, deflection)
-            found[:, 0], found[:, 1] = torque, np.diff(deflection, prepend=first) / self.step
+        _deflect_lugre(self.speed, self._sliding_torque, self.step, c0, first, found)
         found[:, 1] *= self._fading
-        return block_means(found, self.steps)
-
-    @cached_property
-    def _constants(self) -> NDArray[Any]:
-        return element_arrays((replace(self.element, c1=0.0),))
+        return block_means(found, BLOCK)
 
     @cached_property
     def _sliding_torque(self) -> Array:
@@ -198,7 +104,7 @@ class ElementTrace:
 
 
 @dataclass(frozen=True, eq=False)
-class KindMotion:
+class GroupMotion:
     """A micro-motion of k joints with e friction elements, in the band.
 
     Attributes:
@@ -220,23 +126,17 @@ class KindMotion:
     line: Array
 
     @classmethod
-    def of(
-        cls, motion: MicroMotion, inputs: Array, sliding: Sequence[FrictionElement], *, whole: bool = False
-    ) -> KindMotion:
+    def of(cls, motion: MicroMotion, inputs: Array, sliding: Sequence[FrictionElement]) -> GroupMotion:
         """Return a micro-motion of a group.
 
         Args:
             motion: of the group's joints.
             inputs: as the attribute.
             sliding: the elements' sliding regime; c0 and c1 are not used.
-            whole: whether all of it is used, in the steps of the record, instead of its beginning in as few steps as
-                suffice.
         """
-        steps = BLOCK if whole or 2.0 * motion.step > _MAX_STEP_S else BLOCK // 2
-        used = slice(None if whole else round(MAX_COMPARED_S / motion.step))
-        speed, acceleration = motion.velocity[used] @ inputs.T, motion.acceleration[used][:, list(motion.joints)]
-        traces = tuple(ElementTrace.of(one, speed[:, n], motion.step, steps) for n, one in enumerate(sliding))
-        torques, scale = [motion.friction[used]], motion.inertia_scale
+        speed, acceleration = motion.velocity @ inputs.T, motion.acceleration[:, list(motion.joints)]
+        traces = tuple(ElementTrace.of(one, speed[:, n], motion.step) for n, one in enumerate(sliding))
+        torques, scale = [motion.friction], motion.inertia_scale
         for j, i in zip(*np.triu_indices(len(scale)), strict=True):
             torques.append(np.zeros_like(torques[0]))
             torques[-1][:, j] = scale[j, i] * acceleration[:, i]
@@ -247,8 +147,8 @@ class KindMotion:
         spectrum = spectrum.reshape(-1, *measured.shape[1:])
         return cls(inputs, traces, measured, spectrum[:, :, 0], spectrum[:, :, 1:], np.round(frequency))
 
-    def changed(self, n: int, element: FrictionElement, speed: Array | None = None) -> KindMotion:
-        """Return a whole motion with another sliding regime, and other velocities if given, of element n."""
+    def changed(self, n: int, element: FrictionElement, speed: Array | None = None) -> GroupMotion:
+        """Return the motion with another sliding regime, and other velocities if given, of element n."""
         before = self.traces[n]
         trace = ElementTrace.of(element, before.speed if speed is None else speed, before.step)
         more = np.outer(trace.viscous - before.viscous, self.inputs[n])
@@ -260,54 +160,45 @@ class KindMotion:
 
 @dataclass(frozen=True, eq=False)
 class GroupModel:
-    """Residuals of M motions for bristles of given kinds of a group's e elements, as a function of parameters x.
+    """Residuals of M motions for LuGre's bristles of a group's e elements, as a function of parameters x.
 
-    x contains ln c0, the damping, and the kind's own numbers, element by element; then the errors of the inertia, in
-    units of sqrt(M_jj M_ii); then the start deflections in units of those of steady sliding, motion by motion. All
-    micro-oscillations are made at one pose, so errors of the links' description are a constant error of the inertia.
+    x contains ln c0 and ln c1, element by element; then the errors of the inertia, in units of sqrt(M_jj M_ii); then
+    the start deflections in units of those of steady sliding, motion by motion. All micro-oscillations are made at one
+    pose, so errors of the links' description are a constant error of the inertia.
 
     Attributes:
-        families: of the elements.
         motions: M of them.
         scale: unit of the residuals, Nm, shape (k,).
-        unit: of c1 among the parameters, Nm s/rad, shape (e,); None if the parameter is ln c1.
-        start_sd: prior standard deviation of a start deflection over that of steady sliding.
-        max_start: largest start deflection in the same unit.
     """
 
-    families: tuple[KindFamily, ...]
-    motions: tuple[KindMotion, ...]
+    motions: tuple[GroupMotion, ...]
     scale: Array
-    unit: Array | None = None
-    start_sd: float = 1.0
-    max_start: float = 1.2
 
-    @cached_property
-    def places(self) -> list[slice]:
-        """Return the slices of the parameters of each element."""
-        ends = np.cumsum([0, *(2 + family.count for family in self.families)]).tolist()
-        return [slice(a, b) for a, b in pairwise(ends)]
+    @property
+    def elements(self) -> int:
+        """Return the number of the group's elements."""
+        return len(self.motions[0].traces)
 
     @property
     def inertial(self) -> slice:
         """Return the slice of the errors of the inertia: behind the elements', before the start deflections."""
-        first = self.places[-1].stop
+        first = 2 * self.elements
         return slice(first, first + int(self.motions[0].inertial.shape[2]))
 
     def starts(self, x: Array) -> Array:
         """Return the start deflections of the motions, in parts of those of steady sliding, shape (M, e)."""
-        return x[self.inertial.stop :].reshape(-1, len(self.families))
+        return x[self.inertial.stop :].reshape(-1, self.elements)
 
     def values(self, x: Array) -> Array:
         """Return c0, Nm/rad, and c1, Nm s/rad, shape (e, 2)."""
-        return np.array([(_exp(x[place][0]), self._c1(x[place], n)) for n, place in enumerate(self.places)])
+        return np.exp(np.clip(x[: self.inertial.start], -20.0, 25.0)).reshape(-1, 2)
 
     def of_motion(self, x: Array, index: int) -> Array:
         """Return the residual spectrum of a motion in units of the scale, shape (r, k)."""
         motion = self.motions[index]
         residual = motion.target - motion.inertial @ x[self.inertial]
-        for n, (place, start) in enumerate(zip(self.places, self.starts(x)[index], strict=True)):
-            torque = self._spectra(x[place], n, index, start) @ (1.0, self._c1(x[place], n))
+        for n, ((c0, c1), start) in enumerate(zip(self.values(x), self.starts(x)[index], strict=True)):
+            torque = motion.traces[n].spectra(float(c0), float(start)) @ (1.0, c1)
             residual = residual - np.outer(torque, motion.inputs[n])
         return np.asarray(residual / self.scale)
 
@@ -331,9 +222,9 @@ class GroupModel:
 
     def torque(self, x: Array, index: int, n: int) -> Array:
         """Return block means of the torque of element n's bristles, Nm, and of the part due to c0, shape (b, 2)."""
-        own, start = x[self.places[n]], np.clip(self.starts(x)[index, n], -self.max_start, self.max_start)
-        both = self.motions[index].traces[n].bristles(self.kind(own, n), _exp(own[0]), float(start))
-        return np.column_stack([both @ (1.0, self._c1(own, n)), both[:, 0]])
+        c0, c1 = self.values(x)[n]
+        both = self.motions[index].traces[n].bristles(float(c0), float(self.starts(x)[index, n]))
+        return np.column_stack([both @ (1.0, c1), both[:, 0]])
 
     def friction(self, x: Array, index: int) -> Array:
         """Return block means of the friction torque at the joints along a motion, Nm, shape (b, k)."""
@@ -341,40 +232,24 @@ class GroupModel:
         total = [self.torque(x, index, n)[:, 0] + trace.viscous for n, trace in enumerate(motion.traces)]
         return np.column_stack(total) @ motion.inputs
 
-    def kind(self, own: Array, n: int) -> BristlesPart | None:
-        """Return the bristles of element n by its parameters; None for LuGre's."""
-        return self.families[n].bristles(own[2:], self.motions[0].traces[n].element.tau_c_positive)
-
     def _prior_sd(self, x: Array) -> Array:
         place = self.inertial
-        return np.repeat([INERTIA_SD, self.start_sd], [place.stop - place.start, x.size - place.stop])
-
-    def _c1(self, own: Array, n: int) -> float:
-        return _exp(own[1]) if self.unit is None else float(own[1] * self.unit[n])
-
-    def _spectra(self, own: Array, n: int, index: int, start: float) -> Array:
-        clipped = float(np.clip(start, -self.max_start, self.max_start))
-        return self.motions[index].traces[n].spectra(self.kind(own, n), _exp(own[0]), clipped)
+        return np.repeat([INERTIA_SD, _START_SD], [place.stop - place.start, x.size - place.stop])
 
     def _slopes(self, x: Array, index: int) -> Array:
         """Return the derivatives of a motion's torques by the parameters, Nm, shape (r, k, parameters)."""
-        motion, found = self.motions[index], np.zeros((*self.motions[index].target.shape, x.size))
-        stiffer = np.log1p(_PARAMETER_STEP) if self.unit is None else _PARAMETER_STEP
-        for n, (place, start) in enumerate(zip(self.places, self.starts(x)[index], strict=True)):
-            own = x[place]
-            c1, row, here = self._c1(own, n), motion.inputs[n], self._spectra(own, n, index, start)
-            steps = np.diag(np.r_[stiffer, 0.0, np.full(own.size - 2, _PARAMETER_STEP)])
-            changed = [(own + step, start) for k, step in enumerate(steps) if k != 1]
-            by_stiffness, *by_shape, by_start = (
-                (self._spectra(each, n, index, at) - here) @ (1.0, c1) / _PARAMETER_STEP
-                for each, at in [*changed, (own, start + _PARAMETER_STEP)]
-            )
-            by_damping = here[:, 1] * (c1 if self.unit is None else self.unit[n])
-            found[:, :, place] = np.column_stack([by_stiffness, by_damping, *by_shape])[:, None, :] * row[:, None]
-            found[:, :, self.inertial.stop + index * len(self.families) + n] = np.outer(by_start, row)
-        found[:, :, self.inertial] = motion.inertial
-        return found
-
-
-def _exp(logarithm: float) -> float:
-    return float(np.exp(np.clip(logarithm, -20.0, 25.0)))
+        motion = self.motions[index]
+        slopes = np.zeros((*motion.target.shape, x.size))
+        first_start = self.inertial.stop + index * self.elements
+        starts = self.starts(x)[index].tolist()
+        for n, ((c0, c1), start) in enumerate(zip(self.values(x).tolist(), starts, strict=True)):
+            trace, row = motion.traces[n], motion.inputs[n]
+            here = trace.spectra(c0, start)
+            stiffer = trace.spectra(c0 * (1.0 + _PARAMETER_STEP), start)
+            deflected = trace.spectra(c0, start + _PARAMETER_STEP)
+            by_stiffness, by_start = ((one - here) @ (1.0, c1) / _PARAMETER_STEP for one in (stiffer, deflected))
+            slopes[:, :, 2 * n] = np.outer(by_stiffness, row)
+            slopes[:, :, 2 * n + 1] = np.outer(c1 * here[:, 1], row)
+            slopes[:, :, first_start + n] = np.outer(by_start, row)
+        slopes[:, :, self.inertial] = motion.inertial
+        return slopes

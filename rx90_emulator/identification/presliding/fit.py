@@ -22,15 +22,7 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
     cluster_variances,
 )
-from rx90_emulator.identification.presliding.bristle_motion import (
-    INERTIA_SD,
-    MAX_COMPARED_S,
-    MAX_MOTIONS_ALONE,
-    MAX_MOTIONS_OF_BAG,
-    GroupModel,
-    KindFamily,
-    KindMotion,
-)
+from rx90_emulator.identification.presliding.bristle_motion import INERTIA_SD, GroupModel, GroupMotion
 from rx90_emulator.identification.presliding.micro_motion import (
     BLOCK,
     MicroMotion,
@@ -38,9 +30,8 @@ from rx90_emulator.identification.presliding.micro_motion import (
     find_micro_motions,
     most_informative,
 )
-from rx90_emulator.identification.records import BagSource, JointRecord, block_means
+from rx90_emulator.identification.records import JointRecord, block_means
 
-_START_SD = 0.3  # prior standard deviation of a start deflection, in units of that of steady sliding
 _PASSES, _MAX_EVALUATIONS = 3, 30  # passes, each with the noise found in the previous one; evaluations in each pass
 _ROUGH, _FINE = 1e-3, 1e-6  # relative tolerance of the parameters, in a pass and in the last fit
 _RELATIVE_STEP = 1e-4  # of difference quotients
@@ -59,43 +50,6 @@ _MOVED_BY_REACTIONS = (
 
 
 @dataclass(frozen=True, eq=False)
-class MovedGroup:
-    """The largest micro-motions of joints that share their friction elements with no other joint.
-
-    Attributes:
-        elements: indices of its e elements.
-        motions: the largest first; at most MAX_MOTIONS_ALONE for a single element, else MAX_MOTIONS_OF_BAG from each
-            bag.
-        c0: of LuGre's bristles, Nm/rad, shape (e,).
-        sources: their bags.
-    """
-
-    elements: tuple[int, ...]
-    motions: tuple[KindMotion, ...]
-    c0: Array
-    sources: tuple[BagSource, ...]
-
-    @classmethod
-    def of(
-        cls, group: JointGroup, motions: Sequence[MicroMotion], sliding: Sequence[FrictionElement], c0: Array
-    ) -> MovedGroup:
-        """Return the largest of a group's micro-motions, with those shorter than MAX_COMPARED_S last."""
-        break_away, alone = group.break_away(sliding), len(group.elements) == 1
-        bags: dict[str, list[MicroMotion]] = {}
-        for motion in motions:
-            # A direction of motion moves only some elements, and each direction is recorded in a bag of its own.
-            bags.setdefault("" if alone else motion.record.sha256, []).append(motion)
-
-        def rank(motion: MicroMotion) -> tuple[bool, float]:
-            return len(motion.velocity) * motion.step < MAX_COMPARED_S, -motion.load(break_away)
-
-        most = MAX_MOTIONS_ALONE if alone else MAX_MOTIONS_OF_BAG
-        largest = [motion for bag in bags.values() for motion in sorted(bag, key=rank)[:most]]
-        compared = tuple(KindMotion.of(motion, group.inputs, sliding) for motion in largest)
-        return cls(group.elements, compared, c0, tuple(dict.fromkeys(motion.record.bag for motion in largest)))
-
-
-@dataclass(frozen=True, eq=False)
 class PreslidingFit:
     """The presliding regime of all elements.
 
@@ -105,13 +59,11 @@ class PreslidingFit:
             torque, Nm, "measured" (drive less weight and measured acceleration) and "simulated" (bristles deflected
             along this motion); block means, shape (b,).
         motions: number of micro-motions that were used.
-        groups: micro-motions of each group of joints that made any.
     """
 
     estimates: tuple[ElementEstimate, ...]
     loops: Mapping[str, tuple[Array, dict[str, Array]]] = field(default_factory=dict)
     motions: int = 0
-    groups: tuple[MovedGroup, ...] = ()
 
 
 def identify_presliding(
@@ -148,7 +100,6 @@ def identify_presliding(
         )
     estimates: dict[int, ElementEstimate] = {}
     loops: dict[str, tuple[Array, dict[str, Array]]] = {}
-    moved: list[MovedGroup] = []
     used = 0
     for group in groups:
         of_group = [motion for motion in motions if motion.joints == group.joints]
@@ -178,9 +129,8 @@ def identify_presliding(
             position, measured = (block_means(values, BLOCK)[:, place] for values in both)
             torques = {"measured": measured, "simulated": fit.model.friction(fit.x, index)[:, place]}
             loops[arm.names[joint]] = position - position.mean(), torques
-        moved.append(MovedGroup.of(group, own, elements, fit.values[:, 0]))
     ordered = tuple(estimates[e] for e in range(len(arm.element_names)))
-    return PreslidingFit(ordered, loops, used, tuple(moved))
+    return PreslidingFit(ordered, loops, used)
 
 
 class _GroupFit:
@@ -198,8 +148,7 @@ class _GroupFit:
     ) -> None:
         self._motions, self._group, self._sliding = motions, group, sliding
         scale = 0.1 * group.break_away(sliding)  # first guess of the noise
-        compared = tuple(KindMotion.of(motion, group.inputs, sliding, whole=True) for motion in motions)
-        model = GroupModel((KindFamily(),) * len(sliding), compared, scale, start_sd=_START_SD, max_start=np.inf)
+        model = GroupModel(tuple(GroupMotion.of(motion, group.inputs, sliding) for motion in motions), scale)
         self._pairs = tuple(np.triu_indices(len(group.joints)))
         x = np.log(_first_guess(motions, group.inputs, sliding)).ravel()
         x = np.concatenate([x, np.zeros(len(self._pairs[0]) + len(motions) * len(sliding))])

@@ -8,12 +8,10 @@ rows of excitation runs: where the joint moves, reversals included, and no eleme
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from operator import attrgetter
-from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
@@ -25,7 +23,7 @@ from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record, without_shocks
-from rx90_emulator.identification.excitation.problem import ExcitationProblem, Payload
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.options import (
     EMULATED,
     NO_TOLERANCES,
@@ -50,7 +48,6 @@ from rx90_emulator.identification.validation.verdict import (
 )
 from rx90_emulator.identification.zeros import ZeroCheck, check_zeros, record_instants
 
-_NO_PAYLOADS: Mapping[Path, Payload | None] = MappingProxyType({})
 _MAX_WEIGHT_SD = 0.05  # standard deviation over RMS torque up to which a joint's error of the weights is corrected
 _BRISTLE_STEP_S = 1e-3  # s, longest step of constant velocity
 _MAX_BANDWIDTH_OVER_RATE = 0.3  # of the positions, if a bag is slower than those of the identification
@@ -128,20 +125,15 @@ def filtered_runs(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwid
 
 
 def recorded_equations(
-    records: Sequence[JointRecord],
-    robot: RecordedRobot,
-    bandwidths: Bandwidths,
-    payloads: Mapping[Path, Payload | None] = _NO_PAYLOADS,
-    *,
-    rotors: bool = True,
+    records: Sequence[JointRecord], robot: RecordedRobot, bandwidths: Bandwidths, *, rotors: bool = True
 ) -> ExcitationProblem:
-    """Return the equations of records behind filters, stacked; payloads by the paths of the bags, by default none.
+    """Return the equations of records behind filters, stacked.
 
     Raises:
         IdentificationError: for runs that are too short for the filters, and if no joint moves.
     """
     runs = [run for record in records for run in filtered_runs(record, robot, bandwidths)]
-    return ExcitationProblem.of(robot.arm, runs, [payloads.get(run.source.path) for run in runs], rotors=rotors)
+    return ExcitationProblem.of(robot.arm, runs, rotors=rotors)
 
 
 @lru_cache(8)  # equations are made of the same records for several bandwidths

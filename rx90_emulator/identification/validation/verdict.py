@@ -145,14 +145,14 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
 
     Args:
         problem: r rows.
-        predicted: torque of each, known payloads left out, Nm, shape (r,).
+        predicted: torque of each, Nm, shape (r,).
     """
     runs, own, at = problem.runs, problem.arm.identified, (problem.sample, problem.joint)
     time = np.concatenate([run.time[run.rows] for run in runs])
     velocity, recorded = (np.concatenate([run.parallel(getattr(run, name)) for run in runs])
                           for name in ("velocity", "torque"))  # fmt: skip
     known, compared = recorded.copy(), np.zeros(recorded.shape, dtype=np.bool_)
-    recorded[at], known[at], compared[at] = problem.torque + problem.payload, predicted + problem.payload, True
+    recorded[at], known[at], compared[at] = problem.torque, predicted, True
     names = tuple(name for name, one in zip(problem.arm.names, own.tolist(), strict=True) if one)
     noise, paths = np.array([torque_noise(run) for run in runs]), np.array([str(run.source.path) for run in runs])
     bag = np.repeat(paths, [len(run.rows) for run in runs])

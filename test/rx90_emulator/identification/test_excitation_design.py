@@ -19,7 +19,7 @@ from rx90_common.base.entries import Numbers
 from rx90_common.base.errors import DONE, REFUSED, ConfigError, IdentificationError
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identification_job
-from rx90_emulator.identification.excitation import filtering, identify, instruments
+from rx90_emulator.identification.excitation import filtering, identify
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.excitation import ExcitationPlan, plan_excitation
 from rx90_emulator.identification.experiments.plan import Kind, read_index, write_index
@@ -365,12 +365,11 @@ def test_a_planned_run_tells_the_inertias_that_the_engine_has(
 ) -> None:
     """The wrist's rotors to 0.2 %, Coulomb friction to 1 % of what the engine read; recorded set-points are used.
 
-    A torque counted half a tick late makes these rotors 0.4 to 0.7 % too small. Few rows, no parts of
-    friction and no simulation, for speed.
+    A torque counted half a tick late makes these rotors 0.4 to 0.7 % too small. Few rows and no parts of friction, for
+    speed.
     """
     monkeypatch.setattr(filtering, "_MAX_ROWS", 4000)
     monkeypatch.setattr(identify, "WITHOUT_BRISTLES", ())
-    monkeypatch.setattr(instruments, "_MAX_ROUNDS", 0)
     bag = tmp_path / "run"
     run_on_engine(tx40, plan.experiments[0], bag)
     found = identify.identify_excitation([bag], RobotOptions(robot="tx40"))

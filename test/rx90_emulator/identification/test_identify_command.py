@@ -104,7 +104,8 @@ REFUSED_CASES = {
         lambda h, f: ["--sliding", h.bag, "--validation", shutil.copytree(h.bag, f / "copy")],
         "copy: also used for the identification as .*run",
     ),
-    "kinds": (options("--bristle-kinds"), "--bristle-kinds without micro-oscillations; accepted: with --presliding"),
+    "prior": (options("--prior", "0.5"), "--prior 0.5 without excitation runs; accepted: with --excitation"),
+    "bristles": (options("--bristles"), "--bristles without excitation runs; accepted: with --excitation"),
     "no_urdf": (options("--urdf", "nowhere.urdf"), r"nowhere.urdf: cannot be read \(No such file"),
     "limit": (urdf("<limit", "<no"), r"\[hinge\] is of type REVOLUTE but it does not specify limits"),
     # Pinocchio 2 hands on another text of its URDF parser than Pinocchio 4.
@@ -156,7 +157,6 @@ REFUSED_CHECKS = {
     "bag_twice": (checking("--friction", "good", "--validation", "bag", "bag"), "given twice for --validation"),
     "output": (checking("--friction", "good", "--validation", "bag", "--output", "x.yaml"), "x.yaml with --friction;"),
     "sweeps": (checking("--friction", "good", "--validation", "bag", "--sliding", "bag"), "run with --friction;"),
-    "of_kinds": (checking("--friction", "good", "--validation", "bag", "--bristle-kinds"), "-kinds with --friction;"),
     "element": (checking("--friction", "other", "--validation", "bag"), "elements.hinge is missing; accepted"),
     "no_file": (checking("--friction", "nowhere.yaml", "--validation", "bag"), "nowhere.yaml"),
     "no_output": (checking("--validation", "bag"), "no --output; accepted: --output FILE"),

@@ -1,4 +1,4 @@
-"""Least squares, their deviations and instrumental variables, by random arms and formulas written out."""
+"""Least squares and their deviations, by random arms and formulas written out."""
 
 from __future__ import annotations
 
@@ -13,11 +13,8 @@ from excitation_arms import all_columns, plain_arm, rigid_arm, runs_of, truth
 from benchmarks.excitation_coverage import Case, Outcome, experiment
 from benchmarks.excitation_runs import MISFIT, NOISE, Disturbances
 from benchmarks.random_arms import random_arm
-from rx90_emulator.identification.excitation import instruments
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.excitation.fit import hac, solve
-from rx90_emulator.identification.excitation.friction import identify_friction_parts
-from rx90_emulator.identification.excitation.instruments import check_closed_loop
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import misfits, residuals_by_speed
 
@@ -106,49 +103,6 @@ def test_weights_are_the_joints_noise(problem: ExcitationProblem) -> None:
     assert np.abs(found[0].residual / found[0].deviation).max() > 5.0
     assert any("joint_1 is off by" in text for text in misfits(found))
     assert misfits(residuals_by_speed(noisy, solve(noisy, columns).residual)) == []
-
-
-def test_instruments_undo_the_bias_of_a_closed_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the loop's noise moves the arm least squares miss the truth by far; instruments are taken and hold it.
-
-    All values that are written become instrumental; without set-points they stay.
-    """
-    arm = plain_arm(1, 2, coupled=True)
-    runs = runs_of(arm, 125.0, Disturbances(feedback=1e-3), Bandwidths(37.0, 18.0), (100,), 1)
-    problem = ExcitationProblem.of(rigid_arm(arm, tmp_path), runs)
-    fitted = identify_friction_parts(problem, ())
-    found, taken = check_closed_loop(problem, fitted)
-    expected = truth(problem, arm)
-    missed = np.abs(found.least_squares.value - expected) / found.least_squares.deviation
-    held = np.abs(found.instrumental.value - expected) / found.instrumental.deviation
-    assert missed.max() > 5.0
-    assert np.mean(held < 1.96) >= 0.85
-    assert held.max() < 4.0
-    assert np.array_equal(taken.fit.value, found.instrumental.value)
-    assert taken.predicted == pytest.approx(problem.torque - taken.fit.residual)
-    for element, law in zip(taken.elements, arm.friction, strict=True):
-        for name, value in (("tau_c_positive", law.coulomb), ("c2", law.c2)):
-            assert abs(element.parameters[name].value - value) < 4.0 * element.parameters[name].deviation
-    assert "the recorded set-points" in found.controller
-    assert found.reason.startswith("instrumental variables are taken")
-    assert found.remark.endswith("all values written are by instrumental variables")
-    blind = ExcitationProblem.of(rigid_arm(arm, tmp_path), [replace(one, reference=None) for one in runs])
-    monkeypatch.setattr(instruments, "_MAX_ROUNDS", 0)
-    comparison, same = check_closed_loop(blind, fitted)
-    assert same is fitted
-    assert comparison.remark.endswith("all values written are by least squares")
-
-
-def test_least_squares_are_taken_where_instruments_agree(tmp_path: Path) -> None:
-    """Without noise in the loop both agree, with measured paths in place of set-points, and the reader is told."""
-    arm = plain_arm(3, 2, coupled=False)
-    runs = [replace(run, reference=None) for run in runs_of(arm, 125.0, NOISE, seeds=(300,), periods=1)]
-    problem = ExcitationProblem.of(rigid_arm(arm, tmp_path), runs)
-    friction = identify_friction_parts(problem, ())
-    found, taken = check_closed_loop(problem, friction)
-    assert taken is friction
-    assert "the measured path" in found.controller
-    assert "least squares are taken" in found.reason
 
 
 QUANTILE = 3.3

@@ -16,7 +16,7 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation.checks import check_signs
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.identify import log_warnings
-from rx90_emulator.identification.excitation.problem import ExcitationProblem, Payload
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.options import RobotOptions
 
 GEAR, CONSTANT = [100.0, -80.0, 60.0], [0.2, 0.1, 0.1]
@@ -34,7 +34,6 @@ def turned_round(
     recorded: tuple[RigidArm, tuple[FilteredRun, ...]],
     motion: tuple[int, ...],
     torque: tuple[int, ...],
-    payloads: tuple[Payload | None, ...] | None = None,
 ) -> ExcitationProblem:
     """Return the equations with the positions and the torques of some joints turned round."""
     arm, runs = recorded
@@ -43,7 +42,7 @@ def turned_round(
     moved = ("position", "velocity", "torque_velocity", "acceleration")
     turned = [{name: getattr(run, name) * signs[0] for name in moved} for run in runs]
     turned_runs = [replace(run, torque=run.torque * signs[1], **own) for run, own in zip(runs, turned, strict=True)]
-    return ExcitationProblem.of(arm, turned_runs, payloads)
+    return ExcitationProblem.of(arm, turned_runs)
 
 
 @pytest.mark.parametrize(
@@ -62,28 +61,6 @@ def test_a_wrong_sign_is_named_with_what_to_write(
     """A torque, a gear or a position that is turned round is found on its joint, and the right options are said."""
     with pytest.raises(IdentificationError, match=said):
         check_signs(turned_round(recorded, motion, torque), RobotOptions(gear=GEAR, torque_constant=CONSTANT))
-
-
-@pytest.mark.parametrize("given", [[0.05, 0.0, 0.1], [-0.05, 0.0, -0.1]], ids=["right payload", "wrong payload"])
-def test_a_payload_passes_for_no_sign_and_hides_none(
-    recorded: tuple[RigidArm, tuple[FilteredRun, ...]], given: list[float]
-) -> None:
-    """A wrong gear is found beside a payload, one with its centre on the wrong side too, which itself is no wrong sign.
-
-    With the payload's torque taken off the loaded run, the wrong one left 64 % there, and the effort of joint 3 was
-    blamed; with a wrong gear of joint 2 it was the effort of joint 2.
-    """
-    arm, (bare,) = recorded
-    true, said = (Payload(20.0, centre, np.diag([0.2, 0.2, 0.1])) for centre in ([0.05, 0.0, 0.1], given))
-    columns = ExcitationProblem.of(arm, [bare]).columns
-    last = columns.torque(bare.position, bare.velocity, bare.acceleration)[:, :, 20:30]
-    loaded = replace(bare, torque=bare.torque + last @ true.parameters())
-    both = arm, (bare, loaded)
-    check_signs(turned_round(both, (), (), (None, said)))
-    for motor in (0, 1):
-        problem = turned_round(both, (motor,), (motor,), (None, said))
-        with pytest.raises(IdentificationError, match=f"gear of joint_{motor + 1}: "):
-            check_signs(problem, RobotOptions(gear=GEAR))
 
 
 def test_of_gears_whose_mirror_images_fit_both_are_named(tmp_path: Path) -> None:
