@@ -29,7 +29,6 @@ SOURCES = {
     "markupsafe": Source("Jinja2", "python3-jinja2"),
     "matplotlib": Source("matplotlib", "python3-matplotlib"),
     "mcap": Source("mcap"),
-    "msgspec": Source("viser"),
     "mujoco": Source("mujoco"),
     "numba": Source("numba"),
     "numpy": Source("numpy", "python3-numpy"),
@@ -42,7 +41,6 @@ SOURCES = {
     "shtab": Source("shtab"),
     "tqdm": Source("tqdm", "python3-tqdm"),
     "viser": Source("viser"),
-    "websockets": Source("viser"),
     "yaml": Source("PyYAML", "python3-yaml"),
 }
 """Of each module outside the standard library and ROS that the project imports."""

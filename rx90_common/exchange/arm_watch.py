@@ -25,7 +25,6 @@ from rx90_common.exchange.topics import SAMPLED, TIME_MODE, TRAJECTORY_ACCEPTED,
 
 _NODES = 20  # that may all speak at once
 _SAMPLES = 100  # in a second
-_TICKS = 1000  # of the position loop in a second
 
 
 class _Newest:
@@ -97,7 +96,6 @@ class ArmWatch:
         node: the subscriber.
         controller: name of the controller node, relative or absolute; the arm is in its namespace.
         joints: names of the joints.
-        elements: names of the friction elements.
 
     Attributes:
         problem: why the newest message of the arm does not belong to this robot; empty if it does.
@@ -110,13 +108,12 @@ class ArmWatch:
         ConfigError: if that cannot be a node's name.
     """
 
-    def __init__(self, node: Node, controller: str, joints: Sequence[str], elements: Sequence[str]) -> None:
+    def __init__(self, node: Node, controller: str, joints: Sequence[str]) -> None:
         full = controller_topic(node, controller).rsplit("/", 1)[0]
         self.namespace = full.rsplit("/", 1)[0]
-        self._codecs = JointStateCodec(joints), JointStateCodec(elements)
+        self._codec = JointStateCodec(joints)
         self._node = node
-        self._joints, self._elements = self._listen(self.namespace)
-        self._ticks: _Newest | None = None
+        self._joints = self._listen(self.namespace)
         self._mode = _Newest(node, String, f"{self.namespace}/{TIME_MODE}", latched=True)
         self._accepted = _Newest(node, JointTrajectory, f"{full}/{TRAJECTORY_ACCEPTED}", latched=True)
         self._diagnostics = _Newest(node, DiagnosticArray, "/diagnostics", _NODES)
@@ -125,22 +122,8 @@ class ArmWatch:
         self.trajectory: Trajectory | None = None
         self.diagnostics: dict[str, NodeStatus] = {}
 
-    def _listen(self, space: str) -> tuple[_Newest, _Newest]:
-        joints, elements = f"{space}/joint_states", f"{space}/friction_states"
-        return _Newest(self._node, JointState, joints, _SAMPLES), _Newest(self._node, JointState, elements, _SAMPLES)
-
-    def at_ticks(self, *, wanted: bool) -> None:
-        """Subscribe to the friction elements at every tick of the position loop, or end that: `elements_at_ticks`."""
-        if wanted and self._ticks is None:
-            self._ticks = _Newest(self._node, JointState, f"{self.namespace}/friction_states", _TICKS)
-        elif not wanted and self._ticks is not None:
-            self._node.destroy_subscription(self._ticks.subscription)
-            self._ticks = None
-
-    @property
-    def listens_at_ticks(self) -> bool:
-        """Return whether `at_ticks` has it listen."""
-        return self._ticks is not None
+    def _listen(self, space: str) -> _Newest:
+        return _Newest(self._node, JointState, f"{space}/joint_states", _SAMPLES)
 
     @property
     def topic(self) -> str:
@@ -154,28 +137,17 @@ class ArmWatch:
 
     def joints(self) -> list[JointSample]:
         """Return the samples of the joints received since the last call, as far as they were kept."""
-        samples = self._take(self._joints, self._codecs[0])
+        received = self._joints.take()
         for accepted in self._accepted.take():
-            self.trajectory = _trajectory(accepted, self._codecs[0].names)
-        return samples
-
-    def elements(self) -> list[JointSample]:
-        """Return likewise those of the friction elements: bristle deflection, velocity, friction torque."""
-        return self._take(self._elements, self._codecs[1])
-
-    def elements_at_ticks(self) -> list[JointSample]:
-        """Return likewise those of every tick of the position loop, while `at_ticks` listens to them."""
-        return [] if self._ticks is None else self._take(self._ticks, self._codecs[1])
-
-    def _take(self, newest: _Newest, codec: JointStateCodec) -> list[JointSample]:
+            self.trajectory = _trajectory(accepted, self._codec.names)
         samples = []
-        for raw in newest.take():
+        for raw in received:
             try:
-                stamp, position, velocity, effort = codec.decode(raw)
+                stamp, position, velocity, effort = self._codec.decode(raw)
                 if position is None or velocity is None or effort is None:
                     raise ExchangeError("position, velocity or effort is empty; accepted: all three")
             except ExchangeError as error:
-                self.problem = f"{newest.topic}: {error}"
+                self.problem = f"{self.topic}: {error}"
                 return []
             samples.append(JointSample(stamp / NANOSECONDS, position.copy(), velocity.copy(), effort.copy()))
         if samples:
@@ -188,9 +160,8 @@ class ArmWatch:
         sampled = f"{self.namespace}/{SAMPLED}"
         space = sampled if self._node.count_publishers(f"{sampled}/joint_states") else self.namespace
         if self.topic != f"{space}/joint_states":
-            for newest in (self._joints, self._elements):
-                self._node.destroy_subscription(newest.subscription)
-            self._joints, self._elements = self._listen(space)
+            self._node.destroy_subscription(self._joints.subscription)
+            self._joints = self._listen(space)
         for status in (status for message in self._diagnostics.take() for status in message.status):
             of, _, name = f"/{status.name}".rpartition("/")
             if of == self.namespace:

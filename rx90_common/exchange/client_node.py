@@ -13,16 +13,13 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import rclpy
-from lifecycle_msgs.msg import Transition, TransitionEvent
-from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Log
-from rcl_interfaces.srv import GetParameters, SetParameters
+from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from rx90_common.base.errors import ConfigError, ExchangeError
@@ -31,7 +28,7 @@ from rx90_common.process.interrupts import deferred_interrupts
 
 POLL = 0.05
 """The longest time without a look for Ctrl-C, s."""
-_EVENTS, _LINES = 10, 100  # messages kept
+_LINES = 100  # messages kept
 
 
 @dataclass(frozen=True)
@@ -154,16 +151,12 @@ class ServiceCalls:
         self._callers: dict[str, Client] = {}
         self._open: list[tuple[ServiceRequest, Future, float, Outcome]] = []  # with the latest time of the answer
 
-    def there(self, request: ServiceRequest) -> bool:
-        """Return whether the service exists."""
-        if request.service not in self._callers:
-            self._callers[request.service] = self._client.node.create_client(request.kind, request.service)
-        return bool(self._callers[request.service].service_is_ready())
-
     def ask(self, request: ServiceRequest, then: Outcome) -> None:
         """Call a service; `then` is called with the result."""
-        there, caller = self.there(request), self._callers[request.service]
-        if there:
+        if request.service not in self._callers:
+            self._callers[request.service] = self._client.node.create_client(request.kind, request.service)
+        caller = self._callers[request.service]
+        if caller.service_is_ready():
             deadline = time.monotonic() + self._client.timeout
             self._open.append((request, caller.call_async(request.request), deadline, then))
         else:
@@ -201,38 +194,6 @@ def spoken(service: str) -> Callable[[Any], str]:
     return read
 
 
-def state_request(node: str) -> ServiceRequest:
-    """Return the question for the state of a managed node; the answer is its label."""
-    return ServiceRequest(
-        GetState, f"{node}/get_state", GetState.Request(), lambda answer: str(answer.current_state.label)
-    )
-
-
-def transition_request(node: str, label: str) -> ServiceRequest:
-    """Return the request for a transition of a managed node, by its label."""
-    service = f"{node}/change_state"
-
-    def read(answer: Any) -> str:
-        if not answer.success:
-            raise ExchangeError(f"{service}: {label} was refused; the node's log says why")
-        return f"{label}: done"
-
-    return ServiceRequest(ChangeState, service, ChangeState.Request(transition=Transition(label=label)), read)
-
-
-def parameter_request(node: str, name: str, value: Any) -> ServiceRequest:
-    """Return the request to set a parameter of a node."""
-    service = f"{node}/set_parameters"
-
-    def read(answer: Any) -> str:
-        for refused in (result for result in answer.results if not result.successful):
-            raise ExchangeError(f"{service}: {refused.reason}")
-        return f"{name}: set"
-
-    given = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
-    return ServiceRequest(SetParameters, service, given, read)
-
-
 def text_parameter(client: ClientNode, node: str, name: str) -> str:
     """Return a parameter of a node that is a text; empty where there is no such node, or parameter.
 
@@ -244,41 +205,6 @@ def text_parameter(client: ClientNode, node: str, name: str) -> str:
         return ""
     (found,) = client.call(GetParameters, service, GetParameters.Request(names=[name])).values
     return str(found.string_value)
-
-
-class NodeWatch:
-    """Follows the state of a managed node.
-
-    Args:
-        client: the node to do it with.
-        calls: of services.
-        node: name of the managed node.
-
-    Attributes:
-        state: its label; empty while the node is not there, or has not answered.
-    """
-
-    def __init__(self, client: ClientNode, calls: ServiceCalls, node: str) -> None:
-        self._calls, self._asked = calls, state_request(node)
-        self.state = ""
-        self._asking = False
-        client.node.create_subscription(TransitionEvent, f"{node}/transition_event", self._take, _EVENTS)
-
-    def look(self) -> None:
-        """Ask a new node for its state, and check whether a known one has ended; to be called now and then."""
-        if not self._calls.there(self._asked):
-            self.state = ""
-        elif not self.state and not self._asking:
-            self._asking = True
-            self._calls.ask(self._asked, self._answered)
-
-    def _answered(self, outcome: str | ExchangeError) -> None:
-        self._asking = False
-        if not isinstance(outcome, ExchangeError):
-            self.state = outcome
-
-    def _take(self, event: TransitionEvent) -> None:
-        self.state = str(event.goal_state.label)
 
 
 def subscribe_log(client: ClientNode, nodes: Sequence[str], heard: Callable[[str, str, bool], None]) -> None:

@@ -178,15 +178,13 @@ def _path_errors(args: argparse.Namespace) -> list[str]:
     """Return a line for each bag: its path errors, by the set-points in it."""
     from rx90_common.description.robot import load_robot
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.identification.options import MeasuredLayout
-    from rx90_emulator.view.recording import open_recording, path_errors
+    from rx90_emulator.identification.validation.recorded_path import recorded_accuracy
 
     files, lines = RobotFiles.of_options(args), []
     robot = load_robot(files.urdf, files.tool)
     for bag in (args.bag_a, args.bag_b):
-        found = open_recording(Path(bag), robot, files, MeasuredLayout())
-        errors = path_errors(found.arm, found.reference, robot)
-        lines.append(f"{plain(bag)}: {errors.accuracy.words if errors else 'no path error: it holds no set-points'}")
+        accuracy = recorded_accuracy(Path(bag), robot, files)
+        lines.append(f"{plain(bag)}: {accuracy.words if accuracy else 'no path error: it holds no set-points'}")
     return lines
 
 

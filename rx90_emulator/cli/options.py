@@ -210,7 +210,7 @@ def check_picture(path: Path) -> None:
 
 
 def _spelt(name: str) -> str:
-    return "a bag" if name == "bags" else f"--{name.replace('_', '-')}"
+    return f"--{name.replace('_', '-')}"
 
 
 def stay_on_this_machine() -> None:

@@ -33,7 +33,7 @@ from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.demo.animation import animate
 from rx90_emulator.loop.line import path_accuracy, run_line
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view import OPENED, TO_OTHERS
+from rx90_emulator.view import CODE, OPENED, TO_OTHERS
 from rx90_sim.node.simulation_client import SimulationClient
 
 SWITCHED_OFF = "FF and dq_r off"
@@ -244,7 +244,7 @@ class Demonstration:
             task = ("--robot", self._robot, "--from-file", self._task_file, "--start-time", START_TIME)
             line = group.start("trajectory", executable("rx90_line", *task))
             if self._view is not None:
-                about = ("--robot", self._robot, "--task", self._task_file, "--output", folder)
+                about = ("--robot", self._robot, "--task", self._task_file)
                 _wait_for_page(group.start("view", executable("rx90_view", *about, *self._view)))
             recorder.wait_for("ready: all")
             line.expect_success()
@@ -258,8 +258,9 @@ class Demonstration:
 def _wait_for_page(page: ChildProcess) -> None:
     """Give a person a moment to open the page before time runs."""
     address = page.wait_for(r"page: (.*) [(]")[1]
-    if TO_OTHERS in page.lines:
-        print(TO_OTHERS)
+    for line in page.lines:
+        if line == TO_OTHERS or line.startswith(CODE):
+            print(line)
     print(f"page: {address}; time runs once it is open, at the latest in {_PAGE_TIMEOUT:g} s", flush=True)
     try:
         page.wait_for(OPENED, _PAGE_TIMEOUT)

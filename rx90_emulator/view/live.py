@@ -1,4 +1,4 @@
-"""Running nodes on the page: their newest states, arm, spot and trace, plots, and what they say of themselves."""
+"""Running nodes on the page: their arm, the spot's trace, and what they say of themselves."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import html
 import math
 import time
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -17,106 +17,58 @@ from rx90_common.exchange.arm_watch import ArmWatch, JointSample, NodeStatus, Tr
 from rx90_common.exchange.client_node import ClientNode
 from rx90_common.exchange.topics import MAX_DISPLAY_RTF
 from rx90_controller.lines.task import TipTask
-from rx90_emulator.view.page import Page, block, from_user
-from rx90_emulator.view.plots import LoopPlot, RollingPlot, RunComparison
+from rx90_emulator.view.page import Page, block
 from rx90_emulator.view.scene import ArmScene, LineScene, legend_html
 
 _STALE = 2.5  # s; the samples of a simulation come again four times a second while time stands still
 _PACE_WINDOW = 2.0  # s
-
-
 _POSE_PERIOD = 1.0 / 30.0  # s
-_PLOT_PERIOD = 0.2
+_TRACE_PERIOD = 0.2
 _STATUS_PERIOD = 0.25
-_REAL_TIME_FACTOR = 1.05  # simulated s in one of the wall clock, of a simulation that keeps to it
-_MAGNIFICATIONS = ("1", "10", "100")  # the first is what is drawn at first
-_SHOWN_FIRST = 3  # joints; all seven at once are hard to tell apart
-_MAX_GAPS = 5  # in 10 s; more are drawn across
-_MAX_SAMPLE_STEP = 0.01  # s; a line across so many ticks would be none of friction
-_NONE = "none"
 
 
 class LiveView:
-    """Arm, spot, trace, plots and words that follow running nodes, which may come and go.
+    """Arm, spot, trace and words that follow running nodes, which may come and go.
 
     Args:
         page: to show them on.
         client: whose node listens; nothing waits for it.
         robot: the arm that is expected.
-        elements: names of its friction elements.
         controller: name of the controller node, relative or absolute; the arm is in its namespace.
         line: the reference line, or another path, if there is one.
 
     Attributes:
         watch: what the nodes publish.
         state: the newest of the arm; None before the first.
+        trace: the line with the trace of the spot, if there is one.
 
     Raises:
         ConfigError: if that cannot be a node's name.
     """
 
     def __init__(
-        self,
-        page: Page,
-        client: ClientNode,
-        robot: RobotModel,
-        elements: tuple[str, ...],
-        controller: str,
-        line: TipTask | None,
+        self, page: Page, client: ClientNode, robot: RobotModel, controller: str, line: TipTask | None
     ) -> None:
-        self._page, self._model, gui, self._robot = page, robot, page.gui, str(robot.model.name)
-        self._names, joints = elements, robot.joint_names
-        self.watch = ArmWatch(client.node, controller, joints, self._names)
-        self._elements: JointSample | None = None  # the newest: deflection, velocity, torque
+        self._model = robot
+        self._robot = str(robot.model.name)
+        self.watch = ArmWatch(client.node, controller, robot.joint_names)
         self._heard = -math.inf  # when a state came last
         self._times: deque[tuple[float, float]] = deque()  # steady clock, simulated
         self._followed: Trajectory | None = None
         self.state: JointSample | None = None
         self.arm = ArmScene(page, "/arm", robot)
-        self._line = None if line is None else LineScene(page, "/reference", robot, line)
-        with page.plot_tab("Friction"):
-            self._friction = RollingPlot(page, "friction torque [Nm]", self._names, (-1.0, 1.0))
-            self._deflection = RollingPlot(page, "bristle deflection [\u00b5rad]", self._names, (-10.0, 10.0))
-            axes = ("velocity [rad/s]", "friction torque [Nm]")
-            self._loop = LoopPlot(page, "friction against velocity", *axes, (0.01, 1.0))
-            self._looped = gui.add_dropdown("joint of the loop", (*self._names, _NONE))
-        with page.plot_tab("Motion"):
-            self._velocity = RollingPlot(page, "joint velocity [rad/s]", joints, (-0.01, 0.01))
-            self._torque = RollingPlot(page, "drive torque [Nm]", joints, (-5.0, 5.0))
-            title = "path error of the laser spot [mm]"
-            self._error = RollingPlot(page, title, ("laser spot",), (0.0, 0.01), gaps=_MAX_GAPS)
-        self._looped.on_update(from_user(self._loop.clear, page))
-        self._loop_time = -1.0
-        with page.plot_tab("Path"):
-            self._runs = RunComparison(page)
+        self.trace = None if line is None else LineScene(page, "/reference", robot, line)
         page.look_at_arm(robot)
         with page.tab("Live"):
-            self._status = gui.add_html("")
-            if self._line is not None:
-                gui.add_html(legend_html("line and approach of the form"))
-                hint = "the trace is drawn so many times as far from the line as it was"
-                magnified = gui.add_dropdown("error drawn \u00d7", _MAGNIFICATIONS, hint=hint)
-                trace = self._line
-                magnified.on_update(from_user(lambda: trace.magnify(float(magnified.value)), page))
-                gui.add_button("Clear the trace").on_click(from_user(trace.clear, page))
-            with gui.add_folder("Joints in the plots", expand_by_default=False):
-                self._boxes = {name: gui.add_checkbox(name, k < _SHOWN_FIRST) for k, name in enumerate(self._names)}
-            with gui.add_folder("Diagnostics", expand_by_default=False):
-                self._diagnostics = gui.add_html("")
-        for box in self._boxes.values():
-            box.on_update(from_user(self._choose_joints, page))
-        self._choose_joints()
+            self._status = page.gui.add_html("")
+            if self.trace is not None:
+                page.gui.add_html(legend_html())
+            with page.gui.add_folder("Diagnostics", expand_by_default=False):
+                self._diagnostics = page.gui.add_html("")
         # A simulation that hurries needs the processors more than the eye needs smoothness.
-        periods = {self._update: _POSE_PERIOD, self._draw: _PLOT_PERIOD, self._show_status: _STATUS_PERIOD}
+        periods = {self._update: _POSE_PERIOD, self._draw: _TRACE_PERIOD, self._show_status: _STATUS_PERIOD}
         for show, period in periods.items():
             page.every(period, show, busy=lambda now: self.pace(now) > MAX_DISPLAY_RTF)
-
-    def lay_line(self, task: TipTask) -> None:
-        """Show a line that was sent; from now on the spot's path error is its distance from this one."""
-        if self._line is None:
-            self._line = LineScene(self._page, "/reference", self._model, task)
-        self._line.place(task)
-        self._followed = None
 
     def newest(self) -> JointSample | None:
         """Return the newest state; None where there is none, or its simulation has gone."""
@@ -126,11 +78,6 @@ class LiveView:
         """Tell whether the last trajectory has been over for so long, in simulated time; from any thread."""
         state, span = self.state, self.watch.trajectory
         return state is not None and (span is None or not span.begin <= state.time < span.end + seconds)
-
-    def _choose_joints(self) -> None:
-        shown = {name for name, box in self._boxes.items() if box.value}
-        for plot in (self._friction, self._deflection, self._velocity, self._torque):
-            plot.choose(shown)
 
     def pace(self, now: float) -> float:
         """Return simulated time per time of the wall clock over the last seconds; `now` is the steady clock's, s."""
@@ -155,71 +102,45 @@ class LiveView:
         return f"The simulation has gone: nothing on {self.watch.topic} any more; waiting for the next one"
 
     def _update(self, now: float) -> None:
-        friction, states, before = self.watch.elements(), self.watch.joints(), self.state
-        if friction:
-            self._elements = friction[-1]
-        elif states and now - self._heard > _STALE:
-            self._elements = None  # of a simulation that has gone
-        friction = self.watch.elements_at_ticks() if self.watch.listens_at_ticks else friction
+        states = self.watch.joints()
         if not states:
             return
-        back = np.flatnonzero(np.diff([0.0 if before is None else before.time, *(one.time for one in states)]) < 0.0)
+        before = 0.0 if self.state is None else self.state.time
+        back = np.flatnonzero(np.diff([before, *(state.time for state in states)]) < 0.0)
         if len(back):  # another simulation, or reset: nothing that was accepted before is followed
             states = states[back[-1] :]
             self._times.clear()
             self.watch.trajectory = None
-        newest, error, self._heard = states[-1], math.nan, now
-        self.state, trajectory = newest, self.watch.trajectory
-        self._times.append((now, newest.time))
-        self.arm.show(newest.position)
-        if self._line is not None:
-            if len(back):
-                self._line.begin_again()
-            if trajectory is not self._followed:  # which the line does not know yet
-                self._followed = trajectory
-                if trajectory is None:
-                    none = np.empty((0, len(newest.position)))
-                    trajectory = Trajectory(0.0, np.empty(0), none, np.empty(0, dtype=np.bool_))
-                tips = forward(self._model.chain, trajectory.position).position
-                self._line.follow(trajectory.times, tips, trajectory.at_rest)
+            if self.trace is not None:
+                self.trace.begin_again()
+        self.state = states[-1]
+        self._heard = now
+        self._times.append((now, self.state.time))
+        self.arm.show(self.state.position)
+        if self.trace is not None:
+            self._follow_trajectory(self.trace)
             pose = forward(self._model.chain, np.array([state.position for state in states]))
-            error = self._line.add(np.array([state.time for state in states]), *pose)[-1]
-        if before is None or newest.time != before.time:  # else it stands still
-            self._velocity.add(newest.time, newest.velocity)
-            self._torque.add(newest.time, newest.effort)
-            self._error.add(newest.time, [error * 1e3])
-            if self._elements is not None:
-                self._friction.add(newest.time, self._elements.effort)
-                self._deflection.add(newest.time, self._elements.position * 1e6)
-        self._lengthen_loop(friction)
+            self.trace.add(np.array([state.time for state in states]), *pose)
 
-    def _lengthen_loop(self, samples: Sequence[JointSample]) -> None:
-        """Add the newest samples of a friction element to its loop; after missing ticks the loop begins anew."""
-        if not samples or self._looped.value == _NONE:
+    def _follow_trajectory(self, trace: LineScene) -> None:
+        """Hand a trajectory on that the line does not know yet."""
+        trajectory = self.watch.trajectory
+        if trajectory is self._followed:
             return
-        steps = np.diff([self._loop_time, *(sample.time for sample in samples)])
-        breaks = np.flatnonzero((steps < 0.0) | (self.watch.listens_at_ticks & (steps > _MAX_SAMPLE_STEP)))
-        if len(breaks):
-            self._loop.clear()
-            samples = samples[breaks[-1] :]
-        self._loop_time = samples[-1].time
-        column = self._names.index(self._looped.value)
-        self._loop.add(*np.array([(sample.velocity[column], sample.effort[column]) for sample in samples]).T)
+        self._followed = trajectory
+        if trajectory is None:
+            trace.follow(np.empty(0), np.empty((0, 3)), np.empty(0, dtype=np.bool_))
+        else:
+            tips = forward(self._model.chain, trajectory.position).position
+            trace.follow(trajectory.times, tips, trajectory.at_rest)
 
     def _draw(self, _now: float) -> None:
-        for plot in (self._friction, self._deflection, self._loop, self._velocity, self._torque, self._error):
-            plot.draw()
-        if self._line is not None:
-            self._line.draw()
-            self._runs.draw(self._line)
+        if self.trace is not None:
+            self.trace.draw()
 
     def _show_status(self, now: float) -> None:
         watch = self.watch
         watch.look_around()
-        # Friction at every tick costs the simulation a twentieth: where somebody sees it, and time is not in a hurry.
-        fastest = MAX_DISPLAY_RTF if watch.listens_at_ticks else _REAL_TIME_FACTOR
-        seen = self._looped.value != _NONE and bool(self._page.server.get_clients())
-        watch.at_ticks(wanted=seen and self.pace(now) < fastest)
         problem = self._problem(now)
         rows = [("", _colored(problem, 1))]
         if self.state is not None and not problem:
@@ -239,7 +160,7 @@ class LiveView:
                 ("brakes", html.escape(simulation.values["brakes"]) if simulation else "unknown"),
                 ("controller", _word(controller)),
                 ("trajectory", trajectory),
-                ("path error", "no line" if self._line is None else self._line.words()),
+                ("path error", "no line" if self.trace is None else self.trace.words()),
             ]
         self._status.content = _table(rows)
         parts = []

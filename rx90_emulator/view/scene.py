@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from itertools import product
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -21,10 +21,6 @@ from rx90_controller.lines.task import SETTLING, TipTask
 from rx90_emulator.loop.line import PathAccuracy, turned_by
 from rx90_emulator.view.page import Page
 
-Color: TypeAlias = tuple[int, int, int]
-# Of round shapes: segments of a cylinder, subdivisions of a sphere. Of the few lines of a wire frame the arm is seen.
-_SOLID, _WIRE_FRAME = (32, 3), (12, 1)
-
 
 class ArmScene:
     """An arm, each joint's frame a node below that of the joint before it.
@@ -33,19 +29,16 @@ class ArmScene:
         page: to draw in.
         name: of its node in the scene, such as "/arm".
         robot: the arm with its tool.
-        ghost: colour of a wire frame, red, green and blue, 0 to 255, for a second arm beside or in the first, whose
-            colours it leaves as they are; None: solid, in the shapes' own colours.
 
     Attributes:
-        root: its first node.
-        tip: the name of its last one.
+        tip: the name of its last node.
     """
 
-    def __init__(self, page: Page, name: str, robot: RobotModel, *, ghost: Color | None = None) -> None:
-        self._page, self._ghost = page, ghost
+    def __init__(self, page: Page, name: str, robot: RobotModel) -> None:
+        self._page = page
         self._model, self._data = robot.model, robot.model.createData()
         shapes = drawn_shapes(robot)
-        self.root = page.scene.add_frame(name, show_axes=False)
+        page.scene.add_frame(name, show_axes=False)
         self._joints: list[viser.FrameHandle] = []
         path = name
         for index, joint in enumerate(("", *robot.joint_names), -1):
@@ -68,19 +61,17 @@ class ArmScene:
                 handle.position = place.translation
 
     def _draw(self, name: str, shape: VisualShape) -> None:
-        red, green, blue = self._ghost or (round(255 * part) for part in shape.color.tolist())
-        color, size, scene = (red, green, blue), 2.0 * shape.half, self._page.scene
-        segments, subdivisions = _SOLID if self._ghost is None else _WIRE_FRAME
-        look: dict[str, Any] = {
-            "wireframe": self._ghost is not None, "cast_shadow": self._ghost is None,
-            "position": shape.position, "wxyz": _quaternion(shape.rotation),
-        }  # fmt: skip
+        red, green, blue = (round(255 * part) for part in shape.color.tolist())
+        color = (red, green, blue)
+        size = 2.0 * shape.half
+        scene = self._page.scene
+        place: dict[str, Any] = {"position": shape.position, "wxyz": _quaternion(shape.rotation)}
         if shape.kind == "Box":
-            scene.add_box(name, color, size, **look)
+            scene.add_box(name, color, size, **place)
         elif shape.kind == "Cylinder":
-            scene.add_cylinder(name, size[0] / 2.0, size[2], color, radial_segments=segments, **look)
+            scene.add_cylinder(name, size[0] / 2.0, size[2], color, **place)
         else:
-            scene.add_icosphere(name, size[0] / 2.0, color, subdivisions=subdivisions, **look)
+            scene.add_icosphere(name, size[0] / 2.0, color, **place)
 
 
 def _quaternion(rotation: Array) -> Array:
@@ -92,10 +83,6 @@ FULL_SCALE = 1e-4
 """Path error of the last colour, m: what laser welding asks for."""
 _ERROR_COLORS = np.array([(0, 114, 178), (0, 158, 115), (240, 228, 66), (230, 159, 0), (213, 60, 0)], dtype=np.float64)
 _OFF_LINE = np.array([150.0, 150.0, 150.0])
-PLANNED = 140, 60, 190
-"""Of what is planned and not measured, a colour that no path error has."""
-HELD = 120, 120, 120
-"""Of the trace that is held."""
 _SPOT = (255, 40, 40)
 # The page takes the colours of a line's points as brightness of light, and the screen's are not in proportion to it.
 _LINEAR = np.round(255.0 * (np.arange(256) / 255.0) ** 2.2).astype(np.uint8)
@@ -120,18 +107,17 @@ def connect(lines: viser.LineSegmentsHandle, points: Array, colors: Array | None
         lines.colors = np.stack([colors[:-1], colors[1:]], axis=1)
 
 
-def legend_html(planned: str = "") -> str:
-    """Return the colours with their path errors, and what it is that has the colour of the planned, as HTML."""
+def legend_html() -> str:
+    """Return the colours with their path errors as HTML."""
     stops = ", ".join(f"rgb({red:.0f},{green:.0f},{blue:.0f})" for red, green, blue in _ERROR_COLORS)
     grey = ",".join(f"{part:.0f}" for part in _OFF_LINE)
     limit = FULL_SCALE * 1e3
-    also = f' &ensp;<span style="color:rgb{PLANNED}">&#9632;</span> {planned}' if planned else ""
     return (
         '<div style="padding:0 0.6em;font-size:0.8em"><div>path error of the laser spot, mm</div>'
         f'<div style="height:0.7em;border-radius:2px;background:linear-gradient(to right, {stops})"></div>'
         '<div style="display:flex;justify-content:space-between">'
         f"<span>0</span><span>{limit / 2:g}</span><span>&ge; {limit:g}</span></div>"
-        f'<div><span style="color:rgb({grey})">&#9632;</span> not on the line{also}</div></div>'
+        f'<div><span style="color:rgb({grey})">&#9632;</span> not on the line</div></div>'
     )
 
 
@@ -150,7 +136,7 @@ _NO_SPAN = np.inf, -np.inf  # s, when no sample counts
 
 
 class LineScene:
-    """A line, or another path, the spot on or near it, where the spot has been, and its runs along the line.
+    """A line, or another path, the spot on or near it, where the spot has been, and its newest run along the line.
 
     Args:
         page: to draw in.
@@ -160,33 +146,21 @@ class LineScene:
 
     Attributes:
         run: path error of the newest run along the line, as far as it has come; None before the first one.
-        held: the trace that is kept, m, shape (n, 3).
     """
 
     def __init__(self, page: Page, name: str, robot: RobotModel, task: TipTask) -> None:
         ends = np.zeros((1, 2, 3), dtype=np.float32)
         self._robot = robot
-        self._line = page.add_lines(f"{name}/line", ends, (30, 30, 30), thickness=2.0)
+        line = page.add_lines(f"{name}/line", ends, (30, 30, 30), thickness=2.0)
         self._spot = page.scene.add_icosphere(f"{name}/spot", 0.007, _SPOT, subdivisions=2, cast_shadow=False)
         # A colour for each end: a page that has seen one for all draws no others until it is loaded again.
         grey = np.full((1, 2, 3), 150, dtype=np.uint8)
-        self._trace, self._held_trace = (
-            page.add_lines(f"{name}/{of}", ends, grey, thickness=thickness, visible=False)
-            for of, thickness in (("trace", 5.0), ("held", 3.0))
-        )
+        self._trace = page.add_lines(f"{name}/trace", ends, grey, thickness=5.0, visible=False)
         self._factor = 1.0
         # Of the trace, with their path errors and their places on the line.
         self._points: deque[tuple[Array, float, float]] = deque(maxlen=_TRACE_SAMPLES)
-        self.held, self._held_places = np.empty((0, 3)), np.empty(0)
         self._task = task
-        self.place(task)
-
-    def place(self, task: TipTask) -> None:
-        """Compare with a line or path from now on, with an empty trace and no run."""
-        if task != self._task:
-            self.hold(wanted=False)
-        self._task = task
-        connect(self._line, task.poses(task.places(_PATH_STEP, 1)).position)
+        connect(line, task.poses(task.places(_PATH_STEP, 1)).position)
         self.run: PathAccuracy | None = None
         self._now = np.nan  # path error, m
         self.begin_again()
@@ -281,21 +255,10 @@ class LineScene:
             words += f"; along it {self.run.worst_along_track * 1e3:.3f} mm"
         return f"{words}; tool {self.run.worst_orientation * 1e3:.3f} mrad"
 
-    def hold(self, *, wanted: bool = True) -> None:
-        """Keep the trace along the line in one colour, beside the next one, until another line is placed; or forget it.
-
-        Args:
-            wanted: whether it is kept.
-        """
-        kept = [(tip, along) for tip, error, along in self._points if wanted and np.isfinite(error)]
-        self.held = np.array([tip for tip, _ in kept]).reshape(-1, 3)
-        self._held_places = np.array([along for _, along in kept])
-        self._draw_held()
-
     def magnify(self, factor: float) -> None:
         """Draw the trace, but not the spot, this many times as far from the line as it is."""
-        self._factor, self._changed = factor, True
-        self._draw_held()
+        self._factor = factor
+        self._changed = True
 
     def draw(self) -> None:
         """Draw the trace, if it has changed; less often than `add`, because all of it is sent."""
@@ -304,15 +267,6 @@ class LineScene:
         self._changed = False
         tips, error, along = (np.array(each) for each in zip(*self._points, strict=True))
         colors = line_colors(error)
-        drawn = np.where(np.isnan(error)[:, None], tips, self._magnified(tips, along))
-        connect(self._trace, drawn, colors)
+        magnified = tips + (self._factor - 1.0) * (tips - self._task.poses(along).position)
+        connect(self._trace, np.where(np.isnan(error)[:, None], tips, magnified), colors)
         self._trace.visible = True
-
-    def _draw_held(self) -> None:
-        self._held_trace.visible = len(self.held) > 1
-        if self._held_trace.visible:
-            drawn = self._magnified(self.held, self._held_places)
-            connect(self._held_trace, drawn, np.broadcast_to(_LINEAR[list(HELD)], drawn.shape))
-
-    def _magnified(self, tips: Array, along: Array) -> Array:
-        return np.asarray(tips + (self._factor - 1.0) * (tips - self._task.poses(along).position))

@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
-from rx90_common.exchange.client_node import ClientNode, ServiceRequest, spoken
+from rx90_common.exchange.client_node import ClientNode, spoken
 from rx90_common.exchange.topics import JOINT_COMMANDS, MEASURED_JOINT_STATES
 
 _NAME = "rx90_sim"
@@ -38,37 +38,19 @@ class SimulationClient:
 
     def pause(self, paused: bool) -> None:
         """Stop time, or let it run."""
-        self._ask(pause_request(_NAME, paused))
+        self._ask(SetBool, "pause", SetBool.Request(data=paused))
 
     def step(self) -> None:
         """Pause, and run `step_ticks` ticks, a parameter of the simulation."""
-        self._ask(step_request(_NAME))
+        self._ask(Trigger, "step", Trigger.Request())
 
     def reset(self) -> None:
         """Begin again at tick 0."""
-        self._ask(reset_request(_NAME))
+        self._ask(Trigger, "reset", Trigger.Request())
 
-    def _ask(self, request: ServiceRequest) -> None:
-        request.read(self._client.call(request.kind, request.service, request.request))
-
-
-def pause_request(node: str, paused: bool) -> ServiceRequest:
-    """Return the request to stop the time of a simulation or to let it run."""
-    return _request(SetBool, f"{node}/pause", SetBool.Request(data=paused))
-
-
-def step_request(node: str) -> ServiceRequest:
-    """Return the request to a simulation to pause and to run `step_ticks` ticks, its parameter."""
-    return _request(Trigger, f"{node}/step", Trigger.Request())
-
-
-def reset_request(node: str) -> ServiceRequest:
-    """Return the request to a simulation to begin again at tick 0."""
-    return _request(Trigger, f"{node}/reset", Trigger.Request())
-
-
-def _request(kind: Any, service: str, request: Any) -> ServiceRequest:
-    return ServiceRequest(kind, service, request, spoken(service))
+    def _ask(self, kind: Any, name: str, request: Any) -> None:
+        service = f"{_NAME}/{name}"
+        spoken(service)(self._client.call(kind, service, request))
 
 
 _DEPTH = 10

@@ -18,7 +18,6 @@ from rx90_emulator.configuration.origins import OF_CODE, file_values
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.forms import changed
 
 PARTS = {
     "load": rx.LoadPart(0.05, 0.1),
@@ -73,14 +72,6 @@ def test_a_ramp_test_does_not_replace_an_element_with_parts(
     told = "elements.joint_2.load: the element that a ramp test replaces cannot hold this part"
     assert told in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_a_value_changed_by_hand_leaves_the_parts(parted_file: Path) -> None:
-    """The panel's file with one value changed has the element's parts as they were."""
-    file = rx.FrictionFile.read(parted_file)
-    after = changed(file, "joint_2", {"c1": 90.0}).elements["joint_2"]
-    assert after == replace(file.elements["joint_2"], c1=90.0)
-    assert after.parts == PARTS
 
 
 def test_config_shows_where_each_value_of_a_part_comes_from(parted_file: Path) -> None:

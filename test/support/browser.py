@@ -34,7 +34,6 @@ _FLAGS = (
     # All but WebGL is drawn without GL: in software that takes three times the processor time.
     "--disable-gpu-rasterization",
     "--disable-accelerated-2d-canvas",
-    "--host-resolver-rules=MAP *.example 127.0.0.1",  # names that their owners let point here
 )
 _DESKTOP = (1000, 500)  # small: what is drawn in software takes time by the pixel
 # What the page's software says of itself; nothing is wrong.
@@ -60,10 +59,6 @@ _SELDOM = """let picture = 0;
     }"""
 _DRAWN = {"none": "false", "few": "picture < 6 || picture % 20 === 0"}
 _SHOWN = "() => Boolean(window.__viserMutable?.scene) && !document.body.innerText.includes('Connecting')"
-_PLOTS = """() => Object.values(window.__viserTestpoints?.uplots ?? {}).map(({chart}) => ({
-    title: chart.root.querySelector('.u-title')?.textContent ?? '',
-    labels: chart.series.map(series => series.label), data: chart.data.map(column => Array.from(column)),
-    axes: chart.axes.map(axis => axis.label), shown: chart.series.map(series => series.show)}))"""
 
 
 class BrowserPage:
@@ -109,9 +104,9 @@ class BrowserPage:
         columns = elements.values() if isinstance(elements, dict) else elements
         return np.array(list(columns), dtype=np.float64).reshape(4, 4).T
 
-    def plots(self) -> dict[str, dict[str, Any]]:
-        """Return the plots by their titles: labels, data, and which curves are shown."""
-        return {plot["title"]: plot for plot in self.page.evaluate(_PLOTS)}
+    def button(self, name: str) -> Any:
+        """Return a button by the beginning of its label."""
+        return self.page.get_by_role("button", name=name)
 
     def wait_until(self, ready: Callable[[], bool], what: str) -> None:
         """Wait for something that can be seen on the page; fail the test if it does not come."""

@@ -132,7 +132,6 @@ WRITTEN = {
         "rx90_path": ["nowhere"],
         "rx90_run": ["--task", "nowhere"],
         "rx90_sweep": ["run", "nowhere"],
-        "rx90_view": ["nowhere"],
     },
     "--report": {
         "rx90_identify": ["nowhere"],

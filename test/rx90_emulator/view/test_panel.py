@@ -1,441 +1,345 @@
-"""The panel in a real browser, with real nodes over DDS: what is typed, dragged and pressed there happens."""
+"""The panel that moves the arm: who may, what a locked or foreign client cannot, and what its sliders send."""
 
 from __future__ import annotations
 
-import re
-import signal
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
+from urllib.parse import urlsplit
 
+import msgspec
 import numpy as np
 import pytest
+import viser
 from browser import BrowserPage, served
 from pinocchio_chain import tip_place
-from processes import Processes, running_processes, wait_until
-from rcl_interfaces.srv import GetParameters
-from ros_client import JOINTS, Client, own_node, seconds
-from rosbags.rosbag2 import Reader as Rosbag2Reader
-from std_srvs.srv import SetBool
+from processes import Processes, wait_until
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin, Subprotocol
 
-from rx90_common.base.share import config_path
-from rx90_common.description.coupling import RX_WRIST
 from rx90_common.exchange.arm_watch import ArmWatch, JointSample
-from rx90_common.exchange.client_node import ClientNode, client_node
-from rx90_common.friction.friction_file import FrictionFile
-from rx90_controller.lines.plan import plan_line
-from rx90_controller.lines.task import TOOL_DOWN, LineTask, load_task
-from rx90_controller.node.trajectory_client import enable_request
-from rx90_controller.trajectory import TrajectoryPoints
+from rx90_common.exchange.client_node import client_node
+from rx90_controller.lines.plan import Approach, LinePlan
+from rx90_controller.lines.task import TOOL_DOWN, LineTask
+from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
+from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view import forms
-from rx90_emulator.view.forms import ElementForm, changed
-from rx90_emulator.view.page import Page, put
-from rx90_emulator.view.panel import DoPanel, Operator
-from rx90_emulator.view.processes import RecordButton
-from rx90_sim.node.simulation_client import pause_request, reset_request, step_request
+from rx90_emulator.view import panel as panel_module
+from rx90_emulator.view.page import Page
+from rx90_emulator.view.panel import TRIES, ControlPanel, Jogs, Lock, jog
 
 Open = Callable[..., BrowserPage]
-START, END, SPEED = np.array([0.6, -0.05, 0.2]), np.array([0.62, 0.05, 0.19]), 0.25
-SIZE = (420, 640)  # a small scene, because it is drawn in software
+START, END = np.array([0.6, -0.05, 0.2]), np.array([0.62, 0.05, 0.19])
+LINE = LineTask(tuple(START), tuple(END), 0.25, 2.0, TOOL_DOWN, TOOL_DOWN)
 FIELD = "//*[starts-with(normalize-space(text()), \"{}\")]/following::input[not(@type='hidden')][1]"
+SIZE = (420, 640)  # a small scene, because it is drawn in software
+VISER = Subprotocol(f"viser-v{viser.__version__}")
+CAMERA = {
+    "type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [0, 0, 1], "fov": 1, "near": 0.1, "far": 10,
+    "image_height": 100, "image_width": 100, "look_at": [0, 0, 0], "up_direction": [0, 0, 1],
+}  # fmt: skip
+"""With its first camera a client is there for viser."""
+SCRIPT = '<iframe srcdoc="<script>parent.x = 1</script>"></iframe>'
+ESCAPED = "&lt;iframe srcdoc="
 
 
-@pytest.fixture
-def panel(processes: Processes, shipped: Setup, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
-    """Serve a page with the panel alone, beside a cell that stands near the start of the line; give page and cell."""
-    monkeypatch.chdir(tmp_path)  # where friction files are written
-    line = LineTask(tuple(START), tuple(END), SPEED, 2.0, TOOL_DOWN, TOOL_DOWN)
-    pose = (plan_line(shipped.robot, line).start_pose + 0.03).round(4).tolist()
-    cell = processes.start("rx90_cell", "--ros-args", "-p", f"rx90_sim:initial_position:={pose}")
-    assert shipped.files is not None
-    sent: list[LineTask] = []
-    with client_node("test_view", 1.0, print) as client:
+@pytest.fixture(scope="module")
+def plan(shipped: Setup) -> LinePlan:
+    """Give a short line."""
+    return plan_path(shipped, LINE)
+
+
+class Stranger:
+    """A page of another origin: its own web socket to the page, on which it may send whatever it likes."""
+
+    def __init__(self, page: Page) -> None:
+        address = f"ws://{urlsplit(page.address).netloc}"
+        origin = Origin("http://evil.example")
+        self._socket: ClientConnection = connect(
+            address, origin=origin, subprotocols=[VISER], compression=None, max_size=None
+        )
+        self.send(**CAMERA)
+
+    def send(self, **message: object) -> None:
+        """Send one message."""
+        self._socket.send(msgspec.msgpack.encode(message))
+
+    def change(self, field: Any, value: object) -> None:
+        """Send what viser's own client sends when a user has changed a field, or pressed a button."""
+        self.send(type="GuiUpdateMessage", uuid=field._impl.uuid, updates={"value": value})
+
+    def give(self, form: Any, code: str) -> None:
+        """Fill a form in, and press its button."""
+        _, field, button = form
+        self.change(field, code)
+        self.change(button, True)
+
+    def close(self) -> None:
+        """Go."""
+        self._socket.close()
+
+
+def test_who_has_the_code_moves_the_arm_and_nobody_else(
+    processes: Processes, shipped: Setup, plan: LinePlan, open_page: Open
+) -> None:
+    """In Chromium, with real nodes: code, slider, line, torque; five wrong codes of another page lock for good."""
+    pose = (plan.start_pose + 0.03).round(4).tolist()
+    processes.start("rx90_cell", "--ros-args", "-p", f"rx90_sim:initial_position:={pose}")
+    with client_node("test_view", 5.0, print) as client:
         page = Page("test", port=0)
-        names = shipped.robot.joint_names
-        watch = ArmWatch(client.node, "rx90_controller", names, RX_WRIST.element_names(names))
+        watch = ArmWatch(client.node, "/rx90_controller", shipped.robot.joint_names)
         states: list[JointSample] = []
         page.every(0.05, lambda _: states.extend(watch.joints()))
         newest = lambda: states[-1] if states else None  # noqa: E731
-        parts = DoPanel(page, client, shipped, load_task(), newest, "/rx90_controller", sent.append)
+        panel = ControlPanel(page, client, shipped, plan, None, newest, "/rx90_controller")
         with served(page):
-            yield page, cell, sent
-        parts.close()
+            first = open_page(page.address, SIZE)
+            unlock(first, panel.lock.code)
+            first.wait_until(lambda: bool(states) and first.button("Send the line").is_visible(), "the inputs")
+            _a_slider_moves_its_joint(first, panel, states)
+            _a_stranger_does_not(page, panel, states)
+            second = open_page(page.address, SIZE)
+            assert not second.button("Send the line").is_visible()
+            for left in reversed(range(TRIES)):
+                unlock(second, f"WRONG{left}")
+                said = f"left for all pages together: {left}" if left else "no further page is unlocked"
+                second.wait_until(lambda said=said: said in second.text(), said)  # type: ignore[misc]
+            second.wait_until(lambda: not second.button("Unlock").is_visible(), "no form")
+            assert not panel.lock.opens(panel.lock.code)
+            first.button("Send the line").click()
+            first.wait_until(lambda: _near(shipped, states[-1].position, END), "the end of the line")
+            first.button("Torque off").click()
+            first.wait_until(lambda: "torque off, brakes closed" in first.text().split("Clear")[-1], "the answer")
+            third = open_page(page.address, SIZE)
+            third.wait_until(lambda: "no further page is unlocked" in third.text(), "that it is locked")
+            assert not third.button("Unlock").is_visible()
+            assert [(shown.complaints, shown.foreign_requests) for shown in (first, second, third)] == [([], [])] * 3
 
 
-def test_what_is_done_on_the_page_happens(
-    panel: Any, open_page: Open, shipped: Setup, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A line is refused or followed, a joint jogged, time stopped, an element changed; the nodes' end is told."""
-    page, cell, sent = panel
-    shown = open_page(page.address, SIZE)
-    _the_line_is_followed(shown, page, shipped, sent)
-    _a_slider_moves_its_joint(shown, page)
-    press(shown, "Pause")
-    shown.wait_until(lambda: "time stands still" in shown.text(), "the simulation's answer")
-    _an_element_is_changed(shown, page, monkeypatch)
-    cell.signal(signal.SIGINT)
-    press(shown, "Move")
-    shown.wait_until(lambda: "cannot be sent: there is no /rx90_controller" in shown.text(), "the reason")
-    shown.wait_until(lambda: not shown.page.get_by_role("button", name="Pause").is_enabled(), "no pause")
-    assert (shown.complaints, shown.foreign_requests) == ([], [])
+def unlock(shown: BrowserPage, code: str) -> None:
+    """Type a code, as slowly as a person, and press the button."""
+    shown.page.locator(FIELD.format("code")).first.fill(code)
+    shown.page.wait_for_timeout(300)  # of what is changed within 50 ms viser's client sends the last later
+    shown.button("Unlock").click()
 
 
-def _the_line_is_followed(shown: BrowserPage, page: Page, setup: Setup, sent: list[LineTask]) -> None:
-    press(shown, "Move")
-    send = shown.page.get_by_role("button", name="Send the line")
-    fill(shown, page, "start, m", "{} {} {}".format(*START))
-    fill(shown, page, "end, m", "{} {} {}".format(*END))
-    fill(shown, page, "acceleration", "2")
-    fill(shown, page, "speed", "0.25 fast")
-    shown.wait_until(lambda: "speed is '0.25 fast'; accepted: a number, m/s" in shown.text(), "the refusal")
-    shown.wait_until(lambda: not send.is_enabled(), "no line to send")
-    fill(shown, page, "speed", f"{SPEED}")
-    length = float(np.linalg.norm(END - START))
-    said = f"{length:.3f} m in {length / SPEED + SPEED / 2.0:.2f} s, after an approach of"
-    shown.wait_until(lambda: said in shown.text() and send.is_enabled(), "the line with its approach")
-    client = Client()
-    heard = client.listen("joint_states", depth=20_000)  # nobody spins while the page is used
-    client.spin_until(lambda: bool(heard), "the arm")
-    press(shown, "Send the line")
-    wait_until(lambda: bool(sent), "the line on its way")
-
-    def arrived() -> bool:
-        return bool(np.linalg.norm(tip_place(setup.robot, heard[-1].position) - END) < 1e-4)
-
-    client.spin_until(arrived, "the end of the line")
-    client.close()
-    assert {tuple(m.name) for m in heard} == {tuple(JOINTS)}
-    times = np.array([seconds(m) for m in heard])
-    path = np.array([tip_place(setup.robot, m.position) for m in heard])
-    along = (path - START) @ (END - START) / length
-    beside = np.linalg.norm(path - START - along[:, None] * (END - START) / length, axis=1)
-    begun = int(np.flatnonzero(along < 1e-4)[-1])
-    assert np.abs(along[begun]) < 2e-4
-    assert beside[begun:].max() < 3e-4
-    speed = np.diff(along[begun:]) / np.diff(times[begun:])
-    assert np.median(speed[speed > 0.1]) == pytest.approx(SPEED, rel=0.02)
+def _near(setup: Setup, position: np.ndarray, place: np.ndarray) -> bool:
+    return bool(np.linalg.norm(tip_place(setup.robot, position) - place) < 1e-4)
 
 
-class _RestsAt:
-    """Whether an arm has been where it is, within 0.001 deg, for half a second of its time."""
-
-    def __init__(self, heard: Sequence[Any]) -> None:
-        self._heard, self._place, self._since = heard, np.full(6, np.nan), 0.0
-
-    def __call__(self) -> bool:
-        """Look at the newest state."""
-        newest = self._heard[-1]
-        if not np.abs(np.degrees(newest.position) - self._place).max() < 1e-3:
-            self._place, self._since = np.degrees(newest.position), seconds(newest)
-        return seconds(newest) >= self._since + 0.5
-
-
-def _a_slider_moves_its_joint(shown: BrowserPage, page: Page) -> None:
-    client = Client()
-    heard = client.listen("joint_states", depth=1)
-    client.spin_until(lambda: bool(heard), "the arm")
-    rests = _RestsAt(heard)
-    client.spin_until(rests, "the arm at rest after the line")
-    before = np.degrees(heard[-1].position)
+def _a_slider_moves_its_joint(shown: BrowserPage, panel: ControlPanel, states: list[JointSample]) -> None:
+    before = np.degrees(states[-1].position)
     asked = round(float(before[0]) + 5.0, 1)
-    fill(shown, page, "joint", f"{asked}")
-    client.spin_until(
-        lambda: bool(abs(np.degrees(heard[-1].position[0]) - asked) < 0.01) and rests(), "joint 1 where its slider is"
-    )
-    field = shown.page.locator(FIELD.format("joint")).first
-    shown.wait_until(lambda: field.input_value() == f"{asked}", "the slider where its joint is")
-    # A joint that was not touched goes to where its slider stood, a tenth of a degree at most from it.
-    np.testing.assert_allclose(np.degrees(heard[-1].position)[1:], before[1:], atol=0.02)
-    client.close()
+    shown.page.locator(FIELD.format("joint")).first.fill(f"{asked}")
+    shown.wait_until(lambda: bool(abs(np.degrees(states[-1].position[0]) - asked) < 0.02), "joint 1 at its slider")
+    np.testing.assert_allclose(np.degrees(states[-1].position)[1:], before[1:], atol=0.05)
+    ((slider, *_),) = panel._sliders.values()
+    assert slider.value == asked
 
 
-def _an_element_is_changed(shown: BrowserPage, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    press(shown, "Element")
-    title = "steady torque [Nm]"
-    shown.wait_until(lambda: title in shown.plots() and len(shown.plots()[title]["data"][0]) > 2, "the curve")
-    fill(shown, page, "tau", "40")
-    text = "tau_s_positive is 32.0; accepted: a number >= tau_c_positive = 40.0 Nm"
-    shown.wait_until(lambda: text in shown.text(), "the element's refusal")
-    shown.wait_until(lambda: not shown.page.get_by_role("button", name="Write the file").is_enabled(), "no file")
-    fill(shown, page, "tau", "20 28")
-    shown.wait_until(lambda: "changed by hand: joint_1.tau_c_positive from 25 to 20 Nm" in shown.text(), "the change")
-    shown.wait_until(lambda: "tau_c: {positive: 20.0, negative: 28.0}" in shown.text(), "the YAML")
-    shown.wait_until(lambda: not np.equal(*shown.plots()[title]["data"][1:]).all(), "the other curve")
-    velocity, before, after = map(np.array, shown.plots()[title]["data"])
-    # Half a radian per second is ten Stribeck velocities: what is left is Coulomb and viscous friction.
-    for at, coulomb in ((0.5, 20.0), (-0.5, -28.0)):
-        assert np.interp(at, velocity, after) == pytest.approx(coulomb + 14.0 * at, abs=0.02)
-        assert np.interp(at, velocity, before) == pytest.approx(np.sign(at) * 25.0 + 14.0 * at, abs=0.02)
-    may_end, curve = threading.Event(), forms.stribeck_curve
-    monkeypatch.setattr(forms, "stribeck_curve", lambda *given: (may_end.wait(60.0), curve(*given))[1])
-    fill(shown, page, "tau", "20 27")
-    shown.wait_until(lambda: "checking ..." in shown.text(), "the form at work")
-    write = shown.page.get_by_role("button", name="Write the file")
-    shown.wait_until(lambda: not write.is_enabled(), "no file of other values")
-    assert "changed by hand" not in shown.text().split("tau_c, Nm")[0]
-    may_end.set()
-    shown.wait_until(lambda: "tau_c: {positive: 20.0, negative: 27.0}" in shown.text(), "the other YAML")
-    press(shown, "Write the file")
-    shown.wait_until(Path("friction_changed.yaml").is_file, "the file")
-    monkeypatch.setattr(forms, "stribeck_curve", curve)
-    _another_element_is_chosen(shown, page, title)
+def _a_stranger_does_not(page: Page, panel: ControlPanel, states: list[JointSample]) -> None:
+    """It knows what the inputs are called, and sends what they would send; its own form is asked without a code."""
+    ((slider, *_),) = panel._sliders.values()
+    before, value = states[-1].position, slider.value
+    stranger = Stranger(page)
+    wait_until(lambda: bool(panel._forms), "the stranger's form")
+    ((_, code, button),) = panel._forms.values()
+    stranger.change(button, True)
+    for field in (slider, code):
+        stranger.change(field, 30.0)
+    seen = len(states)
+    wait_until(lambda: len(states) > seen + 50, "half a second")
+    np.testing.assert_allclose(states[-1].position, before, atol=2e-4)
+    assert (slider.value, panel.lock.left) == (value, TRIES)
+    stranger.close()
+    wait_until(lambda: not panel._forms, "that it is forgotten")
 
 
-def _another_element_is_chosen(shown: BrowserPage, page: Page, title: str) -> None:
-    """The fields, the curves and the file are of the element that is chosen, and the slider changes what it names."""
-    file = FrictionFile.read(config_path("robots/rx90b/friction.yaml"))
-    viscous = file.elements["joint_3"].c2
-    choose(shown, "element", "joint_3")
-    tau = shown.page.locator(FIELD.format("tau")).first
-    shown.wait_until(lambda: tau.input_value() == f"{file.elements['joint_3'].tau_c_positive:g}", "its Coulomb torque")
-    choose(shown, "slide", "c2")
-    fill(shown, page, "times the file's", "2")
-    said = f"changed by hand: joint_3.c2 from {viscous:g} to {2.0 * viscous:g} "
-    shown.wait_until(lambda: said in shown.text(), "the change of the third joint")
+class Bench:
+    """A panel without nodes: an arm that stands still, and what is sent to a controller."""
 
-    def doubled() -> bool:
-        velocity, before, after = map(np.array, shown.plots()[title]["data"])
-        return bool(np.allclose(after - before, viscous * velocity, atol=1e-6) and np.ptp(velocity) > 1.0)
+    def __init__(self, setup: Setup, plan: LinePlan, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.offered: list[TrajectoryPoints | None] = []
+        self.asked: list[Any] = []
+        self.hear: Callable[[str, str, bool], None] = lambda *_: None
+        self.arm: JointSample | None = JointSample(0.0, plan.start_pose, np.zeros(6), np.zeros(6))
+        calls = SimpleNamespace(ask=lambda request, _: self.asked.append(request), look=lambda: None)
+        trajectories = SimpleNamespace(offer=lambda _, points: self.offered.append(points))
+        monkeypatch.setattr(panel_module, "ServiceCalls", lambda _: calls)
+        monkeypatch.setattr(panel_module, "TrajectoryClient", lambda *_: trajectories)
+        monkeypatch.setattr(panel_module, "subscribe_log", lambda _, __, hear: setattr(self, "hear", hear))
+        self.page = Page("test", port=0)
+        client: Any = SimpleNamespace(spin=lambda _: None)
+        self.panel = ControlPanel(self.page, client, setup, plan, None, lambda: self.arm, "rx90_controller")
 
-    shown.wait_until(doubled, "its curves")
-
-
-def use(page: Page, *fields: Any) -> None:
-    """Do on the page's thread what follows when a user has changed these fields, or pressed these buttons."""
-    for field in fields:
-        for callback in field._impl.update_cb:
-            with suppress(StopIteration):  # a coroutine that waits for nothing
-                callback(SimpleNamespace(client_id=1)).send(None)
-    while not page._handed_over.empty():
-        page._handed_over.get()()
-
-
-def test_what_is_given_right_after_a_choice_is_kept() -> None:
-    """The factor goes back to 1 with another parameter, and the fields to the file's values with another element.
-
-    But not what a user gave before the page took the choice.
-    """
-    page = Page("test", port=0)
-    file = FrictionFile.read(config_path("robots/rx90b/friction.yaml"))
-    form = ElementForm(page, file, lambda _: None)
-    inputs = {field.label: field for field in page.gui._gui_input_handle_from_uuid.values() if hasattr(field, "label")}
-
-    def give(**changes: object) -> None:
-        fields = [next(inputs[label] for label in inputs if label.startswith(key)) for key in changes]
-        for field, given in zip(fields, changes.values(), strict=True):
-            put(field, given)
-        use(page, *fields)
-
-    give(slide="c2", times=2.0)
-    assert inputs["times the file's"].value == 2.0
-    give(slide="c1")
-    assert inputs["times the file's"].value == 1.0
-    give(element="joint_3", tau_c="31")
-    assert inputs["tau_c, Nm"].value == "31"
-    assert inputs["tau_s, Nm"].value == f"{file.elements['joint_3'].tau_s_positive:g}"
-    form.close()
-    page.close()
-
-
-def test_a_file_that_is_there_is_replaced_only_when_confirmed(tmp_path: Path) -> None:
-    """An existing name is refused with a button that replaces this one file; what leads elsewhere has none."""
-    file = FrictionFile.read(config_path("robots/rx90b/friction.yaml"))
-    started: list[str] = []
-    page = Page("test", port=0, output=tmp_path / "page")
-    form = ElementForm(page, file, started.append)
-    there, other, outside = (tmp_path / name for name in ("page/there.yaml", "page/other.yaml", "outside.yaml"))
-    for path in (there, other, outside):
-        path.write_text("mine")
-
-    def press(button: Any, name: str) -> str:
-        put(form._files.name, name)
-        use(page, button)
-        return form._files.said.content
-
-    assert "exists; accepted: a new name beneath" in press(form._start, "there.yaml")
-    assert form._files.replace.visible
-    assert "other.yaml exists" in press(form._files.replace, "other.yaml")  # another one than was refused
-    assert [path.read_text() for path in (there, other)] == ["mine"] * 2
-    assert "written" in press(form._files.replace, "other.yaml")
-    assert (FrictionFile.read(other), started, form._files.replace.visible) == (file, [str(other)], False)
-    for name in (str(outside), "../outside.yaml"):
-        assert "; accepted: a new name beneath" in press(form._write, name)
-        assert not form._files.replace.visible
-        press(form._files.replace, name)
-    assert [path.read_text() for path in (there, outside)] == ["mine"] * 2
-    assert "written" in press(form._write, "new.yaml")
-    assert FrictionFile.read(tmp_path / "page/new.yaml") == file
-    form.close()
-    page.close()
-
-
-def choose(shown: BrowserPage, label: str, option: str) -> None:
-    """Choose in the list whose label begins so."""
-    shown.page.locator(FIELD.format(label)).first.click()
-    shown.page.get_by_role("option", name=option, exact=True).click()
-
-
-def fill(shown: BrowserPage, page: Page, label: str, text: str) -> None:
-    """Type into the field whose label begins so, until the server has it; the page breaks labels at _ and /.
-
-    Of what is changed within 50 ms the page sends the first and the last alone, and nobody types as fast as this.
-    """
-    shown.page.locator(FIELD.format(label)).first.fill(text)
-    fields = page.gui._gui_input_handle_from_uuid.values()
-    field = next(field for field in fields if getattr(field, "label", "").startswith(label))
-    shown.wait_until(lambda: field.value == type(field.value)(text), f"{text!r} as {label}")
-
-
-def press(shown: BrowserPage, name: str) -> None:
-    """Press a button or a tab, wherever it is on the page."""
-    wanted = shown.page.get_by_role("button", name=name).or_(shown.page.get_by_role("tab", name=name))
-    wanted.first.click()
-
-
-REST = np.zeros((1, 6))
-
-
-class Listener:
-    """Keeps what an operator hears."""
-
-    def __init__(self, client: ClientNode, timeout: float = 30.0) -> None:
-        self.said: list[tuple[str, str, bool]] = []
-        self.operator = Operator(client, "rx90_controller", lambda *line: self.said.append(line), timeout)
-
-    def until(self, ready: Callable[[], bool], what: str) -> None:
-        """Let the operator take in what comes until something is so."""
-
-        def step() -> bool:
-            self.operator.step(time.monotonic())
-            return ready()
-
-        try:
-            wait_until(step, what)
-        except pytest.fail.Exception:
-            pytest.fail(f"waited in vain for {what}; said: {self.said}")
-
-    def wait_for(self, node: str, text: str, *, wrong: bool = False) -> str:
-        """Wait for a line that has a text in it; return it."""
-
-        def found() -> list[str]:
-            return [line for who, line, bad in self.said if (who, bad) == (node, wrong) and text in line]
-
-        self.until(lambda: bool(found()), f"{text!r} of {node}")
-        return found()[0]
+    def stranger(self) -> tuple[Stranger, Any]:
+        """Return a client that has come, and its form."""
+        before = set(self.panel._forms)
+        stranger = Stranger(self.page)
+        wait_until(lambda: set(self.panel._forms) > before, "its form")
+        return stranger, self.panel._forms[max(self.panel._forms)]
 
 
 @pytest.fixture
-def listener(ros_domain: int, warm: None) -> Iterator[Listener]:  # noqa: ARG001 - what they do is done
-    """Give an operator of a cell that runs, in a namespace, with time standing still."""
-    space = ("--ros-args", "-r", "__ns:=/cell")
-    with running_processes() as processes, client_node("test", 30.0, print, space) as client:
-        processes.start("rx90_cell", *space, "-p", "rx90_sim:paused:=true").wait_for("paused")
-        listening = Listener(client)
-        listening.until(lambda: [*listening.operator.states.values()] == ["active", "active"], "both nodes")
-        yield listening
+def bench(shipped: Setup, plan: LinePlan, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    """Serve a panel without nodes."""
+    bench = Bench(shipped, plan, monkeypatch)
+    with served(bench.page):
+        yield bench
 
 
-@contextmanager
-def recorded(listener: Listener, folder: Path) -> Iterator[None]:
-    """Record by the page's button what happens within the block; it is in the bag that the page names."""
-    page = Page("test", port=0, output=folder)
-    button = RecordButton(page, "/cell", ())
-
-    def says(words: str) -> bool:
-        button._follow(time.monotonic())
-        return words in button._said.content
-
-    try:
-        use(page, button._button)
-        listener.until(lambda: says("recording to bag: "), "the recorder")
-        yield
-        use(page, button._button)
-        listener.until(lambda: says("messages of"), "the end of the recording")
-        told = re.search(r"recorded (\d+) messages", button._said.content)
-        assert told is not None
-        with Rosbag2Reader(folder / "bag") as bag:
-            assert bag.message_count == int(told[1]) > 0
-            assert {f"/cell/{topic}_states" for topic in ("joint", "friction", "motor")} <= set(bag.topics)
-    finally:
-        try:
-            button.close()
-        finally:
-            page.close()
+def test_wrong_codes_of_all_clients_count_together(bench: Bench, capfd: pytest.CaptureFixture[str]) -> None:
+    """After five the right one opens nothing, new clients are not asked, and who had given it before keeps control."""
+    known, form = bench.stranger()
+    known.give(form, f" {bench.panel.lock.code.lower()} ")
+    wait_until(lambda: bool(bench.panel._sliders), "the inputs of who has the code")
+    strangers = [bench.stranger() for _ in range(2)]
+    for number in range(TRIES):
+        stranger, form = strangers[number % 2]
+        stranger.give(form, f"WRONG{number}")
+    wait_until(lambda: bench.panel.lock.left == 0, "five wrong codes")
+    for stranger, form in strangers:
+        stranger.give(form, bench.panel.lock.code)
+    late = Stranger(bench.page)
+    ((slider, *_),) = bench.panel._sliders.values()
+    known.change(slider, 10.0)
+    wait_until(lambda: bool(bench.offered), "the joint on its way")
+    assert (len(bench.panel._sliders), bench.panel._forms) == (1, {})
+    assert "Locked: 5 wrong codes: no further page is unlocked" in bench.panel._shut.content
+    assert capfd.readouterr().err == f"rx90_view: {panel_module._SHUT}\n"
+    for client in (known, late, *(stranger for stranger, _ in strangers)):
+        client.close()
 
 
-def test_both_nodes_do_what_they_are_asked(listener: Listener, shipped: Setup, tmp_path: Path) -> None:
-    """Services and trajectories are answered with the nodes' own words; another friction file is loaded.
-
-    What is recorded meanwhile is in a bag.
-    """
-    with recorded(listener, tmp_path):
-        _both_nodes_are_asked(listener, shipped, tmp_path)
-
-
-def _both_nodes_are_asked(listener: Listener, shipped: Setup, tmp_path: Path) -> None:
-    operator = listener.operator
-    simulation, controller = operator.simulation, operator.controller
-    operator.ask(step_request(simulation))
-    assert listener.wait_for(simulation, "done, at") == "1 ticks done, at 0.00025 s"
-    operator.ask(pause_request(simulation, paused=False))
-    listener.wait_for(simulation, "time runs")
-    operator.ask(enable_request(controller, on=False))
-    listener.wait_for(controller, "torque off, brakes closed")
-    operator.send(tuple(JOINTS), TrajectoryPoints(np.array([1.0]), REST, REST, None))
-    assert "the controller is disabled" in listener.wait_for(controller, "trajectory rejected", wrong=True)
-    operator.ask(enable_request(controller, on=True))
-    listener.wait_for(controller, "torque on")
-    operator.send(tuple(JOINTS), TrajectoryPoints(np.array([1.0]), REST + 0.1, REST, None))
-    listener.wait_for(controller, "trajectory accepted: 1 points, 1.000 s")
-    operator.send(tuple(JOINTS), None)
-    listener.wait_for(controller, "empty trajectory: stopping")
-    operator.ask(reset_request(simulation))
-    listener.wait_for(simulation, "reset done, at 0 s")
-    assert shipped.friction.file is not None
-    file = changed(FrictionFile.read(shipped.friction.file), "joint_1", {"tau_c_positive": 20.0})
-    path = tmp_path / "friction.yaml"
-    path.write_text(file.text(), encoding="utf-8")
-    ended: list[tuple[str, bool]] = []
-    operator.start_again_with("friction", str(path), lambda *how: ended.append(how))
-    listener.wait_for(simulation, "activate: done")
-    listener.until(lambda: bool(ended), "how it ended")
-    assert ended == [(f"{simulation} runs again, from time 0: activate: done", False)]
-    client = Client("/cell")
-    asked = GetParameters.Request(names=["friction"])
-    assert client.asking.call(GetParameters, "rx90_sim/get_parameters", asked).values[0].string_value == str(path)
-    client.close()
-    listener.until(lambda: operator.states[simulation] == "active", "the simulation again")
-    operator.start_again_with("friction", str(tmp_path / "none.yaml"), lambda *how: ended.append(how))
-    listener.wait_for(simulation, "none.yaml", wrong=True)
-    listener.until(lambda: len(ended) == 2, "how it ended")
-    assert (ended[1][0].startswith(f"{simulation} is not started again: "), ended[1][1]) == (True, True)
+def test_what_no_slider_sends_moves_nothing(bench: Bench) -> None:
+    """Of an unlocked client, too: no number, none of the slider's range; and viser's tunnel is not made for anybody."""
+    known, form = bench.stranger()
+    known.give(form, bench.panel.lock.code)
+    wait_until(lambda: bool(bench.panel._sliders), "its inputs")
+    ((slider, *_),) = bench.panel._sliders.values()
+    known.send(type="ShareUrlRequest")
+    for value in (float("nan"), float("inf"), 1e9, -1e9, "x", [1.0], None):
+        known.change(slider, value)
+    known.change(slider, 12.3)
+    wait_until(lambda: bool(bench.offered), "the value that can be")
+    (points,) = bench.offered
+    assert points is not None
+    assert np.degrees(points.position[-1][0]) == pytest.approx(12.3)
+    assert bench.page.server.request_share_url() is None
+    assert bench.page.server._share_tunnel is None
+    known.close()
 
 
-def test_silence_is_told(ros_domain: int) -> None:
-    """A service that does not answer is told after the time-out, one that is not there at once, and others go on."""
-    with own_node("silent", ros_domain) as node, client_node("test", 30.0, print) as client:
-        node.create_service(SetBool, "rx90_sim/pause", lambda _request, response: response)  # nobody spins it
-        listening = Listener(client, timeout=1.0)
-        operator, said = listening.operator, listening.said
-        operator.send(tuple(JOINTS), None)
-        operator.start_again_with("friction", "x.yaml", lambda *_: None)
-        operator.ask(reset_request("rx90_sim"))
-        absent = "there is no service rx90_sim/{}; accepted: while its node runs"
-        assert [(node, line) for node, line, wrong in said if wrong] == [
-            ("rx90_controller",
-             "there is no controller on /rx90_controller/joint_trajectory; accepted: while one runs"),
-            ("rx90_sim", absent.format("get_state")),
-            ("rx90_sim", absent.format("reset")),
-        ]  # fmt: skip
+def test_a_code_has_eight_characters_that_cannot_be_mistaken() -> None:
+    """Each start makes another; small letters and blanks around it do not matter; after five wrong ones none opens."""
+    codes = {Lock().code for _ in range(50)}
+    assert len(codes) == 50
+    assert {len(code) for code in codes} == {8}
+    assert not set("01OIL") & set("".join(codes))
+    lock = Lock()
+    assert lock.opens(f" {lock.code.lower()}\n")
+    assert [lock.opens(f"{lock.code}X") for _ in range(TRIES)] == [False] * TRIES
+    assert not lock.opens(lock.code)
 
-        def unanswered() -> bool:
-            operator.ask(pause_request("rx90_sim", paused=True))
-            return any("no answer of rx90_sim/pause within 1 s" in line for _, line, _ in said)
 
-        listening.until(unanswered, "a complaint")
-        assert [*operator.states.values()] == ["", ""]
+def test_what_nodes_say_is_text(bench: Bench) -> None:
+    """A line of a log, and the name of a node, run no script on the page."""
+    bench.hear(SCRIPT, SCRIPT, True)
+    assert bench.panel._said.content.count(ESCAPED) == 2
+    assert "<iframe" not in bench.panel._said.content
+
+
+ZERO = np.zeros(6)
+ARM = np.radians([0.0, 5.0, 10.0, 15.0, 20.0, 25.0])
+
+
+def test_a_jog_is_as_short_as_speed_and_acceleration_allow(shipped: Setup) -> None:
+    """From rest it lasts what a quintic needs, 15/8 d/v or sqrt(10/sqrt(3) d/a), and at most 16 % more."""
+    limits = shipped.controller.limits(shipped.robot)
+    for joint, way in ((0, 0.01), (1, -1.0), (5, 4.0)):
+        target = ZERO.copy()
+        target[joint] = way
+        points = jog(ZERO, ZERO, target, limits)
+        needed = max(15 / 8 * abs(way) / (0.25 * limits.velocity[joint]), np.sqrt(10 / np.sqrt(3) * abs(way) / 2.0))
+        assert needed * 0.99 <= points.times[0] <= needed * 1.16
+        np.testing.assert_array_equal(points.position, [target])
+
+
+def test_a_jog_in_mid_motion_is_as_gentle(shipped: Setup) -> None:
+    """Targets that are dragged to and fro, every 0.2 s, are taken, and accelerate the set-points like one move."""
+    limits, gentle = shipped.controller.limits(shipped.robot), Approach()
+    generator = TrajectoryGenerator(limits, 1e-3, ZERO)
+    rng = np.random.default_rng(7)
+    last, peak = 0, 0.0
+    for tick in range(0, 6000, 200):
+        # What the page knows is some time old.
+        position, velocity, _ = generator.setpoints(max(tick - 1, 0), 1)[0]
+        target = position + rng.choice([-1.0, 1.0], 6) * rng.uniform(0.02, 0.3, 6)
+        last = generator.accept(jog(position, velocity, target, limits), tick, None).end
+        peak = max(peak, float(np.abs(generator.setpoints(tick, 200)[:, 2]).max()))
+    # A move begins with the acceleration that the last one has there, which the page does not know.
+    assert 0.9 * gentle.acceleration < peak < 1.3 * gentle.acceleration
+    np.testing.assert_allclose(generator.setpoints(last, 1)[0, 0], target, atol=1e-12)
+
+
+class Drags:
+    """Sliders' targets, and what they send; the clock stands unless it is moved."""
+
+    def __init__(self, setup: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.sent: list[TrajectoryPoints] = []
+        self.limits = setup.controller.limits(setup.robot)
+        self.jogs = Jogs(self.limits, self.sent.append)
+        self.now = 100.0
+        monkeypatch.setattr(panel_module, "time", SimpleNamespace(monotonic=lambda: self.now))
+
+    def shown(self, position: np.ndarray, now: float, velocity: np.ndarray = ZERO) -> list[float] | None:
+        """Return what sliders show of an arm, rad, at a time, s."""
+        self.now = 100.0 + now
+        return self.jogs.follow(JointSample(0.0, position, velocity, ZERO), self.now)
+
+    def drag(self, joint: int, angle: float, arm: np.ndarray, now: float) -> np.ndarray:
+        """Return where all joints are sent when a user moves one to an angle, deg."""
+        self.now = 100.0 + now
+        self.jogs.drag(JointSample(0.0, arm, ZERO, ZERO), joint, angle)
+        assert self.shown(arm, now + 0.2) is None  # nothing is put back that somebody moves
+        return np.degrees(self.sent[-1].position[-1])
+
+
+@pytest.fixture
+def drags(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> Drags:
+    """Give the sliders of the shipped robot."""
+    return Drags(shipped, monkeypatch)
+
+
+def test_sliders_end_within_the_limits(drags: Drags) -> None:
+    """Both ends are within the joint's limits, less than a step away from them."""
+    low, high = np.radians(drags.jogs.ranges).T
+    step = np.radians(0.1)
+    assert ((drags.limits.lower - 1e-9 <= low) & (low < drags.limits.lower + step)).all()
+    assert ((drags.limits.upper - step < high) & (high <= drags.limits.upper + 1e-9)).all()
+
+
+def test_the_sliders_show_where_the_arm_goes_and_then_where_it_is(drags: Drags) -> None:
+    """A second joint that is dragged leaves the first one's target; an arm that rests elsewhere is shown."""
+    there = np.degrees(ARM).round(1).tolist()
+    assert drags.shown(ARM, 0.0) == there
+    drags.drag(1, 40.0, ARM, 1.0)
+    both = drags.drag(4, -30.0, ARM + 0.01, 2.0)
+    np.testing.assert_allclose([both[1], both[4], both[0]], [40.0, -30.0, 0.0], atol=1e-9)
+    moving = np.full(6, 0.1)
+    assert drags.shown(ARM + 0.02, 4.0, moving) == both.round(1).tolist()
+    held = np.radians(both) + 1e-3  # where friction holds it
+    assert drags.shown(held, 5.0) == both.round(1).tolist()
+    np.testing.assert_allclose(drags.drag(0, 12.0, held, 6.0), [12.0, *both[1:]], atol=1e-9)
+    assert drags.shown(ARM, 9.0) == there  # others have moved it, or it was refused
+    np.testing.assert_allclose(drags.drag(0, 12.0, ARM, 10.0), [12.0, *np.degrees(ARM)[1:]], atol=1e-9)
+
+
+def test_a_slider_that_is_dragged_sends_five_trajectories_a_second_the_last_one_whole(drags: Drags) -> None:
+    """Of targets every 20 ms the newest is sent every 0.2 s, and the last one in any case."""
+    for k in range(100):
+        drags.jogs.drag(JointSample(0.0, ARM, ZERO, ZERO), 0, 0.1 * k)
+        drags.shown(ARM, 0.02 * k)
+    drags.shown(ARM, 3.0)
+    assert 10 <= len(drags.sent) <= 11
+    assert np.degrees(drags.sent[-1].position[-1][0]) == pytest.approx(9.9)

@@ -1,0 +1,110 @@
+"""The path error of a recorded arm, by the path that the set-points in its bag describe."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.mapping import LogMapping
+from rx90_common.bags.reading import read_joint_bag
+from rx90_common.bags.recorded import check_robot
+from rx90_common.bags.topics import absolute
+from rx90_common.base.arrays import Mask
+from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import listed, plain
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.description.drives import load_drives
+from rx90_common.description.robot import RobotModel
+from rx90_common.description.robot_files import RobotFiles
+from rx90_common.exchange.topics import MOTOR_STATES, SAMPLED
+from rx90_emulator.identification.options import MeasuredLayout
+from rx90_emulator.identification.robot import JOINT_STATES, arm_layout, recorded_topic, topic_names, with_signals
+from rx90_emulator.loop.line import PathAccuracy, followed_accuracy
+
+_SET_POINTS = "reference"
+_GAP = 3.5  # times the median interval: where more than two set-points in a row are missing, nothing counts
+
+
+def recorded_accuracy(bag: Path, robot: RobotModel, files: RobotFiles) -> PathAccuracy | None:
+    """Measure the path error in a bag by `followed_accuracy`; None for a bag without set-points.
+
+    The joints are those of `joint_states` in any namespace, else of `motor_states` through the gears.
+
+    Args:
+        bag: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a table.
+        robot: the arm in it.
+        files: the robot's, of which the drives are read if the bag has states of the motors alone.
+
+    Raises:
+        Rx90Error: if the bag cannot be read, is of another robot, or has no joint angles with increasing stamps.
+    """
+    check_robot(bag, robot.model.name)
+    options, mapping = with_signals(MeasuredLayout(), [bag])
+    topic = _arm_topic(bag, mapping)
+    setpoint_topic = _setpoint_topic(bag, topic, mapping)
+    if setpoint_topic is None:
+        return None
+    layout = arm_layout(topic, robot.joint_names, options, lambda: load_drives(files.drives), mapping)
+    series = read_joint_bag(bag, [topic, setpoint_topic], mapping=mapping, record_time=layout.record_time)
+    arm = _last_run(bag, series.one(topic, layout.messages))
+    setpoints = _last_run(bag, series.one(setpoint_topic, robot.joint_names))
+    counted = arm.take(_between_setpoints(arm, setpoints))
+    position = layout.joint_side(counted.fields)["position"]
+    begin = arm.stamp_ns[0]
+    times = (counted.stamp_ns - begin) / NANOSECONDS
+    setpoint_times = (setpoints.stamp_ns - begin) / NANOSECONDS
+    return followed_accuracy(robot, times, position, setpoint_times, setpoints.fields["position"])
+
+
+def _arm_topic(bag: Path, mapping: LogMapping | None) -> str:
+    for wanted in (JOINT_STATES, MOTOR_STATES):
+        topics = [topic for topic in topic_names(bag, mapping) if topic.rpartition("/")[2] == wanted]
+        topics = [topic for topic in topics if f"/{SAMPLED}/" not in topic]  # the same once more, for those who look on
+        if len(topics) > 1:
+            raise BagError(f"{plain(bag)}: holds several arms, {listed(sorted(topics))}; accepted: a bag of one arm")
+        if topics:
+            return topics[0]
+    return absolute(recorded_topic(bag, (JOINT_STATES, MOTOR_STATES), mapping))
+
+
+def _setpoint_topic(bag: Path, arm: str, mapping: LogMapping | None) -> str | None:
+    """Return the topic of set-points in the arm's namespace, or below it."""
+    namespace = arm.rpartition("/")[0]
+    topics = [topic for topic in topic_names(bag, mapping) if topic.rpartition("/")[2] == _SET_POINTS]
+    topics = [topic for topic in topics if topic.startswith(f"{namespace}/")]
+    return min(topics, key=lambda topic: topic.count("/"), default=None)
+
+
+def _last_run(bag: Path, series: JointSeries) -> JointSeries:
+    """Return finite positions at increasing stamps; after a jump back by more than a gap only what follows it."""
+    if series.position is None:
+        raise BagError(f"{plain(bag)}: {series.topic} carries no positions; accepted: a bag with joint angles")
+    finite: Mask = np.asarray(np.isfinite(series.position).all(axis=1))
+    series = series.take(finite)
+    back = np.flatnonzero(np.diff(series.stamp_ns) < -_longest_step(series))
+    if len(back):
+        series = series.take(slice(int(back[-1]) + 1, None))
+    rows = np.unique(series.stamp_ns, return_index=True)[1]
+    if len(rows) < 2:
+        raise BagError(f"{plain(bag)}: {series.topic} has no two stamps; accepted: increasing stamps")
+    return series.take(rows)
+
+
+def _longest_step(series: JointSeries) -> float:
+    """Return the longest interval without a gap, ns."""
+    steps = np.diff(series.stamp_ns)
+    forward = steps[steps > 0]
+    return _GAP * float(np.median(forward)) if len(forward) else 0.0
+
+
+def _between_setpoints(arm: JointSeries, setpoints: JointSeries) -> Mask:
+    """Tell at which stamps of the arm there are set-points, and no gap of them."""
+    stamps = setpoints.stamp_ns
+    after = np.searchsorted(stamps, arm.stamp_ns)
+    inside = (arm.stamp_ns >= stamps[0]) & (after < len(stamps))
+    after = np.clip(after, 1, len(stamps) - 1)
+    exact = np.isin(arm.stamp_ns, stamps)
+    step = stamps[after] - stamps[after - 1]
+    return np.asarray(inside & (exact | (step <= _longest_step(setpoints))))
