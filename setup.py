@@ -27,7 +27,6 @@ EXECUTABLES = (
     "rx90_experiment",
     "rx90_identify",
     "rx90_export",
-    "rx90_import",
     "rx90_view",
 )
 

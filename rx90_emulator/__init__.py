@@ -34,8 +34,7 @@ Identification  plan_experiments, record_on_engine, identify_friction, identific
                 write_excitation, read_payloads, ExcitationIdentification, ExcitationTolerances, Payload; for one of
                 your own: regressor, excitation_problem, predict_torque, identify_friction_parts, RigidArm, Regressor,
                 ExcitationProblem, BaseParameter, Part
-Exports         export_robot, write_export, export_plot, Export, FrictionFit; import_bam, import_mjcf_friction,
-                import_arm
+Exports         export_robot, write_export, export_plot, Export, FrictionFit
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted;
                 Rx90Warning, of a run that means less than it seems to
 
@@ -87,11 +86,6 @@ if TYPE_CHECKING:
         write_export as write_export,
     )
     from rx90_emulator.export.fit import FrictionFit as FrictionFit
-    from rx90_emulator.export.imports import (
-        import_arm as import_arm,
-        import_bam as import_bam,
-        import_mjcf_friction as import_mjcf_friction,
-    )
     from rx90_controller.trajectory.correction import Correction as Correction
     from rx90_emulator.correction.file import (
         CorrectionFile as CorrectionFile,
