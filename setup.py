@@ -103,7 +103,6 @@ setup(
             *VIEW,
             *EXPORT,
             *DXF,
-            "usd-core>=24.11,<27",
             "playwright>=1.50,<2",
             "distributed>=2026.1,<2027",
             "pandas>=2.2,<4",

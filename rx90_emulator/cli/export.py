@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--within", type=POSITIVE, metavar="NM",
                         help="exit code 1 if a friction torque differs by more than this, Nm")  # fmt: skip
     parser.add_argument("--plot", type=place, metavar="FILE",
-                        help="picture to write: the curves, what the simulator gets, identified intervals")  # fmt: skip
+                        help="picture to write: the curves, and what the simulator gets")  # fmt: skip
     speeds = parser.add_argument_group("speeds in use", "over which friction is fitted and compared")
     either = speeds.add_mutually_exclusive_group()
     either.add_argument("--speeds", nargs=2, type=POSITIVE, metavar=("LOW", "HIGH"),
@@ -39,7 +39,6 @@ def main(options: argparse.Namespace) -> int:
     """Write the files, and print what they cost."""
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_common.friction.friction_file import FrictionFile
     from rx90_common.report.picture import write_picture
     from rx90_emulator.export.export import export_plot, export_robot, write_export
     from rx90_emulator.loop.setup import load_arm
@@ -48,15 +47,13 @@ def main(options: argparse.Namespace) -> int:
         check_picture(options.plot)
         if options.plot == options.output:
             raise ConfigError(f"--plot and --output are both {plain(options.plot)}; accepted: two names")
-    files = RobotFiles.of_options(options)
     speeds = None if options.speeds is None else tuple(options.speeds)
-    done = export_robot(load_arm(files), options.target, speeds=speeds, bag=options.bag)
-    plot = None if options.plot is None else export_plot(done, FrictionFile.read(files.friction))
+    done = export_robot(load_arm(RobotFiles.of_options(options)), options.target, speeds=speeds, bag=options.bag)
     write_export(done, options.output)
     print(done.text)
     print(f"\nwritten: {', '.join(done.files)} and export.yaml in {options.output}")
-    if plot is not None:
-        write_picture(plot, options.plot)
+    if options.plot is not None:
+        write_picture(export_plot(done), options.plot)
     if options.within is not None and done.largest > options.within:
         worst = max(done.fits, key=lambda fit: fit.worst)
         line = f"{worst.name} differs by up to {worst.worst:.3g} Nm; accepted: {options.within:g} Nm"
