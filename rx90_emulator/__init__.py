@@ -16,8 +16,8 @@ Runs            run_line, run_path, simulate, path_accuracy, LineRun, RunResult,
                 followed_accuracy; for hours: repeat_line, RepeatedLine; with a controller of one's own:
                 run_controller, ControllerRun; small deviations from a motion: prepare_perturbation,
                 PerturbationModel, PerturbationResult
-Corrections     learn_correction, load_correction, write_correction, precompensate, NormOptimal, Filtered,
-                TrajectoryPath, Correction, CorrectionFile, LearnedCorrection; from a record: Learner, measured,
+Corrections     learn_correction, load_correction, write_correction, NormOptimal, TrajectoryPath,
+                Correction, CorrectionFile, LearnedCorrection; from a record: Learner, measured,
                 learn_from_record
 Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries
 Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
@@ -97,9 +97,8 @@ if TYPE_CHECKING:
         Learner as Learner,
         learn_correction as learn_correction,
     )
-    from rx90_emulator.correction.methods import Filtered as Filtered, NormOptimal as NormOptimal
+    from rx90_emulator.correction.methods import NormOptimal as NormOptimal
     from rx90_emulator.correction.path import TrajectoryPath as TrajectoryPath
-    from rx90_emulator.correction.learning import precompensate as precompensate
     from rx90_emulator.correction.recorded import learn_from_record as learn_from_record, measured as measured
     from rx90_emulator.identification.arm import RigidArm as RigidArm
     from rx90_emulator.identification.excitation.friction import identify_friction_parts as identify_friction_parts
