@@ -26,7 +26,6 @@ EXECUTABLES = (
     "rx90_experiment",
     "rx90_identify",
     "rx90_export",
-    "rx90_import",
     "rx90_view",
 )
 
@@ -103,7 +102,6 @@ setup(
             *VIEW,
             *EXPORT,
             *DXF,
-            "usd-core>=24.11,<27",
             "playwright>=1.50,<2",
             "distributed>=2026.1,<2027",
             "pandas>=2.2,<4",

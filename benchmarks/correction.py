@@ -28,7 +28,6 @@ from rx90_controller.lines.task import LineTask, TrapezoidalProfile, load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
 from rx90_emulator.correction.learning import Learner, Measured, learn_correction, run_corrected
-from rx90_emulator.correction.methods import Filtered, Method, NormOptimal
 from rx90_emulator.correction.path import CorrectablePath
 from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.parameters import with_parameters
@@ -48,7 +47,6 @@ with it; and after one trial on each, m."""
 ACCEPTED_ELASTIC = 0.03e-3
 ACCEPTED_TIME = 0.2
 """s for a trial, learning included, of 6 s of motion."""
-METHODS: dict[str, Method] = {"norm_optimal": NormOptimal(), "filtered": Filtered()}
 TRIALS, LONG, NOISE, HEAVIER, NOISY_TRIALS = 4, 50, 5e-6, 1.02, 20
 FACTORS = (0.7, 1.3)
 ROUNDS = 7
@@ -99,11 +97,9 @@ def rubbing(setup: Setup, factor: float) -> Setup:
     return replace(setup, friction=replace(setup.friction, elements=elements))
 
 
-def errors(
-    setup: Setup, path: CorrectablePath | LineTask, trials: int, method: Method, **options: Correction | Setup
-) -> Array:
+def errors(setup: Setup, path: CorrectablePath | LineTask, trials: int, **options: Correction | Setup) -> Array:
     """Return the largest path errors of the trials, m."""
-    learned = learn_correction(setup, path, trials, method, **options)  # type: ignore[arg-type]
+    learned = learn_correction(setup, path, trials, **options)  # type: ignore[arg-type]
     return np.array([trial.worst for trial in learned.trials])
 
 
@@ -117,8 +113,8 @@ def other_arms(setup: Setup, task: LineTask) -> dict[str, float]:
     nominal = learn_correction(setup, plan, TRIALS).correction
     for factor in FACTORS:
         arm = rubbing(setup, factor)
-        plain = errors(arm, plan, 0, NormOptimal())
-        moved = errors(arm, plan, 1, NormOptimal(), model=setup, previous=nominal)
+        plain = errors(arm, plan, 0)
+        moved = errors(arm, plan, 1, model=setup, previous=nominal)
         name = f"correction_friction_{100.0 * factor:.0f}"
         found |= {f"{name}_plain": plain[0], f"{name}_moved": moved[0], f"{name}_next": moved[1]}
         run, _ = run_corrected(arm, plan, nominal)
@@ -134,7 +130,7 @@ def elastic_gears(setup: Setup, task: LineTask) -> dict[str, Array]:
     """Return the path errors of the true tip, m, by what was learned from."""
     arm, plan, found = elastic(setup), plan_line(setup, task), {}
     for what in ("encoders", "tip"):
-        learner, rows = Learner(setup, plan, NormOptimal(), tip=what == "tip"), []
+        learner, rows = Learner(setup, plan, tip=what == "tip"), []
         for _ in range(TRIALS + 1):
             measured = run_corrected(arm, plan, learner.correction)[1]
             learner.take(measured)
@@ -151,19 +147,19 @@ def true_error(learner: Learner, measured: Measured) -> float:
     return float(learner.path.distance(difference, learner.nominal.counted_times).max())
 
 
-def noisy(setup: Setup, task: LineTask) -> dict[str, Array]:
-    """Return the path errors of the true tip, m, learned from a tip with noise on a heavier arm, by method."""
-    arm, plan, found = heavier(setup), plan_line(setup, task), {}
-    for name, method in METHODS.items():
-        rng, rows = np.random.default_rng(1), []
-        learner = Learner(setup, plan, method, tip=True, noise=3.0 * NOISE)
-        for _ in range(NOISY_TRIALS + 1):
-            measured = run_corrected(arm, plan, learner.correction)[1]
-            assert measured.tip is not None
-            rows.append(true_error(learner, measured))
-            learner.take(replace(measured, tip=measured.tip + NOISE * rng.normal(size=measured.tip.shape)))
-        found[name] = np.array(rows)
-    return found
+def noisy(setup: Setup, task: LineTask) -> Array:
+    """Return the path errors of the true tip, m, learned from a tip with noise on a heavier arm."""
+    arm = heavier(setup)
+    plan = plan_line(setup, task)
+    learner = Learner(setup, plan, tip=True, noise=3.0 * NOISE)
+    rng = np.random.default_rng(1)
+    rows = []
+    for _ in range(NOISY_TRIALS + 1):
+        measured = run_corrected(arm, plan, learner.correction)[1]
+        assert measured.tip is not None
+        rows.append(true_error(learner, measured))
+        learner.take(replace(measured, tip=measured.tip + NOISE * rng.normal(size=measured.tip.shape)))
+    return np.array(rows)
 
 
 def heavier(setup: Setup) -> Setup:
@@ -192,21 +188,20 @@ def show(title: str, rows: Sequence[tuple[str, Array]]) -> None:
     )
 
 
-def draw(learned: dict[tuple[str, str], Array], gears: dict[str, Array], file: Path) -> None:
+def draw(learned: dict[str, Array], gears: dict[str, Array], file: Path) -> None:
     """Draw the path errors by trial."""
 
-    def curve(row: Array, label: str, k: int) -> Curve:
-        return Curve(np.arange(len(row), dtype=np.float64), row * 1e3, label, COLOURS[k], dots=True)
+    def curves(rows: dict[str, Array]) -> list[Curve]:
+        return [
+            Curve(np.arange(len(row), dtype=np.float64), row * 1e3, name, COLOURS[k], dots=True)
+            for k, (name, row) in enumerate(rows.items())
+        ]
 
-    rigid = [
-        curve(row, f"{name.split('_')[1]} mm/s, {how.replace('_', '-')}", k % 4)
-        for k, ((name, how), row) in enumerate(learned.items())
-    ]
-    soft = [curve(row, f"learned from {what}", k) for k, (what, row) in enumerate(gears.items())]
+    rigid = {name.replace("_", ", ") + " mm/s": row for name, row in learned.items()}
+    soft = {f"learned from {name}": row for name, row in gears.items()}
     panels = (
-        Panel(rigid[:4], "reference line", "", "path error, mm", y_scale="log"),
-        Panel(rigid[4:], "circle, radius 50 mm", "", "path error, mm", y_scale="log"),
-        Panel(soft, "elastic gears, true tip", "trial", "path error, mm", y_scale="log"),
+        Panel(curves(rigid), "reference line, and circle of 50 mm", "trial", "path error, mm", y_scale="log"),
+        Panel(curves(soft), "elastic gears, true tip", "trial", "path error, mm", y_scale="log"),
     )
     write_picture(Plot(panels), file)
 
@@ -221,19 +216,13 @@ def main() -> int:
         "circle_100": Circle.planned(setup, task, 0.1),
         "circle_300": Circle.planned(setup, task, 0.3),
     }
-    learned = {
-        (name, how): errors(setup, path, TRIALS, method)
-        for name, path in paths.items()
-        for how, method in METHODS.items()
-    }
-    show("friction as shipped", [(f"{name}, {how}", row) for (name, how), row in learned.items()])
-    figures = {f"correction_{name}_plain": float(learned[name, "norm_optimal"][0]) for name in paths}
+    learned = {name: errors(setup, path, TRIALS) for name, path in paths.items()}
+    show("friction as shipped", list(learned.items()))
+    figures = {f"correction_{name}_plain": float(row[0]) for name, row in learned.items()}
     figures |= {
-        f"correction_{name}_{how}": float(learned[name, how][trials])
-        for name, (trials, _) in ACCEPTED.items()
-        for how in METHODS
+        f"correction_{name}_norm_optimal": float(learned[name][trials]) for name, (trials, _) in ACCEPTED.items()
     }
-    wrong = [name for name, (trials, most) in ACCEPTED.items() if not learned[name, "norm_optimal"][trials] <= most]
+    wrong = [name for name, (trials, most) in ACCEPTED.items() if not learned[name][trials] <= most]
     transfer = other_arms(setup, task)
     show("friction x 0.7, x 1.3", [(name, np.array([value])) for name, value in transfer.items()])
     limits = {"moved": ACCEPTED_MOVED * transfer["correction_friction_least"], "next": ACCEPTED_NEXT}
@@ -243,12 +232,12 @@ def main() -> int:
     gears = elastic_gears(setup, task)
     show("elastic gears, true tip, learned from", list(gears.items()))
     wrong += [] if gears["tip"][-1] <= ACCEPTED_ELASTIC else ["elastic gears"]
-    long = {name: errors(setup, task, LONG, method) for name, method in METHODS.items()}
-    show(f"{LONG} trials", list(long.items()))
-    growth = max(float(np.diff(row).max()) for row in long.values())
+    long = errors(setup, task, LONG)
+    show(f"{LONG} trials", [("norm-optimal", long)])
+    growth = float(np.diff(long).max())
     noise = noisy(setup, task)
-    show("noise of 5 um at the tip, 2 % more mass", list(noise.items()))
-    wrong += [f"noise, {name}" for name, row in noise.items() if not row[1:].max() < row[0]]
+    show("noise of 5 um at the tip, 2 % more mass", [("norm-optimal", noise)])
+    wrong += [] if noise[1:].max() < noise[0] else ["noise"]
     trial, preparation = cost(setup, task)
     print(f"\na trial of 6 s: {trial:.3f} s of processor time, the preparation before the first {preparation:.3f} s")
     print(f"the largest growth of the path error from trial to trial: {growth * 1e6:.2f} um")
@@ -257,9 +246,9 @@ def main() -> int:
         "correction_elastic_plain": gears["tip"][0],
         "correction_elastic_tip": gears["tip"][-1],
         "correction_elastic_encoders": gears["encoders"][-1],
-        "correction_long_worst": float(long["norm_optimal"][-1]),
+        "correction_long_worst": float(long[-1]),
         "correction_long_growth": growth,
-        **{f"correction_noise_{name}": float(row[1 + TRIALS :].max()) for name, row in noise.items()},
+        "correction_noise_norm_optimal": float(noise[1 + TRIALS :].max()),
     }
     merge({f"{name}_um": 1e6 * float(value) for name, value in figures.items()})
     merge({"correction_trial_s": trial, "correction_preparation_s": preparation})

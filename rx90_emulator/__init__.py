@@ -15,8 +15,8 @@ Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, Traje
 Runs            run_line, run_path, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; of set-points in a bag:
                 followed_accuracy; with a controller of one's own:
                 run_controller, ControllerRun
-Corrections     learn_correction, load_correction, write_correction, precompensate, NormOptimal, Filtered,
-                TrajectoryPath, Correction, CorrectionFile, LearnedCorrection; from a record: Learner, measured,
+Corrections     learn_correction, load_correction, write_correction, NormOptimal, TrajectoryPath,
+                Correction, CorrectionFile, LearnedCorrection; from a record: Learner, measured,
                 learn_from_record
 Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries
 Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
@@ -33,8 +33,7 @@ Identification  plan_experiments, record_on_engine, identify_friction, identific
                 write_excitation, ExcitationIdentification, ExcitationTolerances; for one of your own: regressor,
                 excitation_problem, predict_torque, identify_friction_parts, RigidArm, Regressor, ExcitationProblem,
                 BaseParameter, Part
-Exports         export_robot, write_export, export_plot, Export, FrictionFit; import_bam, import_mjcf_friction,
-                import_arm
+Exports         export_robot, write_export, export_plot, Export, FrictionFit
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted;
                 Rx90Warning, of a run that means less than it seems to
 
@@ -86,11 +85,6 @@ if TYPE_CHECKING:
         write_export as write_export,
     )
     from rx90_emulator.export.fit import FrictionFit as FrictionFit
-    from rx90_emulator.export.imports import (
-        import_arm as import_arm,
-        import_bam as import_bam,
-        import_mjcf_friction as import_mjcf_friction,
-    )
     from rx90_controller.trajectory.correction import Correction as Correction
     from rx90_emulator.correction.file import (
         CorrectionFile as CorrectionFile,
@@ -102,9 +96,8 @@ if TYPE_CHECKING:
         Learner as Learner,
         learn_correction as learn_correction,
     )
-    from rx90_emulator.correction.methods import Filtered as Filtered, NormOptimal as NormOptimal
+    from rx90_emulator.correction.methods import NormOptimal as NormOptimal
     from rx90_emulator.correction.path import TrajectoryPath as TrajectoryPath
-    from rx90_emulator.correction.learning import precompensate as precompensate
     from rx90_emulator.correction.recorded import learn_from_record as learn_from_record, measured as measured
     from rx90_emulator.identification.arm import RigidArm as RigidArm
     from rx90_emulator.identification.excitation.friction import identify_friction_parts as identify_friction_parts

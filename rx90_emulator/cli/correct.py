@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import DONE, VERDICT_NO, check_replaced
 from rx90_common.base.quoting import one_line, plain
@@ -15,7 +15,6 @@ from rx90_emulator.cli.options import (
     add_verbs,
     check_apart,
     check_needs,
-    check_picture,
     node_of,
     place,
     progress_bar,
@@ -23,14 +22,11 @@ from rx90_emulator.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from rx90_emulator.correction.file import CorrectionFile
     from rx90_emulator.correction.learning import LearnedCorrection, Learner, TrialRecord
     from rx90_emulator.correction.path import CorrectablePath
     from rx90_emulator.loop.setup import Setup
 
 _TIMEOUT = 30.0  # s
-_METHODS = ("norm-optimal", "filtered")
-_OPTIONS = ("effort", "joints", "cutoff", "gain", "lead")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,15 +42,10 @@ def _add_learn(learn: argparse.ArgumentParser) -> None:
     learn.add_argument("--force", action="store_true", help="replace a correction file that exists")
     learn.add_argument("--trials", type=whole_number, metavar="N", help="after the first (4)")
     learn.add_argument("--previous", type=Path, metavar="FILE", help="correction file to go on from")
-    method = learn.add_argument_group("method")
-    method.add_argument("--method", choices=_METHODS, default=_METHODS[0], help="(%(default)s)")
-    method.add_argument("--effort", type=POSITIVE, metavar="W", help="norm-optimal: weight of a change, m/rad (0.1)")
-    method.add_argument("--joints", type=POSITIVE, metavar="W", help="norm-optimal: weight of the joints' own errors, "
-                        "m/rad (0.005)")  # fmt: skip
-    method.add_argument("--cutoff", type=POSITIVE, metavar="HZ", help="of the zero-phase filter, Hz (filtered: 40; "
-                        "norm-optimal: none)")  # fmt: skip
-    method.add_argument("--gain", type=POSITIVE, metavar="G", help="filtered: share of an error that is corrected (1)")
-    method.add_argument("--lead", type=POSITIVE, metavar="S", help="filtered: s (1/kp)")
+    method = learn.add_argument_group("norm-optimal learning")
+    method.add_argument("--effort", type=POSITIVE, metavar="W", help="weight of a change, m/rad (0.1)")
+    method.add_argument("--joints", type=POSITIVE, metavar="W", help="weight of the joints' own errors, m/rad (0.005)")
+    method.add_argument("--cutoff", type=POSITIVE, metavar="HZ", help="of a zero-phase filter, Hz (none)")
     method.add_argument("--noise", type=POSITIVE, metavar="M", help="by how much the path error may grow from trial to "
                         "trial, m (1e-6)")  # fmt: skip
     where = learn.add_argument_group("where the trials run", "on the engine, unless one of these says otherwise")
@@ -89,7 +80,7 @@ def _learn(options: argparse.Namespace) -> int:
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.correction.file import correction_files, load_correction, write_correction
     from rx90_emulator.correction.learning import NOISE, CorrectionError, Learner, summary
-    from rx90_emulator.correction.methods import method_named
+    from rx90_emulator.correction.methods import NormOptimal
     from rx90_emulator.correction.recorded import learn_from_record, measured
     from rx90_emulator.loop.setup import Setup
 
@@ -97,15 +88,16 @@ def _learn(options: argparse.Namespace) -> int:
         check_replaced(file, force=options.force)
     setup = Setup.load(RobotFiles.of_options(options))
     path = _path(options.path, setup)
-    method = method_named(options.method, **{name: value for name in _OPTIONS if (value := getattr(options, name))})
+    method = NormOptimal()
+    method = NormOptimal(options.effort or method.effort, options.joints or method.joints, options.cutoff)
     earlier = None if options.previous is None else load_correction(options.previous)
-    previous = None if earlier is None else earlier.fitting(setup, path, go_on=True).offsets
+    previous = None if earlier is None else earlier.fitting(setup, path).offsets
     tip = options.tip is not None or options.tip_on_engine or options.tip_topic is not None
-    learner, why = Learner(setup, path, method, tip=tip, noise=options.noise or NOISE, previous=previous), ""
+    learner = Learner(setup, path, method, tip=tip, noise=options.noise or NOISE, previous=previous)
     if options.from_bag is None and options.tip is None:
         learned = _trials(learner, options)
         said = f"worst {learned.best.worst * 1e3:.4f} mm"
-        why = learned.remark and f"learning has failed: {learned.remark}"
+        why = f"learning has failed: {learned.remark}" if learned.remark else ""
     else:  # one trial, which was recorded
         topic = options.topic or "joint_states"
         found, lines = measured(setup, learner.nominal, options.from_bag, options.tip, topic, options.tip_topic)
@@ -115,7 +107,7 @@ def _learn(options: argparse.Namespace) -> int:
         except CorrectionError as error:
             print(one_line(f"learning has failed, nothing written: {error}"))
             return VERDICT_NO
-        said = "for the next trial" + (why and ": half the step from the best trial")
+        said = "for the next trial: half the step from the best trial" if why else "for the next trial"
     print(summary(learned.trials))
     write_correction(learned, options.output, earlier)
     print(one_line(f"written to {options.output}: {said}"))
@@ -161,15 +153,10 @@ def _path(name: str, setup: Setup) -> CorrectablePath:
 
 def _add_show(show: argparse.ArgumentParser) -> None:
     show.add_argument("file", type=Path, metavar="FILE", help="correction file")
-    show.add_argument("--plot", type=place, metavar="FILE", help="picture to write: trials, what is left, offsets "
-                      "and spectra; .png, .svg or .pdf")  # fmt: skip
-    show.set_defaults(interrupted="nothing was written")
 
 
 def _show(options: argparse.Namespace) -> None:
     """Show what a correction file holds: for what it was learned, its trials, and its offsets."""
-    if options.plot is not None:
-        check_picture(options.plot)
     import numpy as np
 
     from rx90_emulator.correction.file import load_correction
@@ -178,50 +165,11 @@ def _show(options: argparse.Namespace) -> None:
     head, offsets, period = found.head, found.correction.offsets, found.correction.period
     print(f"robot {plain(head['robot'])}, {head['payload']['mass']:.4g} kg on the last joint")
     print(f"path of {head['path']['duration']:.3f} s, up to {head['path']['speed'] * 1e3:.4g} mm/s")
-    print(f"learned by {plain(found.method)}")
+    print(f"learned by {plain(head['method'])}")
     for number, (how, worst) in enumerate(zip(found.measurements, found.worst, strict=True)):
         print(f"trial {number}, {how}: worst {worst * 1e3:.4f} mm")
     rate = float(np.abs(np.diff(offsets, axis=0)).max(initial=0.0)) / period
     print(f"largest offset {float(np.abs(offsets).max()):.3g} rad, fastest change {rate:.3g} rad/s")
-    if options.plot is not None:
-        from rx90_common.report.picture import write_picture
-
-        write_picture(_plot(found), options.plot)
-        print(one_line(f"picture: {options.plot}"))
-
-
-def _plot(found: CorrectionFile) -> Any:
-    """Return trials, what is left along the path, offsets and spectra."""
-    import numpy as np
-    from scipy.signal import periodogram
-
-    from rx90_common.report.plot import COLOURS, GREY, Curve, Panel, Plot
-
-    period, offsets, left = found.correction.period, found.correction.offsets, found.distance * 1e3
-    worst, first = np.array(found.worst), len(found.worst) - len(found.last_worst(found.measurements[-1]))
-    trials = [
-        Curve((at := np.flatnonzero([each == how for each in found.measurements])).astype(np.float64), worst[at] * 1e3,
-              how, COLOURS[k], dots=True)
-        for k, how in enumerate(dict.fromkeys(found.measurements))
-    ]  # fmt: skip
-    shown = [(first, GREY, f"trial {first}")]
-    if (best := first + int(np.argmin(worst[first:]))) > first:
-        shown.append((best, COLOURS[0], f"best, trial {best}"))
-    times, ticks = (np.arange(count, dtype=np.float64) * period for count in (left.shape[1], len(offsets)))
-    spectra = []
-    for k, colour, name in shown:
-        frequency, power = periodogram(left[k], 1.0 / period, "hann", scaling="spectrum")
-        spectra.append(Curve(frequency[1:], np.sqrt(2.0 * power[1:]), name, colour))
-    return Plot(
-        (
-            Panel(trials, "trials", "trial", "worst path error, mm", y_scale="log"),
-            Panel([Curve(times, left[k], name, colour) for k, colour, name in shown], "what is left",
-                  "time on the path, s", "path error, mm", from_zero=True),
-            Panel([Curve(ticks, row * 1e3, f"joint {k + 1}", COLOURS[k % len(COLOURS)])
-                   for k, row in enumerate(offsets.T)], "offsets", "time from the trajectory's start, s", "mrad"),
-            Panel(spectra, "spectra of the path error", "frequency, Hz", "mm", x_scale="log", y_scale="log"),
-        )
-    )  # fmt: skip
 
 
 def _add_precompensate(precompensate: argparse.ArgumentParser) -> None:
@@ -247,18 +195,18 @@ def _precompensate(options: argparse.Namespace) -> None:
     from rx90_common.process.files import write_text
     from rx90_controller.trajectory.points import message_content
     from rx90_emulator.correction.file import load_correction
-    from rx90_emulator.correction.learning import CUTOFF, precompensate
+    from rx90_emulator.correction.precompensation import CUTOFF, corrected_trajectory, travelled_error
     from rx90_emulator.loop.setup import Setup
 
     setup = Setup.load(RobotFiles.of_options(options))
     path = _path(options.path, setup)
     correction = load_correction(options.file).fitting(setup, path)
-    found = precompensate(setup, path, correction, options.cutoff or CUTOFF)
-    write_text(options.output, yaml_text(message_content(setup.robot.joint_names, found.points)))
-    played = {"without correction": found.plain, "as offsets": found.channel, "as this trajectory": found.path}
-    errors = [f"{name} {error * 1e3:.4f} mm" for name, error in played.items()]
-    print(one_line(f"written to {options.output}: {len(found.points.times)} points"))
-    print(f"worst path error on the engine: {', '.join(errors)}")
+    points = corrected_trajectory(setup, path, correction, options.cutoff or CUTOFF)
+    before = travelled_error(setup, path, path.points)
+    after = travelled_error(setup, path, points)
+    write_text(options.output, yaml_text(message_content(setup.robot.joint_names, points)))
+    print(one_line(f"written to {options.output}: {len(points.times)} points"))
+    print(f"worst path error on the engine: {after * 1e3:.4f} mm, without correction {before * 1e3:.4f} mm")
 
 
 _VERBS = (

@@ -1,4 +1,8 @@
-"""The commands that take friction and arms to other simulators, and from them."""
+"""Write a robot's friction, and its arm, for another simulator, with what that costs: in Nm, and what is lost.
+
+The friction torque is compared at constant velocity, without load, at the reference temperature. docs/howto/export.md
+shows what each simulator can hold.
+"""
 
 from __future__ import annotations
 
@@ -11,19 +15,9 @@ from rx90_common.base.quoting import plain
 from rx90_emulator.cli.options import POSITIVE, add_robot_arguments, check_picture, new_folder, place
 from rx90_emulator.export.targets import TARGETS
 
-_EPILOG = """\
-The friction torque is compared at constant velocity, without load, at the reference temperature. docs/howto/export.md
-shows what each simulator can hold.
-"""
-_IMPORT_EPILOG = """\
-Only what is exact is taken: BAM's models m1, m2 and, without motor terms, m5; <dcmotor lugre> or frictionloss of an
-MJCF. What a source does not have, such as bristles, stands in the files as assumed. docs/howto/export.md says more.
-"""
 
-
-def add_export(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `rx90_export`."""
-    parser.epilog = _EPILOG
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
     parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("target", metavar="TARGET", choices=tuple(TARGETS), help=f"simulator: {', '.join(TARGETS)}")
     parser.add_argument("--output", required=True, type=new_folder, metavar="FOLDER",
@@ -31,7 +25,7 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--within", type=POSITIVE, metavar="NM",
                         help="exit code 1 if a friction torque differs by more than this, Nm")  # fmt: skip
     parser.add_argument("--plot", type=place, metavar="FILE",
-                        help="picture to write: the curves, what the simulator gets, identified intervals")  # fmt: skip
+                        help="picture to write: the curves, and what the simulator gets")  # fmt: skip
     speeds = parser.add_argument_group("speeds in use", "over which friction is fitted and compared")
     either = speeds.add_mutually_exclusive_group()
     either.add_argument("--speeds", nargs=2, type=POSITIVE, metavar=("LOW", "HIGH"),
@@ -41,11 +35,10 @@ def add_export(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser, "urdf", "tool", "drives", "friction")
 
 
-def export(options: argparse.Namespace) -> int:
-    """Write a robot's friction, and its arm, for another simulator, with what that costs: in Nm, and what is lost."""
+def main(options: argparse.Namespace) -> int:
+    """Write the files, and print what they cost."""
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_common.friction.friction_file import FrictionFile
     from rx90_common.report.picture import write_picture
     from rx90_emulator.export.export import export_plot, export_robot, write_export
     from rx90_emulator.loop.setup import load_arm
@@ -54,55 +47,16 @@ def export(options: argparse.Namespace) -> int:
         check_picture(options.plot)
         if options.plot == options.output:
             raise ConfigError(f"--plot and --output are both {plain(options.plot)}; accepted: two names")
-    files = RobotFiles.of_options(options)
     speeds = None if options.speeds is None else tuple(options.speeds)
-    done = export_robot(load_arm(files), options.target, speeds=speeds, bag=options.bag)
-    plot = None if options.plot is None else export_plot(done, FrictionFile.read(files.friction))
+    done = export_robot(load_arm(RobotFiles.of_options(options)), options.target, speeds=speeds, bag=options.bag)
     write_export(done, options.output)
     print(done.text)
     print(f"\nwritten: {', '.join(done.files)} and export.yaml in {options.output}")
-    if plot is not None:
-        write_picture(plot, options.plot)
+    if options.plot is not None:
+        write_picture(export_plot(done), options.plot)
     if options.within is not None and done.largest > options.within:
         worst = max(done.fits, key=lambda fit: fit.worst)
         line = f"{worst.name} differs by up to {worst.worst:.3g} Nm; accepted: {options.within:g} Nm"
         print(f"rx90_export: {line}", file=sys.stderr)
         return VERDICT_NO
     return DONE
-
-
-def add_import_(parser: argparse.ArgumentParser) -> None:
-    """Add the options of `rx90_import`."""
-    parser.epilog = _IMPORT_EPILOG
-    parser.set_defaults(interrupted="nothing was written")
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE",
-                        help="BAM's parameters (.json), an element for each file; or one MJCF (.xml)")  # fmt: skip
-    parser.add_argument("--output", required=True, type=new_folder, metavar="PATH",
-                        help="new friction file (.yaml), or of an MJCF a new robot folder")  # fmt: skip
-
-
-def import_(options: argparse.Namespace) -> None:
-    """From other simulators: friction of BAM or MuJoCo into a friction file, an arm of MuJoCo into a robot folder."""
-    # Here, because --help must not wait for them.
-    from rx90_common.process.files import write_text
-    from rx90_emulator.export.export import write_folder
-    from rx90_emulator.export.imports import import_arm, import_bam, import_mjcf_friction
-
-    files, output = options.files, options.output
-    if output.suffix.lower() in {".yml", ".xml", ".json"}:
-        raise ConfigError(f"--output {plain(output)}; accepted: a .yaml file, or the name of a folder")
-    kinds, whole = {file.suffix.lower() for file in files}, output.suffix.lower() != ".yaml"
-    if kinds == {".json"}:
-        if whole:
-            raise ConfigError(f"--output {plain(output)}; accepted: a .yaml file for BAM's parameters")
-        texts = {output.name: import_bam(files).text()}
-    elif kinds == {".xml"} and len(files) == 1:
-        texts = import_arm(files[0]) if whole else {output.name: import_mjcf_friction(files[0]).text()}
-    else:
-        raise ConfigError(f"{', '.join(map(plain, files))}; accepted: .json files of BAM, or one .xml file of MuJoCo")
-    if whole:
-        write_folder(output, texts)
-        print(f"written: {', '.join(texts)} in {output}; what they say is assumed is not in {plain(files[0])}")
-    else:
-        write_text(output, texts[output.name])
-        print(f"written: {output}")

@@ -34,7 +34,7 @@ Positions are those of the tool centre point in base_link; the tool's z axis is 
 points it down. example: rx90_line --start 0.6 -0.2 0.2 --end 0.6 0.2 0.2 --speed 0.1 --approach
 """
 _PATH_EPILOG = """\
-The path file says where its points come from: itself, a CSV file, G-code or a DXF drawing.
+The path file says where its points come from: itself, a CSV file or a DXF drawing.
 example: rx90_path seam.yaml --approach
 """
 _TIMEOUT, _STARTING = 30.0, 120.0  # s, without --timeout: for nodes, and more for one that compiles when it starts

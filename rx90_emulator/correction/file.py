@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import math
 import xml.etree.ElementTree as ET
 import zipfile
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -27,17 +25,13 @@ from rx90_emulator.correction.learning import MEASUREMENTS, LearnedCorrection
 from rx90_emulator.correction.path import CorrectablePath, TrajectoryPath
 from rx90_emulator.loop.setup import Setup
 
-_MAX_BYTES = 256 * 2**20  # of the offsets: more than an hour
-_SPEED_SHARE = 1e-3  # of the speed: set-points sample its peak, files round it
-_DURATION = 1e-3  # s: a set-point period, to which a trajectory is rounded
-_START = 1e-4  # rad: tolerance of the start
-_MASS, _LEVER = 1e-6, 1e-6  # kg, m: files are rounded to this
+_MASS = 1e-6  # kg: files are rounded to this
+_LEVER = 1e-6  # m
 
 CORRECTION = Group(
     "A correction of one path on one arm, as rx90_correct learns it.",
     keys={
         "robot": Text("The robot's name in its URDF."),
-        "arm": Text("Digest of links, gears and gains, without what the last link carries."),
         "payload": Group(
             "The last link with flange and tool.",
             keys={
@@ -69,9 +63,8 @@ CORRECTION = Group(
             least=1,
         ),
         "offsets": Group(
-            "`offsets` on the set-points, and those of the `best` trial, rad, (n, j); `distance` from the path by "
-            "trial, m.",
-            keys={"file": Text("NumPy file beside this one."), "sha256": Text("Digest of it.")},
+            "`offsets` on the set-points, and those of the `best` trial, rad, (n, j).",
+            keys={"file": Text("NumPy file beside this one.")},
         ),
     },
 )
@@ -79,20 +72,10 @@ CORRECTION = Group(
 
 
 def identity_of(setup: Setup, path: TrajectoryPath) -> dict[str, Any]:
-    """Return robot, arm, payload and path that a correction is valid for, in the form of CORRECTION."""
-    model, drives, controller = setup.robot.model, setup.drives, setup.controller
-    digest = hashlib.sha256()
-    for k in range(1, model.njoints - 1):
-        digest.update(np.round(model.inertias[k].toDynamicParameters(), 9).tobytes())
-    for place in model.jointPlacements:
-        digest.update(np.round(place.homogeneous, 9).tobytes())
-    gains = (getattr(controller, name) for name in ("inertia", "kp", "kv", "ki"))
-    for values in (drives.gear, drives.rotor_inertia, *gains):
-        digest.update(np.asarray(values, dtype=np.float64).tobytes())
-    carried = model.inertias[model.njoints - 1]
+    """Return robot, payload and path that a correction is valid for, in the form of CORRECTION."""
+    carried = setup.robot.model.inertias[setup.robot.model.njoints - 1]
     return {
         "robot": ET.fromstring(setup.robot.urdf).get("name", ""),
-        "arm": digest.hexdigest()[:16],
         "payload": {"mass": float(carried.mass), "center_of_mass": [float(x) for x in carried.lever]},
         "path": {
             "identity": trajectory_identity(path.points),
@@ -101,31 +84,6 @@ def identity_of(setup: Setup, path: TrajectoryPath) -> dict[str, Any]:
             "start": path.points.position[0].tolist(),
         },
     }
-
-
-def _refusals(learned: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
-    """Yield the reasons why a correction must not be played on this arm and path."""
-    its, this = learned["path"], here["path"]
-    if learned["robot"] != here["robot"]:
-        yield f"was learned on the robot {learned['robot']!r}, this one is {here['robot']!r}; accepted: the same robot"
-    if learned["arm"] != here["arm"]:
-        yield (
-            f"was learned on an arm with other links, gears or gains (digest {learned['arm']}, here {here['arm']}); "
-            "accepted: the same arm and controller"
-        )
-    if abs(its["speed"] - this["speed"]) > _SPEED_SHARE * its["speed"]:
-        speeds = [f"{1e3 * one['speed']:.4g} mm/s" for one in (its, this)]
-        yield f"was learned at {speeds[0]}, the path is travelled at {speeds[1]}; accepted: the same speed"
-    if abs(its["duration"] - this["duration"]) > _DURATION:
-        yield f"is of a path of {its['duration']:.6g} s, this one has {this['duration']:.6g} s; accepted: the same path"
-    for number, (then, now) in enumerate(zip(its["start"], this["start"], strict=False), 1):
-        if abs(then - now) > _START:
-            yield (
-                f"is of a path that begins with joint {number} at {then:.6g} rad, this one at {now:.6g} rad; accepted: "
-                "the same path"
-            )
-    if its["identity"] != this["identity"]:
-        yield f"is of another path (digest {its['identity']}, here {this['identity']}); accepted: the same trajectory"
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,24 +96,12 @@ class CorrectionFile:
         correction: to be played.
         best: offsets of the best trial, rad, shape (n, j): those of `correction`, except after a trial that was
             recorded.
-        distance: from the path at the counted set-points by trial, m, shape (trials, k).
     """
 
     file: Path
     head: dict[str, Any]
     correction: Correction
     best: Array
-    distance: Array
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """Return robot, arm, payload and path that it is valid for."""
-        return {key: self.head[key] for key in ("robot", "arm", "payload", "path")}
-
-    @property
-    def method(self) -> str:
-        """Return how it was learned, in words."""
-        return str(self.head["method"])
 
     @property
     def measurements(self) -> tuple[str, ...]:
@@ -169,42 +115,49 @@ class CorrectionFile:
 
     def last_worst(self, how: str) -> tuple[float, ...]:
         """Return the worst distances of the last trials, m, as far back as all of them were measured in this way."""
-        other = max((k + 1 for k, measurements in enumerate(self.measurements) if measurements != how), default=0)
-        return self.worst[other:]
+        first = max((k + 1 for k, measurement in enumerate(self.measurements) if measurement != how), default=0)
+        return self.worst[first:]
 
-    def fitting(self, setup: Setup, path: CorrectablePath, *, go_on: bool = False) -> Correction:
+    def fitting(self, setup: Setup, path: CorrectablePath) -> Correction:
         """Return the correction for an arm and a path; warn if the payload is another one.
 
-        Args:
-            setup: the arm.
-            path: on which it is played.
-            go_on: whether learning continues from it, so that the path error must count at the same set-points, too.
-
         Raises:
-            ConfigError: for another robot, arm, speed or path, with the numbers.
+            ConfigError: for another robot, period or path, with the numbers.
         """
-        trajectory, period = TrajectoryPath.of(setup, path.points, path.counted), setup.rates.position_period
-        here, counted = identity_of(setup, trajectory), int(trajectory.counts.sum())
+        here = identity_of(setup, TrajectoryPath.of(setup, path.points, path.counted))
+        period = setup.rates.position_period
         if not math.isclose(self.correction.period, period):
             raise ConfigError(
                 f"{plain(self.file)} has offsets every {self.correction.period:g} s, the controller a set-point every "
                 f"{period:g} s; accepted: the same"
             )
-        for refusal in _refusals(self.identity, here):
-            raise ConfigError(f"{plain(self.file)} {refusal}")
-        if go_on and self.distance.shape[1] != counted:
+        if self.head["robot"] != here["robot"]:
             raise ConfigError(
-                f"{plain(self.file)}: the path error counted on {self.distance.shape[1]} set-points, here on "
-                f"{counted}; accepted: the task or trajectory that it was learned for"
+                f"{plain(self.file)} was learned on the robot {self.head['robot']!r}, this one is {here['robot']!r}; "
+                "accepted: the same robot"
             )
-        its, this = self.head["payload"], here["payload"]
-        lever = float(np.linalg.norm(np.subtract(its["center_of_mass"], this["center_of_mass"])))
-        if abs(its["mass"] - this["mass"]) > _MASS or lever > _LEVER:
+        if self.head["path"]["identity"] != here["path"]["identity"]:
+            raise ConfigError(
+                f"{plain(self.file)} was learned on {_in_words(self.head['path'])}, this is {_in_words(here['path'])}; "
+                "accepted: the same trajectory"
+            )
+        learned = self.head["payload"]
+        mass = here["payload"]["mass"]
+        lever = float(np.linalg.norm(np.subtract(learned["center_of_mass"], here["payload"]["center_of_mass"])))
+        if abs(learned["mass"] - mass) > _MASS or lever > _LEVER:
             warn_caller([
-                f"{plain(self.file)}: it was learned with {its['mass']:.6g} kg on the last joint, there are "
-                f"{this['mass']:.6g} kg, their centre {lever * 1e3:.3g} mm elsewhere: let it learn one more trial"
+                f"{plain(self.file)}: it was learned with {learned['mass']:.6g} kg on the last joint, there are "
+                f"{mass:.6g} kg, their centre {lever * 1e3:.3g} mm elsewhere: let it learn one more trial"
             ])  # fmt: skip
         return self.correction
+
+
+def _in_words(path: dict[str, Any]) -> str:
+    start = ", ".join(f"{angle:.4g}" for angle in path["start"])
+    return (
+        f"a path of {path['duration']:.6g} s at {1e3 * path['speed']:.4g} mm/s from {start} rad (digest "
+        f"{path['identity']})"
+    )
 
 
 def write_correction(learned: LearnedCorrection, file: Path | str, earlier: CorrectionFile | None = None) -> None:
@@ -219,23 +172,22 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
         ConfigError: for a name that does not end with .yaml.
         Rx90Error: if it cannot be written.
     """
-    (head, offsets_file), of = correction_files(file), learned.path
-    distance = np.array([trial.distance for trial in learned.trials])
-    worst, measurements = [trial.worst for trial in learned.trials], [learned.measurement] * len(learned.trials)
+    head, offsets_file = correction_files(file)
+    worst = [trial.worst for trial in learned.trials]
+    measurements = [learned.measurement] * len(learned.trials)
     if earlier is not None:
-        distance = np.concatenate([earlier.distance, distance])
-        worst, measurements = [*earlier.worst, *worst], [*earlier.measurements, *measurements]
+        worst = [*earlier.worst, *worst]
+        measurements = [*earlier.measurements, *measurements]
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, offsets=learned.correction.offsets, best=learned.best_offsets, distance=distance)
-    options = asdict(learned.method)  # type: ignore[call-overload]
-    options = (f"{key} {'none' if value is None else format(value, 'g')}" for key, value in options.items())
+    np.savez_compressed(buffer, offsets=learned.correction.offsets, best=learned.best_offsets)
+    options = [f"{key} {'none' if value is None else f'{value:g}'}" for key, value in asdict(learned.method).items()]
     content = {
-        **identity_of(learned.setup, TrajectoryPath.of(learned.setup, of.points, of.counted)),
+        **identity_of(learned.setup, TrajectoryPath.of(learned.setup, learned.path.points, learned.path.counted)),
         "period": learned.correction.period,
         "method": f"{type(learned.method).__name__}: {', '.join(options)}",
         "seen": measurements,
         "worst": worst,
-        "offsets": {"file": offsets_file.name, "sha256": hashlib.sha256(buffer.getvalue()).hexdigest()},
+        "offsets": {"file": offsets_file.name},
     }
     write_all({head: yaml_text(content).encode(), offsets_file: buffer.getvalue()})
 
@@ -256,38 +208,22 @@ def load_correction(name: Path | str) -> CorrectionFile:
     """Read a correction file.
 
     Raises:
-        ConfigError: naming file, key, value and what is accepted; for offsets that were not written with this head.
+        ConfigError: naming file, key, value and what is accepted; for offsets that do not belong to this head.
     """
     file = Path(name)
     content = CORRECTION.read(load_yaml(file))
     offsets_file = file.parent / Path(content["offsets"]["file"]).name
     try:
-        if offsets_file.stat().st_size > _MAX_BYTES:
-            raise ConfigError(
-                f"{plain(offsets_file)}: {offsets_file.stat().st_size} bytes; accepted: up to {_MAX_BYTES}"
-            )
-        data = offsets_file.read_bytes()
-    except OSError as error:
+        with np.load(offsets_file, allow_pickle=False) as arrays:
+            correction = Correction(np.asarray(arrays["offsets"], dtype=np.float64), content["period"])
+            best = Correction(np.asarray(arrays["best"], dtype=np.float64), content["period"]).offsets
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile, TrajectoryError) as error:
+        raise ConfigError(f"{plain(offsets_file)}: {error}; accepted: the file written with {plain(file)}") from error
+    shape = correction.offsets.shape
+    trials = len(content["worst"]), len(content["seen"])
+    if best.shape != shape or shape[1] != len(content["path"]["start"]) or trials[0] != trials[1]:
         raise ConfigError(
-            f"{plain(offsets_file)}: {error.strerror}; accepted: the file written with {plain(file)}"
-        ) from error
-    if hashlib.sha256(data).hexdigest() != content["offsets"]["sha256"]:
-        raise ConfigError(
-            f"{plain(offsets_file)}: other offsets than {plain(file)} has; accepted: the file written with it"
+            f"{plain(offsets_file)}: offsets of shape {shape}, those of the best trial {best.shape}, in {plain(file)} "
+            f"{trials[0]} trials, {trials[1]} seen; accepted: the files written together"
         )
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            offsets, best, distance = (
-                np.asarray(arrays[key], dtype=np.float64) for key in ("offsets", "best", "distance")
-            )
-        correction = Correction(offsets, content["period"])
-        if Correction(best, content["period"]).offsets.shape != offsets.shape:
-            raise ValueError(f"best offsets of shape {best.shape}, offsets of shape {offsets.shape}")
-        trials = {len(distance), len(content["worst"]), len(content["seen"])}
-        if offsets.shape[1] != len(content["path"]["start"]):
-            raise ValueError(f"offsets of {offsets.shape[1]} joints, a path of {len(content['path']['start'])}")
-        if distance.ndim != 2 or not distance.size or len(trials) > 1 or not np.isfinite(distance).all():
-            raise ValueError(f"distances of shape {distance.shape} that are no row for each trial")
-    except (KeyError, ValueError, zipfile.BadZipFile, TrajectoryError) as error:
-        raise ConfigError(f"{plain(offsets_file)}: {error}; accepted: a file that rx90_correct wrote") from error
-    return CorrectionFile(file, content, correction, best, distance)
+    return CorrectionFile(file, content, correction, best)

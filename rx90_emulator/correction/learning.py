@@ -4,12 +4,6 @@ A trial plays a correction and measures the error. It is accepted if the worst d
 with the best correction so far plus the noise; the next correction starts from the best one. After a trial that is
 worse, half of the step from the best correction is tried, and the gain is halved. Learning has failed if trial after
 trial is worse.
-
-For controllers without a channel for offsets, `precompensate` returns the corrected path as a joint trajectory. Such a
-controller treats the offsets as a part of the motion. Their velocities and accelerations enter its feed-forward, where
-they cause torques that the correction does not intend: above all, an offset that moves faster than the joint reverses
-the sign of the Coulomb compensation. The offsets are therefore smoothed first, and a run determines the loss by the
-smoothing and the effect of the feed-forward.
 """
 
 from __future__ import annotations
@@ -33,9 +27,8 @@ from rx90_common.base.errors import (
 from rx90_common.description.kinematics import tip_position
 from rx90_controller.lines.task import LineTask
 from rx90_controller.paths.path import Path
-from rx90_controller.trajectory import TrajectoryPoints
-from rx90_controller.trajectory.correction import FADE, Correction, PlayedCorrection
-from rx90_emulator.correction.methods import Method, NormOptimal, zero_phase
+from rx90_controller.trajectory.correction import FADE, Correction
+from rx90_emulator.correction.methods import NormOptimal
 from rx90_emulator.correction.path import CorrectablePath, TrajectoryPath
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import plan_path
@@ -84,14 +77,12 @@ class TrialRecord:
         rms: root mean square distance, m.
         kept: whether it is better than all earlier trials, or worse by no more than the noise.
         gain: share of the method's gain with which it was made.
-        distance: from the path at the counted set-points, m, shape (k,).
     """
 
     worst: float
     rms: float
     kept: bool
     gain: float
-    distance: Array = field(repr=False)
 
 
 class Learner:
@@ -120,7 +111,7 @@ class Learner:
         self,
         setup: Setup,
         path: CorrectablePath,
-        method: Method | None = None,
+        method: NormOptimal | None = None,
         *,
         tip: bool = False,
         noise: float = NOISE,
@@ -128,7 +119,11 @@ class Learner:
     ) -> None:
         if not 0.0 <= noise < math.inf:
             raise ConfigError(f"noise is {noise:g} m; accepted: a number >= 0")
-        self.setup, self.path, self.method, self.tip, self.noise = setup, path, method or NormOptimal(), tip, noise
+        self.setup = setup
+        self.path = path
+        self.method = method or NormOptimal()
+        self.tip = tip
+        self.noise = noise
         period = setup.rates.position_period
         if not path.points.times[-1] <= _LONGEST * period:
             raise ConfigError(f"a path of {path.points.times[-1]:g} s; accepted: up to {_LONGEST * period:g} s")
@@ -137,9 +132,12 @@ class Learner:
         self.offsets = np.zeros(shape) if previous is None else np.array(previous, dtype=np.float64)
         if self.offsets.shape != shape:
             raise ConfigError(f"offsets of shape {self.offsets.shape}; accepted: {shape}")
-        self.best, self.trials = self.offsets, list[TrialRecord]()
+        self.best = self.offsets
+        self.trials: list[TrialRecord] = []
         self._update = self.method.prepare(setup, self.nominal, tip=tip)
-        self._least, self._gain, self._worse = math.inf, 1.0, 0
+        self._least = math.inf
+        self._gain = 1.0
+        self._worse = 0
 
     def go_on(self, best: Array, worst: Sequence[float]) -> None:
         """Compare the next trial with the earlier ones in a correction file.
@@ -148,8 +146,9 @@ class Learner:
             best: offsets of the best of them, rad, shape (n, j).
             worst: their largest distances from the path, m, for trials that were measured as the next one is.
         """
-        self._least, self.best = min(worst), np.asarray(best)
-        self._worse = len(worst) - 1 - max(k for k, one in enumerate(worst) if one <= self._least + self.noise)
+        self._least = min(worst)
+        self.best = np.asarray(best)
+        self._worse = len(worst) - 1 - max(k for k, error in enumerate(worst) if error <= self._least + self.noise)
         self._gain = 0.5**self._worse
 
     def measurement(self, where: str) -> str:
@@ -202,20 +201,23 @@ class Learner:
                     f"to {np.abs(self.offsets).max():.3g} rad; accepted: a trial with this correction, --previous"
                 )
         distance = self.distance(measured)
-        worst, rms = float(distance.max()), math.sqrt(float(np.mean(distance**2)))
+        worst = float(distance.max())
         kept = worst <= self._least + self.noise
-        trial = TrialRecord(worst, rms, kept, self._gain, distance)
+        trial = TrialRecord(worst, math.sqrt(float(np.mean(distance**2))), kept, self._gain)
         self.trials.append(trial)
         if kept:
-            self._least, self._gain, self._worse = min(self._least, worst), min(1.0, 2.0 * self._gain), 0
+            self._least = min(self._least, worst)
+            self._gain = min(1.0, 2.0 * self._gain)
+            self._worse = 0
             self.best = self.offsets
             self.offsets = self._update(self.best, error, self._gain)
             return trial
-        self._worse, self._gain = self._worse + 1, 0.5 * self._gain
+        self._worse += 1
+        self._gain *= 0.5
         if self._worse >= MAX_WORSE_TRIALS:
             raise CorrectionError(
                 f"{self._worse} trials in a row have made the path worse, the last one {worst * 1e3:.4f} mm after "
-                f"{self._least * 1e3:.4f} mm; accepted: another model, method or gain"
+                f"{self._least * 1e3:.4f} mm; accepted: another model or --effort"
             )
         self.offsets = 0.5 * (self.best + self.offsets)
         return trial
@@ -238,7 +240,7 @@ class LearnedCorrection:
 
     setup: Setup
     path: CorrectablePath
-    method: Method
+    method: NormOptimal
     measurement: str
     correction: Correction
     trials: tuple[TrialRecord, ...]
@@ -249,8 +251,16 @@ class LearnedCorrection:
     def of(cls, learner: Learner, where: str, offsets: Array, remark: str = "") -> LearnedCorrection:
         """Return the result of a learner with trials at `where`, and the offsets to be played, rad."""
         played = Correction(offsets, learner.nominal.period)
-        return cls(learner.setup, learner.path, learner.method, learner.measurement(where), played,
-                   tuple(learner.trials), learner.best, remark)  # fmt: skip
+        return cls(
+            learner.setup,
+            learner.path,
+            learner.method,
+            learner.measurement(where),
+            played,
+            tuple(learner.trials),
+            learner.best,
+            remark,
+        )
 
     @property
     def best(self) -> TrialRecord:
@@ -306,7 +316,8 @@ def run_corrected(
         SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
         TrajectoryError: if trajectory or correction is refused.
     """
-    points, period = replace(path.points, correction=correction), setup.rates.position_period
+    points = replace(path.points, correction=correction)
+    period = setup.rates.position_period
     lead = math.ceil(max(0.0, _SETTLING_S - path.counted[0]) / period)
     trajectory = path if isinstance(path, TrajectoryPath) else TrajectoryPath.of(setup, path.points, path.counted)
     count = len(trajectory.counts)
@@ -321,7 +332,7 @@ def learn_correction(
     setup: Setup,
     path: CorrectablePath | LineTask | Path,
     trials: int = 4,
-    method: Method | None = None,
+    method: NormOptimal | None = None,
     *,
     model: Setup | None = None,
     tip: bool = False,
@@ -362,68 +373,3 @@ def summary(trials: Iterable[TrialRecord]) -> str:
         + ("" if trial.kept else f", worse: not kept, {0.5 * trial.gain:g} of the gain from here")
         for k, trial in enumerate(trials)
     )
-
-
-CUTOFF = 5.0
-"""Default cut-off of the filter that smooths the offsets, Hz: faster offsets reverse the sign of the Coulomb
-feed-forward on the shipped tasks, and make the path worse."""
-_STRIDE = 2
-"""Set-points from one point of the trajectory to the next: quintics through these hardly deviate from smooth ones."""
-
-
-@dataclass(frozen=True, eq=False)
-class Precompensation:
-    """A corrected path as a trajectory.
-
-    Attributes:
-        points: the trajectory.
-        plain: largest distance of the tip from the path without correction, m.
-        channel: the same with the correction played as offsets.
-        path: the same with the trajectory.
-    """
-
-    points: TrajectoryPoints
-    plain: float
-    channel: float
-    path: float
-
-
-def precompensate(
-    setup: Setup, path: CorrectablePath, correction: Correction, cutoff: float = CUTOFF
-) -> Precompensation:
-    """Return the corrected path as a trajectory, and its path error on the engine.
-
-    Args:
-        setup: the arm.
-        path: the path of the correction.
-        correction: the learned one.
-        cutoff: of the filter that smooths the offsets, Hz.
-
-    Raises:
-        ConfigError: for a cut-off that is not below half the rate of set-points.
-        TrajectoryError: if the controller would refuse the trajectory; a lower cut-off makes it slower.
-    """
-    nominal = TrajectoryPath.of(setup, path.points, path.counted)
-    count, period = len(nominal.setpoints), nominal.period
-    played = PlayedCorrection.started(correction, 0).at(np.arange(count))
-    offsets = np.zeros_like(nominal.setpoints)
-    offsets[:, 0] = zero_phase(cutoff, period)(played)
-    offsets[:, 0] -= offsets[0, 0] * np.linspace(1.0, 0.0, count)[:, None]  # it begins where the path does
-    offsets[:, 1] = np.gradient(offsets[:, 0], period, axis=0)
-    offsets[:, 2] = np.gradient(offsets[:, 1], period, axis=0)
-    offsets[[0, -1], 1:] = 0.0
-    rows = np.unique(np.append(np.arange(0, count, _STRIDE), count - 1))
-    motion = (nominal.setpoints + offsets)[rows]
-    motion[-1, 1:] = 0.0
-    names = setup.robot.joint_names
-    times = np.round(rows * period, 9).tolist()
-    points = TrajectoryPoints.create(names, names, times, *(motion[:, k].tolist() for k in range(3)))
-    begin, end = path.counted
-    travelled, errors = TrajectoryPath.of(setup, points, (begin, min(end, float(points.times[-1])))), []
-    for one, added in ((nominal, None), (nominal, correction), (travelled, None)):
-        remaining = run_corrected(setup, one, added)[1].tip
-        assert remaining is not None
-        tip = (one.tip - remaining)[:count]
-        counts = nominal.counts[: len(tip)]
-        errors.append(float(path.distance(tip[counts], nominal.counted_times[: counts.sum()]).max()))
-    return Precompensation(points, *errors)

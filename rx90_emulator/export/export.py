@@ -15,11 +15,10 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import BagError, ConfigError, check_type, write_error
 from rx90_common.base.quoting import listed, plain, quoted
-from rx90_common.friction.element import stribeck_decay, viscous_torque
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_common.process.files import atomic_files
-from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Panel, Plot
+from rx90_common.report.plot import COLOURS, INK, Curve, Panel, Plot
 from rx90_emulator.configuration.origins import aligned
 from rx90_emulator.export.files import creep, files_of
 from rx90_emulator.export.fit import POINTS, FrictionFit, fit_friction, speeds_up_to, sum_of
@@ -32,8 +31,6 @@ REPORT = "export.yaml"
 _FEWEST = 20  # least number of samples of a bag that determine the speeds of a joint
 _ROUNDING = 1e-9  # Nm: a smaller difference is rounding
 _OTHER_SHAPE = (TypeError, ValueError, KeyError, IndexError, AttributeError)
-_UNREAD = "its identification has another shape; accepted: as rx90_identify writes it"
-_OF_CURVE = ("tau_c_positive", "tau_s_positive", "omega_s", "delta", "c2", "alpha")
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +90,6 @@ class Export:
                 "exported": {
                     key: list(value) if isinstance(value, tuple) else _finite(value)
                     for key, value in vars(fit.law).items()
-                    if key != "table"
                 },
                 "lost": list(fit.lost),
             }
@@ -133,18 +129,25 @@ def export_robot(
         raise ConfigError(f"target {quoted(target)}; accepted: {listed(TARGETS)}")
     if speeds is not None and bag is not None:
         raise ConfigError("speeds from a range and from a bag; accepted: one of both")
-    one, turns, fits = TARGETS[target], arm.drives.turning.element_matrix, []
-    names, felt = (arm.friction.names, np.eye(len(turns))) if one.coupled else (arm.robot.joint_names, turns)
+    simulator = TARGETS[target]
+    turns = arm.drives.turning.element_matrix
+    names = arm.robot.joint_names
+    felt = turns
+    if simulator.mjcf:
+        names = arm.friction.names
+        felt = np.eye(len(turns))
+    fits = []
     used, words = _speeds_in_use(arm, turns[: len(names)], speeds, bag)
     for k, (name, speed) in enumerate(zip(names, used, strict=True)):
-        fit = fit_friction(one, name, [arm.friction.elements[e] for e in np.flatnonzero(felt[:, k])], speed)
-        fits.append(fit if one.coupled else _with_coupling(fit, arm, k))
-    files, lost = files_of(arm, one, fits), _arm_losses(arm, one)
+        fit = fit_friction(simulator, name, [arm.friction.elements[e] for e in np.flatnonzero(felt[:, k])], speed)
+        fits.append(fit if simulator.mjcf else _with_coupling(fit, arm, k))
+    files = files_of(arm, simulator, fits)
+    lost = _arm_losses(arm, simulator)
     if target == "mujoco-classic":
         (text,) = files.values()
         most = f"{creep(text, arm, fits):.2g} rad/s"
         lost.append(f"rest: under half of its friction a joint creeps by up to {most}, measured in MuJoCo")
-    return Export(one, tuple(fits), files, tuple(lost), words)
+    return Export(simulator, tuple(fits), files, tuple(lost), words)
 
 
 def _speeds_in_use(
@@ -154,27 +157,32 @@ def _speeds_in_use(
     if speeds is not None:
         return [speeds_up_to(speeds[1], speeds[0])] * len(turns), f"from {speeds[0]:g} to {speeds[1]:g} rad/s"
     most = np.abs(turns) @ arm.robot.max_velocity
-    whole, words = [speeds_up_to(high) for high in most], f"from {LINEAR_SPEED:g} rad/s to the largest of each joint"
+    whole = [speeds_up_to(high) for high in most]
+    words = f"from {LINEAR_SPEED:g} rad/s to the largest of each joint"
     identified = _identified_ranges(arm)
     if identified:
-        names = arm.friction.names[: len(turns)]
-        whole = [speeds_up_to(*identified.get(n, (each[-1],))) for n, each in zip(names, whole, strict=True)]
+        for k, name in enumerate(arm.friction.names[: len(turns)]):
+            if name in identified:
+                whole[k] = speeds_up_to(*identified[name])
         words = "those over which each element was identified; of others " + words
     if bag is None:
         return whole, words
     series = read_joint_states(bag, "joint_states", arm.robot.joint_names)
     if series.velocity is None:
         raise BagError(f"{plain(bag)}: joint_states has no velocities; accepted: a bag with them")
-    found, resting = [], []
-    for row, speed, every in zip(turns, np.abs(series.velocity @ turns.T).T, whole, strict=True):
+    used = []
+    resting = []
+    for row, speed, default in zip(turns, np.abs(series.velocity @ turns.T).T, whole, strict=True):
         moving = speed[speed >= LINEAR_SPEED]
-        if len(moving) < _FEWEST:
+        if len(moving) >= _FEWEST:
+            used.append(np.quantile(moving, np.linspace(0.0, 1.0, POINTS)))
+        else:
+            used.append(default)
             resting.append(" and ".join(np.array(arm.robot.joint_names)[row != 0.0]))
-        found.append(every if len(moving) < _FEWEST else np.quantile(moving, np.linspace(0.0, 1.0, POINTS)))
     if len(resting) == len(turns):
         raise BagError(f"{plain(bag)}: no joint moves at {LINEAR_SPEED:g} rad/s or more; accepted: a bag of motions")
     rest = f"; {', '.join(resting)} rests there: {words}" if resting else ""
-    return found, f"those of {plain(bag)} from {LINEAR_SPEED:g} rad/s on, as often as they are there{rest}"
+    return used, f"those of {plain(bag)} from {LINEAR_SPEED:g} rad/s on, as often as they are there{rest}"
 
 
 def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
@@ -187,7 +195,9 @@ def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
         ranges = {name: (float(one[-1][1]), float(one[0][0])) for name, one in bands.items()}
         return ranges | {name: (float(high), float(low)) for name, (low, high) in (found.get("speeds") or {}).items()}
     except _OTHER_SHAPE as error:
-        raise ConfigError(f"{plain(str(file))}: {_UNREAD}") from error
+        raise ConfigError(
+            f"{plain(str(file))}: its identification has another shape; accepted: as rx90_identify writes it"
+        ) from error
 
 
 def _with_coupling(fit: FrictionFit, arm: Arm, joint: int) -> FrictionFit:
@@ -208,44 +218,35 @@ def _with_coupling(fit: FrictionFit, arm: Arm, joint: int) -> FrictionFit:
 
 def _arm_losses(arm: Arm, target: Target) -> list[str]:
     """Return properties of the drives that a target does not represent."""
-    drives, lost = arm.drives, []
-    if not target.arm:
-        lost.append("arm: the friction alone is written" + ", with rotor inertias" * bool(target.rotors))
-    else:
+    drives = arm.drives
+    lost = []
+    if target.arm:
         lost.append("drives: encoders, current loop, brakes; end stops are the simulator's own, at the joint limits")
-        if target.rotors == "by joint":
-            lost.append("rotor of a motor that turns with two joints: its inertia stands in each of them, not between")
-        if drives.spring_torque.any() and not target.springs:
+    else:
+        lost.append("arm: the friction alone is written, with rotor inertias")
+    if target.arm and not target.mjcf:
+        if drives.spring_torque.any():
             lost.append(f"gravity-compensation springs: up to {drives.spring_torque.max():g} Nm")
-        if not target.rotors:
-            largest = drives.rotor_inertia.max()
-            lost.append(f"rotor inertias, for which it has no place: up to {largest:g} kg m^2 at a joint")
+        largest = drives.rotor_inertia.max()
+        lost.append(f"rotor inertias, for which it has no place: up to {largest:g} kg m^2 at a joint")
     if drives.elasticity.elastic.any():
         lost.append("elasticity and play of the gears: they are rigid")
-    if drives.cogging.used and not target.motors:
+    if drives.cogging.used and not target.lugre:
         lost.append(f"cogging: up to {np.abs(drives.cogging.amplitude).sum(axis=0).max():.3g} Nm of a motor")
     if drives.winding.used:
-        lost.append(f"windings: rise of the resistance and derating{', but for their temperatures' * target.motors}")
-    return [*lost, target.remark] if target.remark else lost
+        but = ", but for their temperatures" if target.lugre else ""
+        lost.append(f"windings: rise of the resistance and derating{but}")
+    return lost
 
 
 def write_export(export: Export, folder: Path | str) -> None:
-    """Write the files of an export, and REPORT beside them, into a new folder.
+    """Write the files of an export, and REPORT beside them, into a new folder, all or none.
 
     Raises:
         ConfigError: if the folder exists.
         Rx90Error: if it cannot be written.
     """
-    write_folder(Path(folder), {**export.files, REPORT: export.report()})
-
-
-def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write files by their names into a new folder, all or none.
-
-    Raises:
-        ConfigError: if the folder exists.
-        Rx90Error: if it cannot be written.
-    """
+    folder = Path(folder)
     if folder.exists():
         raise ConfigError(f"{plain(folder)} exists; accepted: a new name")
     try:
@@ -254,51 +255,20 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
         raise write_error(folder, error) from error
     with atomic_files(folder) as (place,):
         place.mkdir()
-        for name, text in texts.items():
+        for name, text in {**export.files, REPORT: export.report()}.items():
             (place / name).write_text(text, encoding="utf-8")
 
 
-def export_plot(export: Export, friction: FrictionFile | None = None) -> Plot:
-    """Return a panel for each element: its curve, the simulator's, and the band of the identified intervals.
-
-    Args:
-        export: the export.
-        friction: the file of the elements, whose `identification` has the intervals; None for no band.
-    """
+def export_plot(export: Export) -> Plot:
+    """Return a panel for each element: its curve, and the simulator's."""
     panels = []
     for fit in export.fits:
-        speed = fit.speeds[np.argsort(fit.speeds)]
-        true = [sum_of(fit.elements, speed, sign) for sign in (1.0, -1.0)]
-        marks: list[Band | Curve] = []
-        band = None if friction is None or len(fit.elements) > 1 else _band(friction, fit, speed)
-        if band is not None:
-            marks.append(Band(speed, true[0] - band, true[0] + band, "identified, 95 %", GREY))
-        marks.append(Curve(speed, true[0], "here", INK, 1.4))
-        if not np.array_equal(true[0], true[1]):
-            marks.append(Curve(speed, true[1], "here, negative velocity", COLOURS[5], 1.4))
-        got = true[0] if export.target.everything else fit.law.torque(speed)
-        marks.append(Curve(speed, got, "exported", COLOURS[1], 1.4, "dashed"))
+        speed = np.sort(fit.speeds)
+        forward = sum_of(fit.elements, speed, 1.0)
+        backward = sum_of(fit.elements, speed, -1.0)
+        marks = [Curve(speed, forward, "here", INK, 1.4)]
+        if not np.array_equal(forward, backward):
+            marks.append(Curve(speed, backward, "here, negative velocity", COLOURS[5], 1.4))
+        marks.append(Curve(speed, fit.law.torque(speed), "exported", COLOURS[1], 1.4, "dashed"))
         panels.append(Panel(marks, fit.name, "velocity, rad/s", "torque, Nm", x_scale="log"))
     return Plot(panels, columns=min(3, len(panels)), height=2.2)
-
-
-def _band(friction: FrictionFile, fit: FrictionFit, speed: Array) -> Array | None:
-    """Return half of the width of the identified interval of an element's curve, Nm, at speeds of shape (n,).
-
-    Errors of the parameters are treated as independent, so the band is too wide where they compensate each other.
-    """
-    try:
-        found = ((friction.identification or {}).get("parameters") or {}).get(fit.name, {})
-        intervals = {name: found[name]["interval"] for name in _OF_CURVE if "interval" in found.get(name, {})}
-        ends = {name: (float(low), float(high)) for name, (low, high) in intervals.items()}
-    except _OTHER_SHAPE as error:
-        raise ConfigError(f"friction of {fit.name}: {_UNREAD}") from error
-    here = {name: getattr(fit.elements[0], name) for name in _OF_CURVE}
-
-    def curve(name: str, value: float) -> Array:
-        tau_c, tau_s, omega_s, delta, c2, alpha = (here | {name: value}).values()
-        rise = (tau_s - tau_c) * stribeck_decay(speed, omega_s, delta)
-        return np.asarray(tau_c + rise + viscous_torque(speed, c2, alpha))
-
-    halves = [0.5 * (curve(name, high) - curve(name, low)) for name, (low, high) in ends.items()]
-    return np.asarray(np.sqrt(np.sum(np.square(halves), axis=0))) if halves else None

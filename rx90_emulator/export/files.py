@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from functools import cache, partial
-from pprint import pformat
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -16,12 +14,9 @@ import pinocchio as pin
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
-from rx90_common.friction.element import FRICTION_UNITS
-from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_emulator.export.fit import FrictionFit
-from rx90_emulator.export.targets import BAM_ACTUATOR, Target
+from rx90_emulator.export.targets import Target
 from rx90_emulator.loop.setup import Arm, Setup
 
 SOLIMP = (0.999, 0.999, 0.001, 0.5, 2.0)
@@ -31,7 +26,6 @@ SOLREF_STEPS = 2.0
 
 _SPRING_ARM, _SPRING_ANCHOR = 0.1, 0.3  # m; any two lengths give the same torque
 _CREEP_TIME = 0.5  # s
-_DRAKE = "http://drake.mit.edu"
 
 
 @cache
@@ -42,20 +36,17 @@ def _environment() -> Environment:
     )  # fmt: skip
     environment.filters |= {
         "numbers": _numbers,
-        "quoted": partial(json.dumps, ensure_ascii=False),
         "word": _word,
-        "python": _python,
+        "pattern": re.escape,
+        "turn": _quaternion,
     }
-    environment.filters |= {"modelica": _identifier, "pattern": re.escape, "degrees": math.degrees, "turn": _quaternion}
-    environment.filters |= {"per_degree": math.radians}
     return environment
 
 
-def render(template: str, **values: object) -> str:
+def _render(template: str, **values: object) -> str:
     """Return a template of this folder with these values; in those that end with .xml, text is escaped."""
     text = _environment().get_template(template).render(values)
-    parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
-    return _indented(ET.fromstring(text, parser)) if template.endswith(".xml") else text
+    return _indented(ET.fromstring(text)) if template.endswith(".xml") else text
 
 
 def _indented(root: ET.Element) -> str:
@@ -63,14 +54,9 @@ def _indented(root: ET.Element) -> str:
     return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def _numbers(values: Any, between: str = " ") -> str:
+def _numbers(values: Any) -> str:
     """Return a number, or an array of them, with all digits, without -0.0."""
-    return between.join(map(repr, (np.ravel(values) + 0.0).tolist()))
-
-
-def _python(value: object) -> str:
-    """Return numbers and containers of them in Python, with all digits."""
-    return pformat(value, width=100, sort_dicts=False)
+    return " ".join(map(repr, (np.ravel(values) + 0.0).tolist()))
 
 
 def _word(name: str) -> str:
@@ -79,13 +65,8 @@ def _word(name: str) -> str:
     return f"_{word}" if word[:1].isdigit() else word
 
 
-def _identifier(name: str) -> str:
-    """Return a name for Modelica, in quotes, with a backslash before quotes and backslashes."""
-    return name if _word(name) == name else "'" + re.sub(r"([\\'])", r"\\\1", name) + "'"
-
-
 def files_of(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> dict[str, str]:
-    """Return the texts of a target's files by their names.
+    """Return the text of a target's file by its name.
 
     Args:
         arm: the robot and its drives.
@@ -93,10 +74,15 @@ def files_of(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> dict[str,
         fits: the friction of each element, or of each joint if the target has no coupled elements.
     """
     robot, drives, turning = arm.robot, arm.drives, arm.drives.turning
-    name, motors = str(robot.model.name), [_place(arm, row) for row in turning.turns]
+    name = str(robot.model.name)
+    file = re.sub(r"[/\\]", "_", target.file.format(name=name))  # the names of robots may have slashes
+    if not target.template:
+        return {file: _urdf(arm, fits)}
+    period = (arm.rates if isinstance(arm, Setup) else Rates()).period
+    motors = [_place(arm, row) for row in turning.turns]
     values = {
         "name": name, "target": target, "robot": robot, "drives": drives, "fits": fits, "links": _links(arm),
-        "fixed": [one for one in robot.placements if one.name not in robot.joint_names],
+        "fixed": [placement for placement in robot.placements if placement.name not in robot.joint_names],
         "base": _body(robot.model.inertias[0]) | {"name": robot.placements[0].parent},
         "tcp": robot.model.frames[robot.model.getFrameId(robot.tcp_frame, pin.BODY)].placement,
         "rotors": drives.rotor_inertia @ turning.turns**2,
@@ -104,26 +90,9 @@ def files_of(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> dict[str,
         "motors": motors, "armature": dict(zip(motors, drives.rotor_inertia, strict=True)),
         "elements": [_place(arm, row) for row in turning.element_matrix],
         "element_turns": dict(zip(arm.friction.names, turning.element_matrix, strict=True)),
-        "parameters": {fit.name: {key: float(getattr(fit.elements[0], key)) for key in FRICTION_UNITS} for fit in fits},
-        "period": _period(arm), "solimp": SOLIMP, "solref": (SOLREF_STEPS * _period(arm), 1.0),
-        "linear_speed": LINEAR_SPEED, "actuator": BAM_ACTUATOR, "pi": math.pi,
+        "period": period, "solimp": SOLIMP, "solref": (SOLREF_STEPS * period, 1.0), "pi": math.pi,
     }  # fmt: skip
-    texts = {}
-    for file, template in target.files.items():
-        for fit in fits if "{element}" in file else fits[:1]:
-            text = render(template, **values, fit=fit) if template else _urdf(arm, target, fits)
-            # Names of robots and joints may have slashes.
-            place = re.sub(r"[/\\]", "_", file.format(name=name, word=_word(name), element=fit.name))
-            if place in texts:
-                raise ConfigError(
-                    f"{fit.name}: its file would be {place}, another element's, too; accepted: other names"
-                )
-            texts[place] = text
-    return texts
-
-
-def _period(arm: Arm) -> float:
-    return (arm.rates if isinstance(arm, Setup) else Rates()).period
+    return {file: _render(target.template, **values)}
 
 
 def _place(arm: Arm, row: Array) -> tuple[str, str]:
@@ -157,48 +126,30 @@ def _links(arm: Arm) -> list[dict[str, Any]]:
     pin.forwardKinematics(robot.model, data, np.zeros(robot.model.nq))
     for k, joint in enumerate(robot.joint_names):
         number = robot.model.getJointId(joint)
-        place, world = robot.model.jointPlacements[number], data.oMi[number]
-        axis = world.rotation.T @ robot.chain.axis[k]
+        place = robot.model.jointPlacements[number]
+        axis = data.oMi[number].rotation.T @ robot.chain.axis[k]
         # The spring: a tendon of free length 0 between a point of the link and one above the joint gives -k sin(q).
         side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         side /= np.linalg.norm(side)
-        z_to_axis = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
         links.append(_body(robot.model.inertias[number]) | {
             "name": children[joint], "joint": joint, "axis": axis,
             "position": place.translation, "turn": _quaternion(place.rotation),
             "rpy": pin.rpy.matrixToRpy(place.rotation),
-            "world_position": world.translation, "world_turn": _quaternion(world.rotation),
-            "axis_turn": _quaternion(z_to_axis), "axis_turn_above": _quaternion(place.rotation @ z_to_axis),
             "spring": springs[k] / (_SPRING_ARM * _SPRING_ANCHOR), "spring_arm": _SPRING_ARM * side,
             "spring_anchor": place.translation + _SPRING_ANCHOR * place.rotation @ side,
         })  # fmt: skip
     return links
 
 
-def _urdf(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> str:
-    """Return the robot's URDF with its tool, and friction and damping of its joints, or, for Drake, with its rotors.
-
-    Drake's parser reads the damping of a joint and ignores dry friction, so its URDF has neither.
-    """
-    root, drives = ET.fromstring(arm.robot.urdf), arm.drives
-    ET.register_namespace("drake", _DRAKE)
-    joints = {one.get("name"): one for one in root.findall("joint")}
-    for i, name in enumerate(arm.robot.joint_names):
-        for old in joints[name].findall("dynamics"):
-            joints[name].remove(old)
-        if not target.everything:
-            law = fits[i].law
-            ET.SubElement(joints[name], "dynamics", damping=_numbers(law.viscous[0]), friction=_numbers(law.tau_c))
-            continue
-        # Scaled so that Drake's square of the gear gives the right value; a motor that turns with two joints is in
-        # both.
-        gear, turning = drives.gear[i], drives.rotor_inertia @ drives.turning.turns[:, i] ** 2
-        transmission = ET.SubElement(root, "transmission", name=f"transmission_{i + 1}")
-        ET.SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
-        ET.SubElement(transmission, "joint", name=name)
-        actuator = ET.SubElement(transmission, "actuator", name=f"motor_{i + 1}")
-        ET.SubElement(actuator, f"{{{_DRAKE}}}gear_ratio", value=_numbers(gear))
-        ET.SubElement(actuator, f"{{{_DRAKE}}}rotor_inertia", value=_numbers(turning / gear**2))
+def _urdf(arm: Arm, fits: Sequence[FrictionFit]) -> str:
+    """Return the robot's URDF with its tool, and friction and damping of its joints."""
+    root = ET.fromstring(arm.robot.urdf)
+    joints = {joint.get("name"): joint for joint in root.findall("joint")}
+    for name, fit in zip(arm.robot.joint_names, fits, strict=True):
+        for earlier in joints[name].findall("dynamics"):
+            joints[name].remove(earlier)
+        damping, friction = _numbers(fit.law.viscous[0]), _numbers(fit.law.tau_c)
+        ET.SubElement(joints[name], "dynamics", damping=damping, friction=friction)
     return _indented(root)
 
 

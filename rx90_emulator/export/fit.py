@@ -15,12 +15,13 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction.element import SIGNS, FrictionElement, stribeck_decay
-from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_emulator.export.targets import Target
 
 POINTS = 400
 """Number of speeds at which curves are compared, logarithmically spaced."""
+DELTA = 2.0
+"""The Stribeck exponent of simulators."""
 
 _EXACT = 1e-12  # of the largest torque: rounding
 _SPEEDS = 1e-6, 1e4  # rad/s, range of all joints and motors
@@ -39,24 +40,18 @@ class SimulatorLaw:
         viscous: a, b and c of a v + b v |v| + c v^3, Nm s/rad, Nm s²/rad², Nm s³/rad³.
         c0: bristle stiffness, Nm/rad; infinite without bristles.
         c1: bristle damping, Nm s/rad.
-        load: factor of the load torque in the friction, and its additional part at rest.
-        table: speeds and torques of a sampled curve, shape (n, 2), None for the law above.
     """
 
     tau_c: float
     tau_s: float
     omega_s: float = 0.0
-    delta: float = 2.0
+    delta: float = DELTA
     viscous: tuple[float, float, float] = (0.0, 0.0, 0.0)
     c0: float = math.inf
     c1: float = 0.0
-    load: tuple[float, float] = (0.0, 0.0)
-    table: Array | None = None
 
     def torque(self, speed: Array) -> Array:
         """Return the torque of steady motion at speeds above 0, rad/s, in Nm."""
-        if self.table is not None:
-            return np.interp(speed, *self.table.T)
         a, b, c = self.viscous
         decay = stribeck_decay(speed, self.omega_s, self.delta) if self.omega_s > 0.0 else 0.0
         return np.asarray(self.tau_c + (self.tau_s - self.tau_c) * decay + speed * (a + speed * (b + speed * c)))
@@ -126,9 +121,7 @@ def fit_friction(target: Target, name: str, elements: Sequence[FrictionElement],
     forward, backward = (sum_of(elements, speeds, sign) for sign in (1.0, -1.0))
     law = _law(target, elements, speeds, 0.5 * (forward + backward))
     static = tuple(float(sum(getattr(one, f"tau_s_{sign}") for one in elements)) for sign in SIGNS)
-    difference = np.zeros(2)
-    if not target.everything:
-        difference = np.concatenate([forward, backward]) - np.tile(law.torque(speeds), 2)
+    difference = np.concatenate([forward, backward]) - np.tile(law.torque(speeds), 2)
     return FrictionFit(
         name,
         tuple(elements),
@@ -136,7 +129,7 @@ def fit_friction(target: Target, name: str, elements: Sequence[FrictionElement],
         speeds,
         float(np.abs(difference).max()),
         float(np.sqrt(np.mean(difference**2))),
-        (static, static if target.everything else (law.tau_s, law.tau_s)),
+        (static, (law.tau_s, law.tau_s)),
         (sum(one.c0 for one in elements), law.c0),
         tuple(each for one in elements for each in _lost(target, one, float(speeds.max()))),
     )
@@ -148,33 +141,20 @@ def _law(target: Target, elements: Sequence[FrictionElement], speeds: Array, tor
     def mean(parameter: str) -> float:
         return 0.5 * float(sum(getattr(one, f"{parameter}_{sign}") for one in elements for sign in SIGNS))
 
-    if target.sampled:
-        table = np.column_stack([[0.0, *speeds], [mean("tau_s"), *torque]])
-        return SimulatorLaw(mean("tau_c"), mean("tau_s"), table=table)
     first = elements[0]
-    curved = target.polynomial and any(one.alpha != 1.0 for one in elements)
+    curved = target.lugre and any(element.alpha != 1.0 for element in elements)
     copied = SimulatorLaw(
         tau_c=mean("tau_c"),
         tau_s=mean("tau_s") if target.breaks_away else mean("tau_c"),
-        omega_s=first.omega_s if target.stribeck else 0.0,
-        delta=first.delta if target.delta is None else target.delta,
+        omega_s=first.omega_s if target.lugre else 0.0,
         viscous=(float(sum(one.c2 * speeds.max() ** (one.alpha - 1.0) for one in elements)), 0.0, 0.0),
-        c0=sum(one.c0 for one in elements) if target.bristles else math.inf,
-        c1=sum(one.c1 for one in elements) if target.bristles else 0.0,
-        load=_load(first) if target.loaded else (0.0, 0.0),
+        c0=sum(one.c0 for one in elements) if target.lugre else math.inf,
+        c1=sum(one.c1 for one in elements) if target.lugre else 0.0,
     )
     off = float(np.abs(copied.torque(speeds) - torque).max())
-    if target.everything or off <= _EXACT * float(np.abs(torque).max()):
+    if off <= _EXACT * float(np.abs(torque).max()):
         return copied
     return _fitted(copied, target, curved, speeds, torque)
-
-
-def _load(element: FrictionElement) -> tuple[float, float]:
-    """Return the means of both directions of the power flow."""
-    load = element.load
-    if load is None:
-        return 0.0, 0.0
-    return 0.5 * (load.driving + load.driven), 0.5 * (load.stribeck_driving + load.stribeck_driven)
 
 
 def _fitted(law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torque: Array) -> SimulatorLaw:
@@ -185,19 +165,21 @@ def _fitted(law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torq
     from scipy.optimize import least_squares
 
     def law_of(x: Array) -> SimulatorLaw:
-        tau_c, rise, p, q, r, logarithm, delta = x.tolist()
+        tau_c, rise, p, q, r, logarithm = x.tolist()
         changed = replace(law, tau_c=tau_c, viscous=(p * p, 2.0 * p * q + r, q * q))
-        if not target.stribeck:
+        if not target.lugre:
             return replace(changed, tau_s=max(law.tau_s, tau_c) if target.breaks_away else tau_c)
-        return replace(changed, tau_s=tau_c + rise, omega_s=math.exp(logarithm), delta=delta)
+        return replace(changed, tau_s=tau_c + rise, omega_s=math.exp(logarithm))
 
-    free = np.array([True, target.stribeck, True, curved, curved, target.stribeck, target.delta is None])
-    least = np.array([0.0, 0.0, 0.0, -np.inf, 0.0, math.log(1e-6), 0.1])
-    most = np.array([np.inf, np.inf, np.inf, np.inf, np.inf, math.log(1e4), 20.0])
-    scale, least_cost, best = float(np.abs(torque).max()), math.inf, law
-    for factor in _STARTS if target.stribeck else (1.0,):
-        start = np.array([law.tau_c, law.tau_s - law.tau_c, math.sqrt(law.viscous[0]), 0.0, 0.0,
-                          math.log(factor * law.omega_s) if target.stribeck else 0.0, law.delta])  # fmt: skip
+    free = np.array([True, target.lugre, True, curved, curved, target.lugre])
+    least = np.array([0.0, 0.0, 0.0, -np.inf, 0.0, math.log(1e-6)])
+    most = np.array([np.inf, np.inf, np.inf, np.inf, np.inf, math.log(1e4)])
+    scale = float(np.abs(torque).max())
+    least_cost = math.inf
+    best = law
+    for factor in _STARTS if target.lugre else (1.0,):
+        logarithm = math.log(factor * law.omega_s) if target.lugre else 0.0
+        start = np.array([law.tau_c, law.tau_s - law.tau_c, math.sqrt(law.viscous[0]), 0.0, 0.0, logarithm])
         if curved:
             start[3:5] = -0.1 * start[2] / speeds[-1], 1e-3 * start[2]
         start = np.where(free, np.clip(start, least + 1e-9, most), start)
@@ -221,39 +203,30 @@ def _fitted(law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torq
 def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]:
     """Return properties of an element that a target does not represent, with sizes up to a speed, rad/s."""
     lost = []
-    if not target.everything:
-        differences = [
-            abs(getattr(element, f"{p}_positive") - getattr(element, f"{p}_negative")) for p in ("tau_c", "tau_s")
-        ]
-        if any(differences):
-            lost.append(
-                f"signs: tau_c and tau_s differ by {differences[0]:.3g} and {differences[1]:.3g} Nm, their means are "
-                "kept"
-            )
-        rise = max(getattr(element, f"tau_s_{sign}") - getattr(element, f"tau_c_{sign}") for sign in SIGNS)
-        if rise and not target.stribeck:
-            kept = "kept as break-away torque alone" if target.breaks_away else "left out"
-            lost.append(f"Stribeck curve: {rise:.3g} Nm above tau_c near rest, {kept}")
-        elif rise and target.delta not in {None, element.delta} and not target.sampled:
-            lost.append(f"Stribeck exponent {element.delta:g}: {target.delta:g}, fitted")
-        if element.alpha != 1.0 and not target.sampled:
-            kind = "a polynomial of the third degree" if target.polynomial else "a linear one"
-            lost.append(f"viscous exponent {element.alpha:g}: {kind}, fitted")
-        if not target.bristles:
-            lost.append("bristles: the stiffness of presliding, and its hysteresis")
-        elif math.isfinite(element.omega_d):
-            limit = replace(element, omega_d=math.inf).passivity_limit(fastest)
-            gives = "" if math.isinf(limit) else f", and the element not passive from {limit:.2g} rad/s on"
-            lost.append(f"fading of c1 above {element.omega_d:g} rad/s: it is constant{gives}")
+    coulomb = abs(element.tau_c_positive - element.tau_c_negative)
+    static = abs(element.tau_s_positive - element.tau_s_negative)
+    if coulomb or static:
+        lost.append(f"signs: tau_c and tau_s differ by {coulomb:.3g} and {static:.3g} Nm, their means are kept")
+    rise = max(element.tau_s_positive - element.tau_c_positive, element.tau_s_negative - element.tau_c_negative)
+    if rise and not target.lugre:
+        kept = "kept as break-away torque alone" if target.breaks_away else "left out"
+        lost.append(f"Stribeck curve: {rise:.3g} Nm above tau_c near rest, {kept}")
+    elif rise and element.delta != DELTA:
+        lost.append(f"Stribeck exponent {element.delta:g}: {DELTA:g}, fitted")
+    if element.alpha != 1.0:
+        kind = "a polynomial of the third degree" if target.lugre else "a linear one"
+        lost.append(f"viscous exponent {element.alpha:g}: {kind}, fitted")
+    if not target.lugre:
+        lost.append("bristles: the stiffness of presliding, and its hysteresis")
+    elif math.isfinite(element.omega_d):
+        limit = replace(element, omega_d=math.inf).passivity_limit(fastest)
+        gives = "" if math.isinf(limit) else f", and the element not passive from {limit:.2g} rad/s on"
+        lost.append(f"fading of c1 above {element.omega_d:g} rad/s: it is constant{gives}")
     if element.bristles is not None:
         lost.append(f"bristles of the kind {type(element.bristles).__name__}: those of LuGre")
     if (load := element.load) is not None:
-        lost += (
-            _load_losses(load)
-            if target.loaded
-            else [
-                f"load: friction grows by {load.driving:.3g} (driving), {load.driven:.3g} (driven) of the load torque"
-            ]
+        lost.append(
+            f"load: friction grows by {load.driving:.3g} (driving), {load.driven:.3g} (driven) of the load torque"
         )
     if (warmth := element.temperature) is not None:
         warm, cold = warmth.viscous_range
@@ -261,21 +234,4 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
     for part in ("ripple", "scatter"):
         if getattr(element, part) is not None:
             lost.append(f"{part}: the mean is kept")
-    return lost
-
-
-def _load_losses(load: LoadPart) -> list[str]:
-    """Return properties of a load part that a target with the means of both directions does not represent."""
-    lost = []
-    for at, driving, driven in (
-        ("while sliding", load.driving, load.driven),
-        ("at rest, beyond that", load.stribeck_driving, load.stribeck_driven),
-    ):
-        if driving != driven:
-            off = 0.5 * abs(driving - driven)
-            lost.append(f"load {at}: driving and driven, {driving:.3g} and {driven:.3g}: their mean, {off:.2g} l off")
-    if quadratic := max(load.quadratic_driving, load.quadratic_driven):
-        lost.append(f"load at rest: growth by the square of the load torque l, up to {quadratic:.3g} l^2")
-    if load.omega_s:
-        lost.append(f"load: its Stribeck velocity of {load.omega_s:g} rad/s: that of the element")
     return lost

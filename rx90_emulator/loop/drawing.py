@@ -1,8 +1,4 @@
-"""Paths from other programs' files: points in a CSV file, G-code, DXF drawings.
-
-G-code: G0 to G3 in the plane G17, absolute or relative (G90, G91; centres G91.1, G90.1), in mm or inches (G21, G20), as
-RS274/NGC has them (Kramer, Proctor, Messina 2000, NISTIR 6556). F is the speed of G1 to G3, per minute; G0 goes at the
-path's own speed. The moves by G0 at the beginning lead to the start. M, S, T and E words do not move the tool.
+"""Paths from other programs' files: points in a CSV file, DXF drawings.
 
 DXF: LINE, ARC, CIRCLE, LWPOLYLINE, POLYLINE and SPLINE, joined end to end; splines by points on them.
 """
@@ -30,23 +26,11 @@ from rx90_controller.paths.path import Segment
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 25.4e-3}
 """Units of drawings, m."""
 _DXF_UNITS = {1: "in", 4: "mm", 5: "cm", 6: "m"}
-_CSV, _GCODE, _DXF = (".csv",), (".nc", ".ngc", ".gcode", ".tap"), (".dxf",)
 _MOST_BYTES = 16 << 20
 _MOST_POINTS = 50_000  # what a spline through them needs is some 200 MB
 _JOIN_TOLERANCE = 1e-4  # of the drawing's unit: ends closer than this are one
-_ARC_RADIUS_TOLERANCE = 0.02  # mm: how unequally far from the centre an arc's ends may be, as programs round them
 _POINTS_PER_SPAN = 12  # points on each span of a drawing's spline
-_WORD = re.compile(r"([A-Za-z])\s*([-+]?(?:\d+\.?\d*|\.\d+))\s*")
-_COMMENT = re.compile(r"\([^)]*\)|;.*$")
 _HEAD = re.compile(r"\s*(\w+)\s*(?:\[\s*(\w+)\s*\])?\s*")
-_IGNORED_G_CODES = {17.0, 40.0, 49.0, 54.0, 61.0, 64.0, 69.0, 80.0, 94.0}
-_IGNORED_WORDS = frozenset("MSTENO")
-_PRINTERS_M = {73.0, 84.0, 92.0}  # and from M100 on: they set up a printer; the X of M201 X500 is a limit, no move
-_SUBPROGRAM_M = 198.0  # in another file
-
-
-def _sets_up_a_printer(letter: str, value: float) -> bool:
-    return letter == "M" and (value >= 100.0 or value in _PRINTERS_M) and value != _SUBPROGRAM_M
 
 
 def _lines_of(file: Path) -> list[str]:
@@ -108,8 +92,8 @@ class Drawing:
     """A file that a path is read from, and where it lies.
 
     Attributes:
-        file: its name ends with .csv, .nc, .ngc, .gcode, .tap or .dxf.
-        unit: of its numbers, one of UNITS; None: that the file names, of G-code without G20 mm.
+        file: its name ends with .csv or .dxf.
+        unit: of its numbers, one of UNITS; None: that the file names.
         origin: where its origin lies, m.
         rpy: roll, pitch and yaw of its axes, rad.
         points: "spline" or "lines" through the points of a CSV file.
@@ -132,12 +116,11 @@ class Drawing:
             ConfigError: naming file, line or entity, what is wrong and what is accepted.
         """
         kind = self.file.suffix.lower()
-        if kind not in (*_CSV, *_GCODE, *_DXF):
-            self._refuse(f"ends with {quoted(kind)}; accepted: {', '.join((*_CSV, *_GCODE, *_DXF))}")
-        if self.layer is not None and kind not in _DXF:
+        if kind not in (".csv", ".dxf"):
+            self._refuse(f"ends with {quoted(kind)}; accepted: .csv, .dxf")
+        if self.layer is not None and kind != ".dxf":
             self._refuse("layer of a file without layers; accepted: of .dxf")
-        reader = self._dxf if kind in _DXF else self._csv if kind in _CSV else self._gcode
-        unit, start, segments = reader()
+        unit, start, segments = self._dxf() if kind == ".dxf" else self._csv()
         if not segments:
             self._refuse("holds no path; accepted: two different points or more")
         if (count := sum(len(one.points) for one in segments)) > _MOST_POINTS:
@@ -248,158 +231,28 @@ class Drawing:
 
     def _chained(self, drawn: list[_Drawn]) -> tuple[tuple[float, ...], list[Segment]]:
         """Return start and segments end to end, from an open end, else from the start of the first one."""
-        from scipy.spatial import cKDTree
+        from ezdxf.edgeminer import Deposit, find_simple_chain, make_edge, reverse_chain
 
-        ends = np.array([end for start, one in drawn for end in (start, one.points[-1])], dtype=np.float64)
-        if not np.isfinite(ends).all():
+        edges = [make_edge(start, segment.points[-1], payload=segment) for start, segment in drawn]
+        if not all(math.isfinite(edge.length) for edge in edges):
             self._refuse("has an end that is no place; accepted: finite coordinates")
-        touching: list[list[int]] = list(cKDTree(ends).query_ball_point(ends, _JOIN_TOLERANCE))  # type: ignore[arg-type]
-        crowded = max(touching, key=len)
-        if len(crowded) > 2:
-            place = ends[crowded[0]].tolist()
-            self._refuse(f"{len(crowded)} ends meet at {place}; accepted: two, one path without branches")
-        at = first = next((k for k, each in enumerate(touching) if len(each) == 1), 0)
-        found: list[Segment] = []
-        left = set(range(len(drawn)))
-        while left:
-            if at // 2 not in left:
-                self._refuse(
-                    f"goes on nowhere from {ends[at].tolist()}, {len(left)} entities are left; accepted: one path"
-                )
-            start, one = drawn[at // 2]
-            left.remove(at // 2)
-            if at % 2:  # drawn backwards
-                normal = tuple(-x for x in one.normal)
-                one = replace(one, points=(*one.points[-2::-1], start), normal=normal)
-            found.append(one)
-            at = next((k for k in touching[at ^ 1] if k // 2 in left), at ^ 1)
-        return tuple(ends[first].tolist()), found
-
-    def _gcode(self) -> tuple[str, Any, list[Segment]]:
-        program = _Program(self.file, self.unit or "mm")
-        for number, line in enumerate(_lines_of(self.file), 1):
-            left, words, at = _COMMENT.sub(" ", line).strip(), list[tuple[str, float]](), 0
-            if left in ("", "%") or left.startswith("/"):
-                continue
-            while at < len(left):
-                word = _WORD.match(left, at)
-                if word is None:
-                    self._refuse(f"line {number}: {quoted(left[at : at + 20])}; accepted: words such as G1 or X12.5")
-                words.append((word[1].upper(), float(word[2])))
-                at = word.end()
-            program.execute(number, words)
-            if any(word in (("M", 2.0), ("M", 30.0)) for word in words):
-                break
-        return "mm", program.start.tolist(), program.segments
+        found = find_simple_chain(Deposit(edges, gap_tol=_JOIN_TOLERANCE), edges[0])
+        chain = list(dict.fromkeys(found))  # a circle comes twice
+        if len(chain) < len(edges):
+            left = len(edges) - len(chain)
+            ends = f"from {tuple(chain[0].start)} to {tuple(chain[-1].end)}"
+            self._refuse(f"is one path {ends}, and {left} entities beside it; accepted: one path without branches")
+        if chain[-1].id < chain[0].id:
+            chain = reverse_chain(chain)
+        segments = []
+        for edge in chain:
+            segment = edge.payload
+            if edge.is_reverse:
+                points = (*segment.points[-2::-1], tuple(edge.end))
+                segment = replace(segment, points=points, normal=tuple(-x for x in segment.normal))
+            segments.append(segment)
+        return tuple(chain[0].start), segments
 
 
 _Drawn: TypeAlias = tuple[tuple[float, ...], Segment]
 """A start and a segment from there."""
-
-
-class _Program:
-    """A G-code program, line by line.
-
-    Attributes:
-        start: where its path begins, mm.
-        segments: so far, in mm.
-    """
-
-    def __init__(self, file: Path, unit: str) -> None:
-        self._file, self._number = file, 0
-        self._unit = UNITS[unit] / UNITS["mm"]  # mm, as all lengths here
-        self._relative, self._relative_center = False, True
-        self._mode: float | None = None
-        self._feed: float | None = None  # m/s
-        self._at: Array | None = None
-        self.start: Array = np.zeros(3)
-        self.segments: list[Segment] = []
-
-    def _refuse(self, text: str) -> NoReturn:
-        raise ConfigError(f"{plain(self._file)}: line {self._number}: {text}")
-
-    def execute(self, line: int, words: list[tuple[str, float]]) -> None:
-        """Execute the words of a line."""
-        self._number, numbers, motion = line, dict[str, float](), False
-        own = [word for word in words if word[0] != "N"]
-        if own and _sets_up_a_printer(*own[0]) and all(letter != "G" for letter, _ in own):
-            return
-        for letter, value in words:
-            if letter == "G":
-                motion |= self._code(value, words)
-            elif letter in "XYZIJKRF":
-                if letter in numbers:
-                    self._refuse(f"{letter} stands twice; accepted: once")
-                numbers[letter] = value
-            elif letter not in _IGNORED_WORDS and not (letter in "PQ" and ("G", 64.0) in words):
-                self._refuse(f"{letter}{value:g}; accepted: X, Y, Z, I, J, R, F, and words that do not move")
-        if "F" in numbers:
-            if not numbers["F"] > 0.0:
-                self._refuse(f"F{numbers['F']:g}; accepted: a number > 0")
-            self._feed = numbers["F"] * self._unit * UNITS["mm"] / 60.0  # m/s
-        if any(axis in numbers for axis in "XYZ") or (motion and "I" in numbers):
-            self._move(numbers)
-
-    def _code(self, code: float, words: list[tuple[str, float]]) -> bool:
-        """Execute a G word; return whether it is a motion."""
-        if code in (0.0, 1.0, 2.0, 3.0):
-            self._mode = code
-            return True
-        if code in (20.0, 21.0):
-            self._unit = UNITS["in" if code == 20.0 else "mm"] / UNITS["mm"]
-        elif code in (90.0, 91.0):
-            self._relative = code == 91.0
-        elif code in (90.1, 91.1):
-            self._relative_center = code == 91.1
-        elif code == 92.0 and {letter for letter, _ in words} <= {"G", "E", "N"}:
-            pass  # of a printer's extruder
-        elif code not in _IGNORED_G_CODES:
-            self._refuse(f"G{code:g}; accepted: G0 to G3, G17, G20, G21, G90, G91, G90.1, G91.1")
-        return False
-
-    def _move(self, numbers: dict[str, float]) -> None:
-        if self._mode is None:
-            self._refuse("moves without G0, G1, G2 or G3; accepted: with one of them")
-        before, arc = self._at, self._mode in (2.0, 3.0)
-        end = self._at = np.zeros(3) if before is None else before.copy()
-        for k, axis in enumerate("XYZ"):
-            if axis in numbers:
-                end[k] = numbers[axis] * self._unit + (end[k] if self._relative else 0.0)
-        if before is None or (not self.segments and self._mode == 0.0):
-            if arc:
-                self._refuse("an arc from nowhere; accepted: after a G0 or G1")
-            self.start = end
-            return
-        place, speed = (tuple(end.tolist()),), None if self._mode == 0.0 else self._feed
-        if arc:
-            if end[2] != before[2] or numbers.get("K"):
-                self._refuse("an arc that leaves the plane G17; accepted: X, Y, I and J")
-            center, normal = self._center(before, end, numbers), (0.0, 0.0, 1.0 if self._mode == 3.0 else -1.0)
-            near, far = np.linalg.norm(before - center), np.linalg.norm(end - center)
-            if near == 0.0 or abs(near - far) > _ARC_RADIUS_TOLERANCE:
-                self._refuse(f"the arc's ends are {near:.6g} and {far:.6g} mm from its centre; accepted: as far")
-            self.segments.append(Segment(place, "arc", tuple(center.tolist()), normal, speed=speed))
-        elif np.any(end != before):
-            self.segments.append(Segment(place, speed=speed))
-
-    def _center(self, start: Array, end: Array, numbers: dict[str, float]) -> Array:
-        if "R" in numbers:
-            chord, radius = end - start, numbers["R"] * self._unit
-            half = 0.5 * float(np.linalg.norm(chord))
-            if half == 0.0 or abs(radius) < half * (1.0 - 1e-4):
-                self._refuse(
-                    f"R{numbers['R']:g} between ends {2.0 * half:g} mm apart; accepted: half of that, or more, between "
-                    "different ends"
-                )
-            height = math.sqrt(max(radius * radius - half * half, 0.0))
-            across = np.array([-chord[1], chord[0], 0.0]) / (2.0 * half)
-            left = (self._mode == 3.0) == (radius > 0.0)
-            return np.asarray(0.5 * (start + end) + (height if left else -height) * across)
-        if "I" not in numbers and "J" not in numbers:
-            self._refuse("an arc without a centre; accepted: with I and J, or with R")
-        offset = np.array([numbers.get("I", 0.0), numbers.get("J", 0.0), 0.0]) * self._unit
-        if self._relative_center:
-            return np.asarray(start + offset)
-        if not {"I", "J"} <= numbers.keys():
-            self._refuse("an arc whose centre is absolute (G90.1) has I or J alone; accepted: both")
-        return np.asarray(offset + np.array([0.0, 0.0, start[2]]))

@@ -23,86 +23,119 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.points import points_from_message
 from rx90_emulator.loop.drawing import UNITS, Drawing
 
-_point = Numbers("", "m", count=3)
-_speed = Number("Speed along it; that of the path if left out.", "m/s", low=0.0, above=True, default=LEFT_OUT)
-_LINE = TASK.keys["line"].keys  # type: ignore[attr-defined]
-
+_TASK_LINE = TASK.keys["line"]
+assert isinstance(_TASK_LINE, Group)
+_LINE = Group("A straight line.", keys={"end": Numbers("Its end.", "m", count=3)}, default=LEFT_OUT)
+_ARC = Group(
+    "A circular arc: through `via`, or about `center`, counter-clockwise seen against `normal`. A full circle about "
+    "its centre ends at its start.",
+    one_of=("via", "center"),
+    needed_by={"normal": "center"},
+    default=LEFT_OUT,
+    keys={
+        "via": Numbers("A place between its ends.", "m", count=3, default=LEFT_OUT),
+        "center": Numbers("Its centre.", "m", count=3, default=LEFT_OUT),
+        "normal": Numbers("Of its plane; up if left out.", "1", count=3, default=LEFT_OUT),
+        "end": Numbers("Its end.", "m", count=3),
+    },
+)
+_POINTS = ListOf(
+    "Points behind its start.",
+    "m",
+    item=Numbers("", "m", count=3),
+    least=1,
+    accepted="a list of points, one or more",
+)
+_SPLINE = Group("A natural cubic spline through points.", keys={"points": _POINTS}, default=LEFT_OUT)
+_SEGMENT = Group(
+    "A segment.",
+    one_of=("line", "arc", "spline"),
+    keys={
+        "line": _LINE,
+        "arc": _ARC,
+        "spline": _SPLINE,
+        "speed": Number("Speed along it; that of the path if left out.", "m/s", low=0.0, above=True, default=LEFT_OUT),
+        "zone": Number(
+            "How far before and behind its end a blend rounds the corner to the next segment; 0 if left out: the tool "
+            "stops at a corner.",
+            "m",
+            low=0.0,
+            default=LEFT_OUT,
+        ),
+        "tool_rpy_degrees": Numbers(
+            "Of an interpolated orientation: roll, pitch and yaw of the tool at its end; as at its start if left out.",
+            "deg",
+            count=3,
+            low=-360.0,
+            high=360.0,
+            default=LEFT_OUT,
+        ),
+    },
+)
+_FILE = Group(
+    "A file with the path: points (.csv) or a drawing (.dxf).",
+    default=LEFT_OUT,
+    keys={
+        "name": Text("The file, beside this one."),
+        "unit": Text("Unit of its numbers.", choices=tuple(UNITS), default=LEFT_OUT),
+        "origin": Numbers(
+            "Where its origin lies, in base_link; base_link's if left out.", "m", count=3, default=LEFT_OUT
+        ),
+        "rpy_degrees": Numbers(
+            "Roll, pitch and yaw of its axes.", "deg", count=3, low=-360.0, high=360.0, default=LEFT_OUT
+        ),
+        "points": Text(
+            "Points of a CSV file as the corners of lines, or on a spline; spline if left out.",
+            choices=("lines", "spline"),
+            default=LEFT_OUT,
+        ),
+        "layer": Text("Layer of the drawing; all if left out.", default=LEFT_OUT),
+        "zone": Number("Zone at each corner; 0 if left out.", "m", low=0.0, default=LEFT_OUT),
+    },
+)
+_MOTION = Group(
+    "The path and the motion along it.",
+    one_of=("segments", "file"),
+    needed_by={"segments": "start"},
+    keys={
+        "start": Numbers("Start, in base_link.", "m", count=3, default=LEFT_OUT),
+        "segments": ListOf(
+            "Lines, arcs and splines, each from the end of the one before it.",
+            item=_SEGMENT,
+            accepted="a list of segments, one or more",
+            least=1,
+            default=LEFT_OUT,
+        ),
+        "file": _FILE,
+        "speed": Number("Speed along the path.", "m/s", low=0.0, above=True),
+        "acceleration": Number("Largest acceleration along the path.", "m/s^2", low=0.0, above=True),
+        "jerk": Number(
+            "Largest jerk along the path; trapezoids of the speed if left out.",
+            "m/s^3",
+            low=0.0,
+            above=True,
+            default=LEFT_OUT,
+        ),
+        "orientation": Text(
+            "Of the tool: fixed; turning about its z axis as the path does; or interpolated from segment to segment. "
+            "Fixed if left out.",
+            choices=ORIENTATIONS,
+            default=LEFT_OUT,
+        ),
+        "tool_rpy_degrees": Numbers(
+            "Roll, pitch and yaw of the tool at the start, about fixed axes of base_link.",
+            "deg",
+            count=3,
+            low=-360.0,
+            high=360.0,
+        ),
+        **{key: _TASK_LINE.keys[key] for key in ("rest_before", "rest_after", "singularity_margin", "start_posture")},
+    },
+)
 PATH = Group(
     "A path of the tool centre point: lines, arcs and splines.",
-    keys={
-        "path": Group(
-            "The path and the motion along it.",
-            one_of=("segments", "file"),
-            needed_by={"segments": "start"},
-            keys={
-                "start": Numbers("Start, in base_link.", "m", count=3, default=LEFT_OUT),
-                "segments": ListOf(
-                    "Lines, arcs and splines, each from the end of the one before it.",
-                    item=Group(
-                        "A segment.",
-                        one_of=("line", "arc", "spline"),
-                        keys={
-                            "line": Group("A straight line.", default=LEFT_OUT,
-                                          keys={"end": Numbers("Its end.", "m", count=3)}),
-                            "arc": Group(
-                                "A circular arc: through `via`, or about `center`, counter-clockwise seen against "
-                                "`normal`. A full circle about its centre ends at its start.",
-                                one_of=("via", "center"), needed_by={"normal": "center"}, default=LEFT_OUT,
-                                keys={
-                                    "via": Numbers("A place between its ends.", "m", count=3, default=LEFT_OUT),
-                                    "center": Numbers("Its centre.", "m", count=3, default=LEFT_OUT),
-                                    "normal": Numbers("Of its plane; up if left out.", "1", count=3, default=LEFT_OUT),
-                                    "end": Numbers("Its end.", "m", count=3),
-                                },
-                            ),
-                            "spline": Group(
-                                "A natural cubic spline through points.", default=LEFT_OUT,
-                                keys={"points": ListOf("Points behind its start.", "m", item=_point, least=1,
-                                                       accepted="a list of points, one or more")},
-                            ),
-                            "speed": _speed,
-                            "zone": Number(
-                                "How far before and behind its end a blend rounds the corner to the next segment; "
-                                "0 if left out: the tool stops at a corner.", "m", low=0.0, default=LEFT_OUT),
-                            "tool_rpy_degrees": Numbers(
-                                "Of an interpolated orientation: roll, pitch and yaw of the tool at its end; as at its "
-                                "start if left out.", "deg", count=3, low=-360.0, high=360.0, default=LEFT_OUT),
-                        },
-                    ),
-                    accepted="a list of segments, one or more", least=1, default=LEFT_OUT,
-                ),
-                "file": Group(
-                    "A file with the path: points (.csv), G-code (.nc, .ngc, .gcode, .tap) or a drawing (.dxf).",
-                    default=LEFT_OUT,
-                    keys={
-                        "name": Text("The file, beside this one."),
-                        "unit": Text("Unit of its numbers; of G-code, mm unless it says G20.", choices=tuple(UNITS),
-                                     default=LEFT_OUT),
-                        "origin": Numbers("Where its origin lies, in base_link; base_link's if left out.", "m",
-                                          count=3, default=LEFT_OUT),
-                        "rpy_degrees": Numbers("Roll, pitch and yaw of its axes.", "deg", count=3, low=-360.0,
-                                               high=360.0, default=LEFT_OUT),
-                        "points": Text("Points of a CSV file as the corners of lines, or on a spline; spline if left "
-                                       "out.", choices=("lines", "spline"), default=LEFT_OUT),
-                        "layer": Text("Layer of the drawing; all if left out.", default=LEFT_OUT),
-                        "zone": Number("Zone at each corner; 0 if left out.", "m", low=0.0, default=LEFT_OUT),
-                    },
-                ),
-                "speed": Number("Speed along the path.", "m/s", low=0.0, above=True),
-                "acceleration": Number("Largest acceleration along the path.", "m/s^2", low=0.0, above=True),
-                "jerk": Number("Largest jerk along the path; trapezoids of the speed if left out.", "m/s^3", low=0.0,
-                               above=True, default=LEFT_OUT),
-                "orientation": Text(
-                    "Of the tool: fixed; turning about its z axis as the path does; or interpolated from segment to "
-                    "segment. Fixed if left out.", choices=ORIENTATIONS, default=LEFT_OUT),
-                "tool_rpy_degrees": Numbers("Roll, pitch and yaw of the tool at the start, about fixed axes of "
-                                            "base_link.", "deg", count=3, low=-360.0, high=360.0),
-                **{key: _LINE[key] for key in ("rest_before", "rest_after", "singularity_margin", "start_posture")},
-            },
-        ),
-        "posture": TASK.keys["posture"],
-    },
-)  # fmt: skip
+    keys={"path": _MOTION, "posture": TASK.keys["posture"]},
+)
 """What a path file holds."""
 
 

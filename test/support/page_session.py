@@ -34,8 +34,8 @@ from rx90_emulator.cli.frame import EXECUTABLES, run
 _STAND_IN = Path(__file__).with_name("ros2_stand_in.py")
 _TIMEOUT = 400.0  # s, of a command: generous, for a loaded machine with nothing compiled yet
 _FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
-_HERE = {"friction_ramp", "rx90_bag", "rx90_compare_measured", "rx90_correct", "rx90_experiment",
-         "rx90_export", "rx90_identify", "rx90_import", "rx90_line", "rx90_path", "rx90_run", "rx90_sweep"}  # fmt: skip
+_HERE = {"friction_ramp", "rx90_bag", "rx90_compare_measured", "rx90_correct", "rx90_experiment", "rx90_export",
+         "rx90_identify", "rx90_line", "rx90_path", "rx90_run", "rx90_sweep"}  # fmt: skip
 """Commands that are run in the process of the test, with the slow imports done: none of them is a node or goes on."""
 
 

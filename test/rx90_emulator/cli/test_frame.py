@@ -126,7 +126,6 @@ WRITTEN = {
         "rx90_experiment": ["run", "--engine", "--robot", "nowhere"],
         "rx90_export": ["urdf", "--robot", "nowhere"],
         "rx90_identify": ["nowhere"],
-        "rx90_import": ["nowhere"],
         "rx90_line": ["--task", "nowhere"],
         "rx90_own_controller": ["--engine", "--robot", "nowhere"],
         "rx90_path": ["nowhere"],

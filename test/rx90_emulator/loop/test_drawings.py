@@ -1,4 +1,4 @@
-"""Paths from CSV, G-code and DXF: against points by hand, RS274's rules and ezdxf's own geometry."""
+"""Paths from CSV and DXF: against points by hand and ezdxf's own geometry."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.drawing import Drawing
 from rx90_emulator.loop.path_file import load_path
 
-HALF = math.sqrt(0.5)
-
 
 def _read(folder: File, name: str, text: str, **more: Any) -> Path:
     file = folder / name
@@ -26,67 +24,19 @@ def _read(folder: File, name: str, text: str, **more: Any) -> Path:
     return Path(*Drawing(file, **more).read())
 
 
-GCODE = {
-    # text, points that the path passes at shares of its length, m, length, m
-    "lines and both arcs": (
-        "%\nN10 G21 G90 (mm)\nG0 X100 Y0 Z5\nG0 Z-1\nM3 S100\nG1 X110 F600\nG3 X120 Y10 I0 J10\nG1 Y20\n"
-        "G2 X130 Y30 I10\nM5\nM30\nG1 X999\n%\n",
-        [(0.0, (0.1, 0.0, -1e-3)), (1.0, (0.13, 0.03, -1e-3))],
-        0.02 + 2 * math.pi * 0.01 / 2,
-    ),
-    "relative, in inches": (
-        "G20\nG91\nG1 X1 Y1\nG1 X1\nX1\n",
-        [(0.0, (0.0254, 0.0254, 0.0)), (1.0, (0.0762, 0.0254, 0.0))],
-        0.0508,
-    ),
-    "an arc by its radius, the short way and the long way": (
-        "G0 X10 Y0\nG3 X0 Y10 R10 F60\nG3 X10 Y0 R-10\n",
-        [(0.125, (0.01 * HALF, 0.01 * HALF, 0.0)), (0.5, (-0.01, 0.0, 0.0))],
-        2 * math.pi * 0.01 * (0.25 + 0.75),
-    ),
-    "a full circle, with an absolute centre": (
-        "G90.1\nG0 X10 Y0 Z2\nG2 X10 Y0 I0 J0 F60\n",
-        [(0.25, (0.0, -0.01, 2e-3)), (0.5, (-0.01, 0.0, 2e-3))],
-        2 * math.pi * 0.01,
-    ),
-    "settings of a printer are no moves, a coolant is no setting": (
-        "M73 P0 R5\nM201 X500 Y500 Z100 E5000\nG0 X0 Y0\nG1 X10 F600\nN7 M205 X8 Y8\nM8 Y5 M106\nG1 X20 M106\n",
-        [(1.0, (0.02, 5e-3, 0.0))],
-        0.025,
-    ),
-    "clockwise from quarter to eighth": (
-        "g0x0y10\ng2x7.0710678y7.0710678j-10",
-        [(1.0, (0.01 * HALF, 0.01 * HALF, 0.0))],
-        math.pi / 4 * 0.01,
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", GCODE)
-def test_gcode_is_drawn_as_its_rules_say(tmp_path: File, name: str) -> None:
-    """Length, and places at shares of it, are those that the words mean."""
-    text, places, length = GCODE[name]
-    path = _read(tmp_path, "part.nc", text)
-    assert path.length == pytest.approx(length, rel=1e-6)
-    for share, place in places:
-        np.testing.assert_allclose(path.curve.at(np.array([share * path.length]))[0], place, atol=1e-8)
-
-
-def test_f_is_the_speed_of_cuts_and_g0_goes_at_the_paths(tmp_path: File) -> None:
-    """F600 in mm/min is 0.01 m/s; in inches 25.4 times that."""
-    path = _read(tmp_path, "part.ngc", "G0 X0 Y0\nG1 X10 F600\nG0 Y10\nG20 F600\nG1 X1\n")
-    assert [one.speed for one in path.segments] == pytest.approx([0.01, None, 0.254])
-
-
-def test_a_drawing_is_laid_where_its_origin_and_axes_are(tmp_path: File) -> None:
+def test_a_drawing_is_laid_where_its_origin_and_axes_are(tmp_path: File, drawing: Any) -> None:
     """A quarter turn about z and a shift: x becomes y; arcs keep their sense, and a rounded corner its zone."""
-    turned = _read(tmp_path, "part.nc", "G0 X10 Y0\nG3 X0 Y10 I-10\nG1 X-20", origin=(0.5, 0.1, 0.2),
-                   rpy=(0.0, 0.0, math.pi / 2), zone=0.002)  # fmt: skip
+    space = drawing.modelspace()
+    space.add_arc((0.0, 0.0), 10.0, 0.0, 90.0)
+    space.add_line((0.0, 10.0), (-20.0, 10.0))
+    place = {"origin": (0.5, 0.1, 0.2), "rpy": (0.0, 0.0, math.pi / 2)}
+    turned = _dxf(tmp_path, drawing, zone=0.002, **place)
     ends = turned.curve.at(np.array([0.0, turned.length]))
     np.testing.assert_allclose(ends, [(0.5, 0.11, 0.2), (0.49, 0.08, 0.2)], atol=1e-9)
     assert turned.stops == (0.0, turned.length), "the arc goes over into the line"
-    corner = _read(tmp_path, "corner.nc", "G0 X0 Y0\nG1 X10\nG1 Y3", zone=0.002)
-    assert corner.segments[0].zone == 0.0015, "half of the shorter neighbour"
+    space.add_line((-20.0, 10.0), (-20.0, 13.0))
+    corner = _dxf(tmp_path, drawing, zone=0.002, **place)
+    assert corner.segments[1].zone == pytest.approx(0.0015), "half of the shorter neighbour"
     assert len(corner.stops) == 2
 
 
@@ -116,20 +66,8 @@ REFUSED = {
     "not a number": ("p.csv", "1 2 nan\n", {"unit": "m"}, "line 1 is '1, 2, nan'"),
     "twice": ("p.csv", "1 2 3\n1 2 3\n", {"unit": "m"}, r"points 1 and 2 are both \(1.0, 2.0, 3.0\)"),
     "one point": ("p.csv", "1 2 3\n", {"unit": "m"}, "holds 1 points; accepted: two or more"),
-    "no motion word": ("p.nc", "X1 Y2\n", {}, "line 1: moves without G0, G1, G2 or G3"),
-    "not a word": ("p.nc", "G0 X1\n$I\n", {}, r"line 2: '\$I'; accepted: words"),
-    "another plane": ("p.nc", "G18\n", {}, "line 1: G18; accepted: G0 to G3, G17"),
-    "home": ("p.nc", "G0 X1\nG28\n", {}, "line 2: G28"),
-    "a helix": ("p.nc", "G0 X10 Y0 Z0\nG2 X-10 Z5 I-10\n", {}, "line 2: an arc that leaves the plane G17"),
-    "ends elsewhere": ("p.nc", "G0 X10 Y0\nG2 X0 Y5 I-10\n", {}, "line 2: the arc's ends are 10 and 5 mm"),
-    "a short radius": ("p.nc", "G0 X10 Y0\nG2 X-10 Y0 R5\n", {}, "line 2: R5 between ends 20 mm apart"),
-    "no centre": ("p.nc", "G0 X10 Y0\nG2 X-10 Y0\n", {}, "line 2: an arc without a centre"),
-    "no path": ("p.nc", "G0 X10 Y0\nM30\n", {}, "holds no path"),
-    "another axis": ("p.nc", "G0 X10 A5\n", {}, "line 1: A5"),
-    "a subprogram": ("p.nc", "G0 X10\nM98 P1000\n", {}, "line 2: P1000"),
-    "one of another file": ("p.nc", "G0 X10\nM198 P1000\n", {}, "line 2: P1000"),
-    "another kind": ("p.svg", "", {}, "ends with '.svg'; accepted: .csv, .nc"),
-    "a layer": ("p.nc", "G0 X1\n", {"layer": "a"}, "layer of a file without layers"),
+    "another kind": ("p.svg", "", {}, "ends with '.svg'; accepted: .csv, .dxf"),
+    "a layer": ("p.csv", "1 2 3\n", {"layer": "a"}, "layer of a file without layers"),
 }
 
 
@@ -144,12 +82,12 @@ def test_what_cannot_be_read_is_refused_with_its_line(tmp_path: File, name: str)
 
 def test_a_path_file_names_its_drawing(tmp_path: File) -> None:
     """The file beside it is read, with its origin; a start beside a file is refused."""
-    (tmp_path / "part.nc").write_text("G0 X0 Y0\nG1 X50 F3000\n")
-    head = "path:\n  file: {name: part.nc, origin: [0.6, 0, 0.2]}\n  speed: 0.2\n  acceleration: 1.0\n"
+    (tmp_path / "part.csv").write_text("x [mm],y [mm],z [mm]\n0,0,0\n50,0,0\n")
+    head = "path:\n  file: {name: part.csv, origin: [0.6, 0, 0.2]}\n  speed: 0.2\n  acceleration: 1.0\n"
     (tmp_path / "path.yaml").write_text(f"{head}  tool_rpy_degrees: [0, 180, 0]\n")
     path = load_path(tmp_path / "path.yaml")
     assert path.start == (0.6, 0.0, 0.2)
-    assert path.profile().peak_speed == pytest.approx(0.05)
+    assert path.length == pytest.approx(0.05)
     (tmp_path / "both.yaml").write_text(f"{head}  tool_rpy_degrees: [0, 180, 0]\n  start: [0, 0, 0]\n")
     with pytest.raises(Rx90Error, match="a start beside a file"):
         load_path(tmp_path / "both.yaml")
@@ -222,7 +160,7 @@ def test_dxf_circles_layers_and_mirrored_arcs(tmp_path: File, drawing: Any) -> N
     ends = mirrored.curve.at(np.array([0.0, mirrored.length]))
     np.testing.assert_allclose(ends, np.array([tuple(arc.start_point), tuple(arc.end_point)]) * 1e-3, atol=1e-9)
     assert mirrored.length == pytest.approx(math.pi / 2 * 0.01)
-    with pytest.raises(ConfigError, match=r"goes on nowhere from .* 1 entities are left"):
+    with pytest.raises(ConfigError, match=r"is one path from .*, and 1 entities beside it; accepted"):
         _dxf(tmp_path, drawing)
     with pytest.raises(ConfigError, match=r"on the layer 'none' \(there are cut, mirrored\)"):
         _dxf(tmp_path, drawing, layer="none")
@@ -235,12 +173,26 @@ def test_dxf_branches_and_gaps_are_refused(tmp_path: File, drawing: Any) -> None
     follower = space.add_line((50.00001, 0.0), (90.0, 10.0))
     assert len(_dxf(tmp_path, drawing).segments) == 2
     branch = space.add_line((50.0, 0.0), (50.0, 40.0))
-    with pytest.raises(ConfigError, match=r"3 ends meet at \[50\.0.*; accepted: two, one path without branches"):
+    said = r"is one path from \(0\.0, .* to \(50\.0, 0\.0, 0\.0\), and {} entities beside it; accepted: one path"
+    with pytest.raises(ConfigError, match=said.format(2)):
         _dxf(tmp_path, drawing)
     space.delete_entity(branch)
     follower.dxf.start = (50.1, 0.0)
-    with pytest.raises(ConfigError, match=r"goes on nowhere from \[50\.0, 0\.0, 0\.0\], 1 entities are left"):
+    with pytest.raises(ConfigError, match=said.format(1)):
         _dxf(tmp_path, drawing)
+
+
+def test_dxf_loops_begin_where_the_first_entity_does(tmp_path: File, drawing: Any) -> None:
+    """Two lines and an arc around a corner, drawn in any direction: round once, from the first one's start."""
+    space = drawing.modelspace()
+    space.add_line((10.0, 0.0), (0.0, 0.0))
+    space.add_line((0.0, 10.0), (0.0, 0.0))
+    space.add_arc((0.0, 0.0), 10.0, 0.0, 90.0)
+    path = _dxf(tmp_path, drawing)
+    assert path.start == pytest.approx((0.01, 0.0, 0.0))
+    ends = [segment.points[-1] for segment in path.segments]
+    np.testing.assert_allclose(ends, [(0.0, 0.0, 0.0), (0.0, 0.01, 0.0), (0.01, 0.0, 0.0)], atol=1e-12)
+    assert path.length == pytest.approx(0.02 + math.pi / 2 * 0.01)
 
 
 @pytest.mark.parametrize(

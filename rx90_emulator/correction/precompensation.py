@@ -1,0 +1,70 @@
+"""The corrected path as a joint trajectory, for controllers without a channel for offsets, such as a real cabinet.
+
+Such a controller takes the offsets for a part of the motion: their velocities and accelerations enter its feed-forward.
+Above all, an offset that moves faster than the joint reverses the sign of the Coulomb compensation. So the offsets are
+smoothed first, and much of the correction is lost.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory.correction import Correction, PlayedCorrection
+from rx90_emulator.correction.learning import run_corrected
+from rx90_emulator.correction.methods import zero_phase
+from rx90_emulator.correction.path import CorrectablePath, TrajectoryPath
+from rx90_emulator.loop.setup import Setup
+
+CUTOFF = 5.0
+"""Default cut-off of the filter that smooths the offsets, Hz: faster offsets reverse the sign of the Coulomb
+feed-forward on the shipped tasks, and make the path worse."""
+_STRIDE = 2
+"""Set-points from one point of the trajectory to the next: quintics through these hardly deviate from smooth ones."""
+
+
+def corrected_trajectory(
+    setup: Setup, path: CorrectablePath, correction: Correction, cutoff: float = CUTOFF
+) -> TrajectoryPoints:
+    """Return the corrected path as a trajectory.
+
+    Args:
+        setup: the arm.
+        path: the path of the correction.
+        correction: the learned one.
+        cutoff: of the filter that smooths the offsets, Hz.
+
+    Raises:
+        ConfigError: for a cut-off that is not below half the rate of set-points.
+    """
+    nominal = TrajectoryPath.of(setup, path.points, path.counted)
+    count = len(nominal.setpoints)
+    period = nominal.period
+    played = PlayedCorrection.started(correction, 0).at(np.arange(count))
+    offset = zero_phase(cutoff, period)(played)
+    offset -= offset[0] * np.linspace(1.0, 0.0, count)[:, None]  # it begins where the path does
+    velocity = np.gradient(offset, period, axis=0)
+    acceleration = np.gradient(velocity, period, axis=0)
+    motion = nominal.setpoints + np.stack([offset, velocity, acceleration], axis=1)
+    motion[[0, -1], 1:] = nominal.setpoints[[0, -1], 1:]
+    motion[-1, 1:] = 0.0
+    rows = np.unique(np.append(np.arange(0, count, _STRIDE), count - 1))
+    names = setup.robot.joint_names
+    times = np.round(rows * period, 9).tolist()
+    return TrajectoryPoints.create(names, names, times, *(motion[rows, k].tolist() for k in range(3)))
+
+
+def travelled_error(setup: Setup, path: CorrectablePath, points: TrajectoryPoints) -> float:
+    """Return the largest distance of the tip from a path, m, where a trajectory is followed on the engine.
+
+    Raises:
+        TrajectoryError: if the controller would refuse the trajectory; a lower cut-off makes it slower.
+    """
+    nominal = TrajectoryPath.of(setup, path.points, path.counted)
+    begin, end = path.counted
+    travelled = TrajectoryPath.of(setup, points, (begin, min(end, float(points.times[-1]))))
+    remaining = run_corrected(setup, travelled)[1].tip
+    assert remaining is not None
+    tip = (travelled.tip - remaining)[: len(nominal.counts)]
+    counts = nominal.counts[: len(tip)]
+    return float(path.distance(tip[counts], nominal.counted_times[: counts.sum()]).max())
