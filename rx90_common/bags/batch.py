@@ -86,8 +86,8 @@ class MessageBatch:
         return MessageBatch(self.data, self.start[rows], self.size[rows])
 
 
-def series_encoder(series: JointSeries) -> tuple[Int64Array, Callable[[Int64Array], MessageBatch]]:
-    """Return the stamps of a series' messages, ns, int64 (n,), and a function that returns the messages of some rows.
+def series_encoder(series: JointSeries) -> Callable[[Int64Array], MessageBatch]:
+    """Return a function that returns the messages of some rows of a series.
 
     The function raises ExchangeError for a name or a stamp that a message cannot contain.
     """
@@ -100,4 +100,4 @@ def series_encoder(series: JointSeries) -> tuple[Int64Array, Callable[[Int64Arra
         count, size = data.shape
         return MessageBatch(data.reshape(-1), np.arange(count) * size, np.full(count, size))
 
-    return series.stamp_ns, joint_states
+    return joint_states

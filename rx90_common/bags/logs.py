@@ -493,7 +493,8 @@ class TableFile(StorageFile):
         """Yield the messages of these topics in the order of their stamps."""
 
         def each(key: int) -> Iterator[LoggedMessage]:
-            stamp_ns, encode = series_encoder(self._series[key])
+            stamp_ns = self._series[key].stamp_ns
+            encode = series_encoder(self._series[key])
             for begin in range(0, len(stamp_ns), _BLOCK):
                 rows = np.arange(begin, min(begin + _BLOCK, len(stamp_ns)))
                 for stamp, data in zip(stamp_ns[rows].tolist(), encode(rows), strict=True):

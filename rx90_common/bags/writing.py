@@ -492,7 +492,8 @@ def write_joint_states(
                 qos = offered_qos(transient_local=message.transient_local)
                 others[message.topic] = bag.add_topic(message.topic, message.msgtype, [qos]).id
         # A source for each series, and one for the other messages.
-        stamps, encoders = map(list, zip(*map(series_encoder, series), strict=True)) if series else ([], [])
+        stamps = [one.stamp_ns for one in series]
+        encoders = [series_encoder(one) for one in series]
         stamps.append(np.array([message.log_ns for message in messages], dtype=np.int64))
         encoders.append(MessageBatch.of([message.cdr for message in messages]).take)
         log_ns, counts = np.concatenate(stamps), [len(stamp) for stamp in stamps]

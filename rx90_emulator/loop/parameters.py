@@ -26,7 +26,7 @@ from rx90_common.base.errors import ConfigError, check_type, located
 from rx90_common.base.quoting import quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
-from rx90_common.friction.element import FRICTION_PARAMETERS, PARTS
+from rx90_common.friction.element import FRICTION_PARAMETERS
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_controller.lines.task import LineTask
 from rx90_controller.paths.path import Path
@@ -192,11 +192,6 @@ class Catalogue:
                 return f"{quoted(path)} goes on after a value; accepted: {'.'.join(wanted[:depth])}"
             if wanted[depth] != "*" and wanted[depth] not in below:
                 break
-        if wanted[:2] == ["drives", "cogging"] and depth == 1:
-            return f"{quoted(path)}: the motors have no cogging; accepted: with a drives file that has it"
-        if wanted[0] == "friction" and depth == 2 and wanted[depth] in PARTS:
-            who = "no element has the part" if wanted[1] == "*" else f"{wanted[1]} has no part"
-            return f"{quoted(path)}: {who} {wanted[2]}; accepted: with a friction file that has it"
         return f"{quoted(path)} names nothing: {quoted(wanted[depth])} is unknown; accepted there: {', '.join(below)}"
 
 
@@ -204,8 +199,8 @@ def _accepted_indices(name: str, shape: tuple[int, ...]) -> str:
     if not shape:
         return f"{name} is one value; accepted: {name}, without an index"
     count = " by ".join(str(n) for n in shape)
-    last, every = (f"{name}[{']['.join(each)}]" for each in ([str(n - 1) for n in shape], ["*"] * len(shape)))
-    return f"{name} is {count} numbers; accepted: {name}{'[0]' * len(shape)} to {last}, or {every}"
+    last = "".join(f"[{n - 1}]" for n in shape)
+    return f"{name} is {count} numbers; accepted: up to {name}{last}, or * for all of an index"
 
 
 def _matches(key: Sequence[str], wanted: Sequence[str]) -> bool:

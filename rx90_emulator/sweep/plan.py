@@ -337,11 +337,12 @@ _VALUE = Other(
     good=lambda value: isinstance(value, int | float) and abs(value) <= sys.float_info.max,
     fragment={"anyOf": [Number("").rules(), Switch("").rules()]},
 )
+_spaced = partial(Numbers, count=3, default=LEFT_OUT)
 _SPACED = Group(
     "Values at even distances or ratios, both ends included.",
     keys={
-        "linspace": Numbers("Start, stop and count of evenly spaced values.", count=3, default=LEFT_OUT),
-        "geomspace": Numbers("Start, stop and count of values with a constant ratio.", count=3, default=LEFT_OUT),
+        "linspace": _spaced("Start, stop and count of evenly spaced values."),
+        "geomspace": _spaced("Start, stop and count of values with a constant ratio."),
     },
     one_of=("linspace", "geomspace"),
 )
@@ -396,6 +397,7 @@ def _name(role: str) -> Text:
     return Text(f"{about}: beside the plan, or a shipped one; the robot's {FILES[role]} if left out.", default=LEFT_OUT)
 
 
+_rate = partial(Integer, unit="Hz", low=1, high=10**9)
 PLAN = Group(
     "A plan of many closed-loop runs, for rx90_sweep.",
     keys={
@@ -405,12 +407,8 @@ PLAN = Group(
             keys={
                 "robot": Text("A shipped robot, or a robot folder; the RX90B if left out.", default=LEFT_OUT),
                 **{role: _name(role) for role in _ROLES},
-                "base_rate": Integer(
-                    "Rate of plant and velocity loop.", "Hz", low=1, high=10**9, default=Rates.base_hz
-                ),
-                "position_rate": Integer(
-                    "Rate of the position loop.", "Hz", low=1, high=10**9, default=Rates.position_hz
-                ),
+                "base_rate": _rate("Rate of plant and velocity loop.", default=Rates.base_hz),
+                "position_rate": _rate("Rate of the position loop.", default=Rates.position_hz),
                 "substeps": Integer(
                     "Plant steps in a tick; left out: as many as the arm of each run needs.",
                     low=1, high=1000, default=LEFT_OUT,
@@ -471,8 +469,6 @@ def _base(section: Section, content: dict[str, Any], robot: str | None) -> Sweep
         if role in content:
             beside = section.file.parent / content[role]
             names[role] = str(beside) if beside.exists() else content[role]
-            if role != "robot":
-                _built(section, role, partial(RobotFiles.named, **{role: names[role]}))
     own = names.pop("robot", None) if robot is None else robot
     files = _built(section, "robot", lambda: RobotFiles.named(own, **names))
     rates = _built(section, "base_rate", lambda: Rates(content["base_rate"], content["position_rate"]))

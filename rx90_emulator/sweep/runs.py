@@ -48,7 +48,7 @@ class Column(SweptParameter):
     @property
     def title(self) -> str:
         """Return the column's name in tables, which says of factors what they multiply."""
-        return f"{'factor of ' * self.factor}{self.name}"
+        return f"factor of {self.name}" if self.factor else self.name
 
 
 class RunList:
@@ -95,17 +95,17 @@ class RunList:
         key = int.from_bytes(hashlib.sha256(block.name.encode()).digest()[:8], "big")
         sequence = np.random.SeedSequence(self._plan.seed, spawn_key=(key, draw))
         seed = int(sequence.generate_state(1, np.uint64)[0])
+        # The grid's parameters come first.
         lists = [column.space.values for column in columns if isinstance(column.space, Values)]
         places = np.unravel_index(point, [len(values) for values in lists]) if lists else ()
-        grid = iter([values[int(place)] for values, place in zip(lists, places, strict=True)])
+        values = [choices[int(place)] for choices, place in zip(lists, places, strict=True)]
         # Each random parameter takes one share, so that one more at the end leaves the others as they were. Half a step
         # of the generator keeps the share off 0, where an unbounded quantile is infinite.
-        shares = iter((np.random.default_rng(seed).random(len(columns) - len(lists)) + 2.0**-54).tolist())
-        values = tuple(
-            (column.name, next(grid) if isinstance(column.space, Values) else column.space.quantile(next(shares)))
-            for column in columns
-        )
-        return RunDescription(index, block.name, seed, values)
+        spaces = [column.space for column in columns if not isinstance(column.space, Values)]
+        shares = np.random.default_rng(seed).random(len(spaces)) + 2.0**-54
+        values += [space.quantile(share) for space, share in zip(spaces, shares.tolist(), strict=True)]
+        names = [column.name for column in columns]
+        return RunDescription(index, block.name, seed, tuple(zip(names, values, strict=True)))
 
     def changes(self, run: RunDescription) -> dict[Leaf, Value]:
         """Return the value that each leaf takes in a run."""

@@ -68,14 +68,17 @@ def schema_of(sweep: Sweep) -> pa.Schema:
 
 def table_of(sweep: Sweep, schema: pa.Schema, outcomes: Iterable[RunOutcome]) -> pa.Table:
     """Return the rows of some runs."""
-    nothing = (None,) * len(sweep.metrics)
+    titles = {column.name: column.title for column in sweep.runs.columns}
+    metrics = [metric.name for metric in sweep.metrics]
     rows = [
-        (run.index, run.block, run.seed, *sweep.values(run), *(metrics or nothing), error)
-        for run, metrics, error in outcomes
+        {
+            **dict(zip(RUN_COLUMNS, (run.index, run.block, run.seed, error), strict=True)),
+            **{titles[name]: value for name, value in run.values},
+            **dict(zip(metrics, measured or (), strict=False)),
+        }
+        for run, measured, error in outcomes
     ]
-    columns = zip(*rows, strict=True) if rows else ((),) * len(schema)
-    arrays = [pa.array(column, field.type) for column, field in zip(columns, schema, strict=True)]
-    return pa.Table.from_arrays(arrays, schema=schema)
+    return pa.Table.from_pylist(rows, schema=schema)
 
 
 def about(schema: pa.Schema, file: Path) -> dict[str, Any]:
@@ -125,9 +128,8 @@ def read_sweep(file: Path | str) -> pa.Table:
                 accepted = "remove this part, resume (--resume) computes its runs again"
             reason = " ".join(str(error).split())
             raise SweepError(f"{source}: cannot be read as Parquet ({reason}); accepted: {accepted}") from error
-    identities = {about(t.schema, s)["identity"] for t, s in zip(tables, sources, strict=True)}
-    if len(identities) > 1:
-        raise SweepError(f"{file} and {parts_folder(file)} hold results of different plans")
+    for table, source in zip(tables, sources, strict=True):
+        about(table.schema, source)
     table = pa.concat_tables(tables)
     # A kill between gathering the parts and removing them leaves runs twice.
     _, first = np.unique(table["index"].to_numpy(), return_index=True)

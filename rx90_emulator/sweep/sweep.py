@@ -19,7 +19,7 @@ from rx90_controller.paths.path import Path
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.closed_loop import peaks_and_work, setpoints_of, simulate_commands
 from rx90_emulator.loop.line import plan_path, turned_by
-from rx90_emulator.loop.parameters import Catalogue, Value, apply
+from rx90_emulator.loop.parameters import Catalogue, apply
 from rx90_emulator.loop.path_file import load_motion
 from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup
@@ -206,11 +206,6 @@ class Sweep:
                 return RunOutcome(run, measure(self._motion(task)[1], self._follow(setup, task)), None)
         except Exception as error:  # the sweep goes on whatever a value has led to
             return RunOutcome(run, None, " ".join(f"{type(error).__name__}: {error}".split()))
-
-    def values(self, run: RunDescription) -> tuple[Value | None, ...]:
-        """Return a run's value for each of `runs.columns`; None where its block leaves it as in the files."""
-        given = dict(run.values)
-        return tuple(given.get(column.name) for column in self.runs.columns)
 
     def check_sources(self) -> None:
         """Check that this process runs the sources that the sweep was made with.

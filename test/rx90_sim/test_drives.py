@@ -288,19 +288,6 @@ def test_cold_windings_stay_cold(shipped: Setup) -> None:
     assert warm_motors(plant.constants, plant.winding_temperatures()) == ""
 
 
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"derating": 140.0}, "winding: derating is 140 °C; accepted: below limit = 140 °C"),
-        ({"initial": 130.0}, "winding: derating is 120 °C; accepted: at least 130 °C"),
-    ],
-)
-def test_windings_that_cannot_be_are_refused(changes: dict[str, object], said: str) -> None:
-    """One line names value and what is accepted."""
-    with pytest.raises(ConfigError, match=said):
-        windings(**changes)
-
-
 OFFSET = np.array([0.02, -0.03, 0.01, 0.0, 0.04, -0.01])
 NOISE = np.array([0.01, 0.02, 0.005, 0.01, 0.02, 0.003])
 

@@ -103,14 +103,14 @@ def test_values_of_task_and_links(shipped: Setup, task: LineTask, catalogue: Cat
         ("friction.joint_2.tau_c", -1.0, "friction.joint_2: tau_c_positive is -1.0; accepted"),
         ("friction.joint_2.load.driving", 2.0, "friction.joint_2: load: driving is 2.0; accepted: a number in [0"),
         ("friction.joint_2.ripple.motor_amplitude[0]", 0.9, "friction.joint_2: ripple: the amplitudes sum to 1.05"),
-        ("friction.joint_1.load.driving", 0.1, "joint_1 has no part load; accepted: with a friction file"),
+        ("friction.joint_1.load.driving", 0.1, "names nothing: 'load' is unknown; accepted there: alpha"),
         ("controller.feed_forward.coulomb", 0.5, "'controller.feed_forward.coulomb': a value is 0.5; accepted: true"),
         ("friction.joint_2.c0", True, "a value is True; accepted: numbers"),
         ("friction.joint_2.c0", "stiff", "a value is stiff; accepted: numbers"),
         ("drives.gear[*]", 0.0, "drives: gear[0] is"),
         ("drives.winding.limit", math.nan, "winding: limit is nan; accepted: a finite number >= -273.15"),
         ("drives.elasticity.backlash[1]", 1e-3, "drives: elasticity: backlash[1] is 0.001, stiffness[1] infinite; acc"),
-        ("drives.cogging.amplitude[0][0]", 1.0, "the motors have no cogging; accepted: with a drives file that has it"),
+        ("drives.cogging.amplitude[0][0]", 1.0, "names nothing: 'cogging' is unknown; accepted there: "),
         ("controller.kv[2]", -1.0, "controller: kv[2] is"),
         ("arm.link_2.mass", 0.0, "arm.link_2.mass is 0 kg"),
         ("arm.link_2.inertia[0]", 50.0, "arm.link_2.inertia"),
@@ -122,7 +122,7 @@ def test_values_of_task_and_links(shipped: Setup, task: LineTask, catalogue: Cat
         ("friction.joint_1", 1.0, "is a group of values"),
         ("drives.gear[0].x", 1.0, "is not a path"),
         ("drives.gear[" + "9" * 5000 + "]", 1.0, "is not a path; accepted: such as friction.joint_2.c0"),
-        ("drives.gear", 1.0, "6 numbers; accepted: drives.gear[0] to drives.gear[5], or drives.gear[*]"),
+        ("drives.gear", 1.0, "6 numbers; accepted: up to drives.gear[5], or *"),
         ("drives.gear[6]", 1.0, "6 numbers"),
         ("friction.joint_1.*", 1.0, "different units"),
         ("", 1.0, "is not a path"),
@@ -206,10 +206,9 @@ def test_cogging_has_paths_where_motors_cog(shipped: Setup) -> None:
     assert found.amplitude.tolist() == want.tolist()
     assert found.phase.tolist() == [[0.0] * 5 + [1.0]] * 2
     for path, said in (
-        ("drives.cogging.amplitude[1]", "is 2 by 6 numbers; accepted: drives.cogging.amplitude[0][0] to drives.cogging."
-         "amplitude[1][5], or drives.cogging.amplitude[*][*]"),
-        ("drives.cogging.harmonic[0][0]", "is 2 numbers; accepted: drives.cogging.harmonic[0] to"),
-    ):  # fmt: skip
+        ("drives.cogging.amplitude[1]", "is 2 by 6 numbers; accepted: up to drives.cogging.amplitude[1][5], or *"),
+        ("drives.cogging.harmonic[0][0]", "is 2 numbers; accepted: up to drives.cogging.harmonic[1]"),
+    ):
         with pytest.raises(ConfigError, match=re.escape(said)):
             with_parameters(setup, {path: 1.0})
 
