@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import io
 import math
-import pathlib
 import re
 
 import numpy as np
-import pytest
-from PIL import Image
-from report_pages import ReportCheck
 
 from rx90_common.base.arrays import least_and_largest
 from rx90_common.report.page import render_page
@@ -107,31 +102,3 @@ def test_a_page_of_many_dense_curves_stays_small() -> None:
     assert len(page.encode()) <= 3_000_000
     (columns,) = re.findall(r"in each of (\d+) parts", page)
     assert 30 <= int(columns) < 100
-
-
-def test_a_vibration_is_an_area_on_the_screen(check_report: ReportCheck, tmp_path: pathlib.Path) -> None:
-    """The curve's colour fills all between its amplitudes, and nothing of a gap of a fifth of its length."""
-    x = np.linspace(0.0, 10.0, 200_000)
-    y = np.where((x > 4.0) & (x < 6.0), np.nan, np.sin(1e4 * x))
-    file = tmp_path / "page.html"
-    file.write_text(dense_page(Plot([Panel([Curve(x, y, colour="#0000ff")])])), encoding="utf-8")
-    report = check_report.open(file, viewport={"width": 900, "height": 600})
-    picture = Image.open(io.BytesIO(report.plot(0).locator(".live").screenshot())).convert("RGB")
-    heights = (np.asarray(picture, dtype=int) @ [1, 1, -1] < -200).sum(axis=0)
-    drawn = heights[np.flatnonzero(heights)[0] : np.flatnonzero(heights)[-1] + 1]
-    assert (drawn == 0).mean() == pytest.approx(0.2, abs=0.01)
-    assert np.quantile(drawn[drawn > 0], 0.01) > 0.95 * drawn.max()
-    assert drawn.max() > 0.5 * picture.height
-    assert report.faults == []
-
-
-def test_a_curve_over_decades_of_one_axis_keeps_its_shape() -> None:
-    """Columns are even on the axis as it is drawn, and the values' axis may be another one."""
-    x = np.logspace(-6.0, 0.0, 200_000)
-    for scales in ({"x_scale": "log"}, {"x_scale": "log", "y_scale": "log"}):
-        few = only_curve(thinned(Plot([Panel([Curve(x, 2.0 + np.sin(np.log(x)))], **scales)])))[1]
-        assert len(few.x) < 33_000
-        assert np.diff(np.log10(few.x)).max() < 6.0 / 4000
-    x = np.linspace(1e-6, 1.0, 200_000)
-    few = only_curve(thinned(Plot([Panel([Curve(x, x)], y_scale="log")])))[1]
-    assert np.diff(few.x).max() < 1.0 / 4000

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import base64
 import gzip
-import itertools
 import re
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 from jinja2 import UndefinedError
 
 from rx90_common.base.share import PACKAGES, ROOT
 from rx90_common.report.page import plot_json, render_page
-from rx90_common.report.picture import _STYLE, as_svg, drawn, write_picture
+from rx90_common.report.picture import as_svg, write_picture
 from rx90_common.report.plot import Band, Curve, Dots, Level, Panel, Plot
 
 TIME = np.linspace(0.0, 8.0, 8001)
@@ -91,46 +89,6 @@ def test_equal_plots_are_equal_bytes(tmp_path: Path) -> None:
 def test_names_are_written_as_they_are() -> None:
     """Dollar signs in a name from outside do not make it a formula, which could even be a wrong one."""
     assert "a$\\frac$b" in as_svg(Plot([panel(Curve(TIME[:2], NOISE[:2], r"a$\frac$b"))]))
-
-
-@pytest.mark.parametrize("columns", [1, 2])
-@pytest.mark.parametrize(("count", "words"), [(1, "up"), (9, "up"), (3, "no feed-forward, no integral, soft gains")])
-def test_a_legend_covers_neither_title_nor_panel_nor_the_edge(count: int, words: str, columns: int) -> None:
-    """Legends stand above their panel and beside or below its title, within the picture, whatever their length."""
-    marks = [Curve(TIME[:2], NOISE[:2] + k, f"{words} {k}") for k in range(count)]
-    plot = Plot([panel(*marks), panel(*marks[:-1]), panel(Dots(TIME[:2], NOISE[:2], words))], columns)
-    with mpl.rc_context(_STYLE):
-        figure = drawn(plot)
-        figure.draw_without_rendering()
-    shown = [axes for axes in figure.axes if axes.axison]
-    legends = [axes.get_legend().get_window_extent() for axes in shown if axes.get_legend()]
-    titles = [axes._left_title.get_window_extent() for axes in shown]
-    frames = [axes.get_window_extent() for axes in shown]
-    assert legends
-    for k, box in enumerate(legends):
-        assert box.x0 >= -1.0
-        assert box.x1 <= figure.bbox.x1 + 1.0
-        assert box.y1 <= figure.bbox.y1 + 1.0
-        inside = box.padded(-1.0)
-        assert not any(inside.overlaps(other) for other in [*titles, *frames, *legends[:k]])
-
-
-@pytest.mark.parametrize("scale", ["linear", "log"])
-def test_numbers_on_the_axes_of_panels_side_by_side_do_not_touch(scale: str) -> None:
-    """Of three in a row, from 0 s on or over two decades of Hz; the page has the same ticks on a logarithmic axis."""
-    x = np.geomspace(6.0, 480.0, 50) if scale == "log" else np.linspace(0.0, 1.705, 50)
-    plot = Plot([panel(Curve(x, x), x_scale=scale)] * 3, columns=3)
-    with mpl.rc_context(_STYLE):
-        figure = drawn(plot)
-        figure.draw_without_rendering()
-        for axes in figure.axes:
-            low, high = axes.get_xlim()
-            shown = [axes.xaxis.get_major_ticks()[k].label1.get_window_extent()
-                     for k, tick in enumerate(axes.xaxis.get_majorticklocs()) if low <= tick <= high]  # fmt: skip
-            assert len(shown) >= 3
-            assert all(left.x1 + 2.0 < right.x0 for left, right in itertools.pairwise(shown))
-    if scale == "log":
-        assert '"ticks":[10.0,20.0,50.0,100.0,200.0,500.0]' in plot_json(plot)
 
 
 TEMPLATES = {
