@@ -43,11 +43,14 @@ def _add_learn(learn: argparse.ArgumentParser) -> None:
     learn.add_argument("--trials", type=whole_number, metavar="N", help="after the first (4)")
     learn.add_argument("--previous", type=Path, metavar="FILE", help="correction file to go on from")
     method = learn.add_argument_group("norm-optimal learning")
-    method.add_argument("--effort", type=POSITIVE, metavar="W", help="weight of a change, m/rad (0.1)")
-    method.add_argument("--joints", type=POSITIVE, metavar="W", help="weight of the joints' own errors, m/rad (0.005)")
+    method.add_argument(
+        "--effort", type=POSITIVE, metavar="W", default=0.1, help="weight of a change, m/rad (%(default)s)"
+    )
+    method.add_argument("--joints", type=POSITIVE, metavar="W", default=0.005,
+                        help="weight of the joints' own errors, m/rad (%(default)s)")  # fmt: skip
     method.add_argument("--cutoff", type=POSITIVE, metavar="HZ", help="of a zero-phase filter, Hz (none)")
-    method.add_argument("--noise", type=POSITIVE, metavar="M", help="by how much the path error may grow from trial to "
-                        "trial, m (1e-6)")  # fmt: skip
+    method.add_argument("--noise", type=POSITIVE, metavar="M", default=1e-6,
+                        help="by how much the path error may grow from trial to trial, m (%(default)s)")  # fmt: skip
     where = learn.add_argument_group("where the trials run", "on the engine, unless one of these says otherwise")
     where.add_argument("--on-nodes", action="store_true", help="on the running nodes, recorded")
     where.add_argument("--from-bag", type=Path, metavar="BAG", help="one trial, played with the correction of "
@@ -79,7 +82,7 @@ def _learn(options: argparse.Namespace) -> int:
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.correction.file import correction_files, load_correction, write_correction
-    from rx90_emulator.correction.learning import NOISE, CorrectionError, Learner, summary
+    from rx90_emulator.correction.learning import CorrectionError, Learner, summary
     from rx90_emulator.correction.methods import NormOptimal
     from rx90_emulator.correction.recorded import learn_from_record, measured
     from rx90_emulator.loop.setup import Setup
@@ -88,12 +91,11 @@ def _learn(options: argparse.Namespace) -> int:
         check_replaced(file, force=options.force)
     setup = Setup.load(RobotFiles.of_options(options))
     path = _path(options.path, setup)
-    method = NormOptimal()
-    method = NormOptimal(options.effort or method.effort, options.joints or method.joints, options.cutoff)
+    method = NormOptimal(options.effort, options.joints, options.cutoff)
     earlier = None if options.previous is None else load_correction(options.previous)
     previous = None if earlier is None else earlier.fitting(setup, path).offsets
     tip = options.tip is not None or options.tip_on_engine or options.tip_topic is not None
-    learner = Learner(setup, path, method, tip=tip, noise=options.noise or NOISE, previous=previous)
+    learner = Learner(setup, path, method, tip=tip, noise=options.noise, previous=previous)
     if options.from_bag is None and options.tip is None:
         learned = _trials(learner, options)
         said = f"worst {learned.best.worst * 1e3:.4f} mm"

@@ -130,18 +130,20 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
         setup: robot, drives, friction, controller, rates.
         setpoints: of the nominal motion, shape (m, 3, n).
     """
-    controller, period = setup.controller, setup.rates.position_period
+    controller = setup.controller
+    period = setup.rates.position_period
     stride = max(1, round(SPACING / period))
     at = slice(None, None, stride)
     linear = linearise(setup.robot, setup.drives, setpoints[at, 0], setpoints[at, 1], setpoints[at, 2])
-    turns, elements, joints = setup.drives.turning.turns, setup.drives.turning.element_matrix, setpoints.shape[2]
+    turns = setup.drives.turning.turns
+    elements = setup.drives.turning.element_matrix
+    joints = setpoints.shape[2]
     viscous = elements.T @ np.diag([element.c2 for element in setup.friction.elements]) @ elements
     # The velocity observer, critically damped, lags by twice its time constant; a set-point is constant for its period.
     lag = (1.0 / controller.current_bandwidth + 2.0 / setup.drives.velocity_bandwidth) / (2.0 * math.pi)
     lag += 0.5 * setup.rates.period
-    proportional, derivative = (
-        np.diag(controller.inertia * gain) @ turns for gain in (controller.kv * controller.kp, controller.kv)
-    )
+    proportional = np.diag(controller.inertia * (controller.kv * controller.kp)) @ turns
+    derivative = np.diag(controller.inertia * controller.kv) @ turns
     integral = np.diag(controller.inertia * controller.ki) @ turns
     inverse = np.linalg.inv(linear.mass)
     q, v, i, tau, c = (slice(k, k + joints) for k in range(0, 5 * joints, joints))

@@ -7,6 +7,8 @@ smoothed first, and much of the correction is lost.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from rx90_controller.trajectory import TrajectoryPoints
@@ -61,10 +63,7 @@ def travelled_error(setup: Setup, path: CorrectablePath, points: TrajectoryPoint
         TrajectoryError: if the controller would refuse the trajectory; a lower cut-off makes it slower.
     """
     nominal = TrajectoryPath.of(setup, path.points, path.counted)
-    begin, end = path.counted
-    travelled = TrajectoryPath.of(setup, points, (begin, min(end, float(points.times[-1]))))
-    remaining = run_corrected(setup, travelled)[1].tip
-    assert remaining is not None
-    tip = (travelled.tip - remaining)[: len(nominal.counts)]
-    counts = nominal.counts[: len(tip)]
-    return float(path.distance(tip[counts], nominal.counted_times[: counts.sum()]).max())
+    _, measured = run_corrected(setup, replace(nominal, points=points))
+    assert measured.tip is not None
+    counts = nominal.counts
+    return float(path.distance((nominal.tip - measured.tip)[counts], nominal.counted_times).max())

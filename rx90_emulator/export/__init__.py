@@ -1,1 +1,1 @@
-"""A robot's friction and its arm in the formats of other simulators, and back, with the differences in Nm."""
+"""A robot's friction and its arm in the formats of other simulators, with the differences in Nm."""
