@@ -42,18 +42,6 @@ def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
     assert not any("dropped" in line for line in rig.around.lines)
 
 
-def test_set_points_are_published_in_ticks_of_the_position_loop(rig: Rig) -> None:
-    """Of eight ticks two run the position loop, and each of these is published with its own stamp."""
-    rig.loop.hold(rig.states(8))
-    assert rig.run(8, 8) == [True] * 8
-    assert rig.around.published == [8 * rig.period, 12 * rig.period]
-    rig.loop.step(16 * rig.period, rig.states(16))
-    assert len(rig.around.published) == 2  # the simulation waits for the command: it comes first
-    rig.loop.after_command(16 * rig.period)
-    rig.loop.after_command(16 * rig.period)
-    assert rig.around.published[2:] == [16 * rig.period]
-
-
 def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: Rig) -> None:
     """Without torque the set-points follow the arm and trajectories are refused; on again it is held where it is."""
     rig.loop.hold(rig.states(0))
@@ -118,16 +106,6 @@ def test_a_long_goal_that_is_joined_while_the_torque_goes_off_and_on_moves_the_a
     rig.run(8, 4)
     assert rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
     assert sender.ends == []
-
-
-def test_a_trajectory_that_waits_for_the_torque_does_not_outlast_its_run(rig: Rig) -> None:
-    """Where the states begin anew it is dropped, as one that is followed is."""
-    switch_off_and_on(rig)
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.loop.hold(rig.states(0))
-    assert rig.around.lines[-1] == "the trajectory that waited is dropped: the states go on from 0 s; holding"
-    rig.run(0, 8)
-    assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 
 
 def test_a_goal_that_waits_for_the_torque_ends_with_what_takes_its_place(rig: Rig) -> None:
