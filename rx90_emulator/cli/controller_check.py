@@ -45,7 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "(%(default)s)")  # fmt: skip
     parser.add_argument("--command-rate", type=whole_number, metavar="HZ",
                         help="of joint_commands (the rate of the position loop)")  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print JSON instead of lines")
     parser.add_argument("--output", type=new_folder, default="controller_check",
                         help="new folder for report, result and logs (%(default)s)")  # fmt: skip
     add_node_arguments(parser, _TIMEOUT)
@@ -96,7 +95,7 @@ def main(options: argparse.Namespace) -> int:
         result = check_controller(candidate, setup, names, options.output, progress)
     write_text(options.output / "result.json", result.json)
     write_text(options.output / "report.html", result.page)
-    print(result.json if options.json else f"{result.text}\nreport: {plain(options.output / 'report.html')}")
+    print(f"{result.text}\nreport: {plain(options.output / 'report.html')}")
     for line in result.deciding:
         print(one_line(f"rx90_controller_check: {line}"), file=sys.stderr)
     return VERDICT_NO if result.deciding else DONE

@@ -28,7 +28,7 @@ def _rms(values: Array) -> Array:
 
 
 def _torque_off(record: Record) -> Array:
-    return np.isnan(record.torque).sum(axis=0) * record.period
+    return np.asarray(np.isnan(record.torque).sum(axis=0) * record.period)
 
 
 def _error_peak(record: Record) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -68,14 +67,6 @@ def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: 
     other.write_text(whole.replace("tau_c: 25.0", "tau_c: -25.0"))
     said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, "friction": "other.yaml"}))
     assert f"{other}: elements.joint_1.tau_c is -25.0; accepted" in said
-
-
-@pytest.mark.parametrize("switch", ["inverse_dynamics", "friction_model"])
-def test_without_a_model_its_parts_stay_off(shipped: Setup, switch: str) -> None:
-    """Parameters built in Python without a model refuse the parts that need one."""
-    on = dataclasses.replace(shipped.controller.feed_forward, **{switch: True})
-    with pytest.raises(ConfigError, match=f"{switch} is true without a model; accepted: with one"):
-        dataclasses.replace(shipped.controller, feed_forward=on, model=None)
 
 
 @pytest.mark.parametrize(

@@ -247,12 +247,6 @@ def test_what_breaks_a_limit_is_refused(
     assert "\n" not in str(caught.value)
 
 
-def test_a_start_within_the_tolerance_is_taken(generator: TrajectoryGenerator) -> None:
-    """A first point at time 0 within the start tolerance is accepted and is the first set-point."""
-    generator.accept(points([0.0, 1.0], [HOME + 9e-4, HOME], [ZERO, ZERO]), 0, None)
-    assert np.all(generator.setpoints(0)[0, 0] == HOME + 9e-4)
-
-
 def test_limits_are_reached_exactly(generator: TrajectoryGenerator) -> None:
     """A motion that ends on the limit, or runs at it, is accepted."""
     end = np.full(6, 2.0)

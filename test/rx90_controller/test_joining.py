@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 
 import numpy as np
 import pytest
@@ -229,11 +228,3 @@ def test_what_would_come_too_late_is_not_handed_over() -> None:
         plan = planned(running(), start=start)
         assert not plan.fits(NOW + late)
         assert plan.fits(NOW + late - 1)
-
-
-def test_from_rest_it_begins_when_it_is_there() -> None:
-    """Then the time that it took shifts the motion, and when it is said to run."""
-    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    alone = copy(generator)
-    assert planned(generator).adopt(NOW + 77) == alone.join(BACK, NOW + 77, None, anywhere=False)
-    assert np.array_equal(rest(generator, NOW + 77), rest(alone, NOW + 77))
