@@ -218,7 +218,7 @@ def test_report(bags: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     monkeypatch.chdir(bags)
     run("rx90_bag", ["compare", "a", "a"])
     (line,) = capsys.readouterr().out.splitlines()
-    assert re.fullmatch(r"a against a: same; (\d+) of \1 topics? bit for bit", line)
+    assert re.fullmatch(r"a against a: same; (\d+) of \1 topics? bit for bit; 0 other topics not compared", line)
     run("rx90_bag", ["compare", "a", "off"])
     text = capsys.readouterr().out
     (row,) = (line.split() for line in text.splitlines() if "joint_2" in line)
