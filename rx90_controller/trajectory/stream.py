@@ -194,10 +194,8 @@ class Stream:
         if not len(self._times) or self._times[-1] < now:  # the reference begins where the arm is
             row = INTERFACES.index(self.interface)
             self._times, self._values, self._slopes = np.array([float(now)]), held[[row]], held[[row + 1]]
-        else:  # the slope that the motion already uses stays: a change on the way there would be a jump
-            used = int(np.searchsorted(self._times, now)) + 1
-            self._slopes[:used] = self._bessel()[:used]
-        if times[-1] <= now:
+        ahead = times > now
+        if not ahead[-1]:
             self.late += 1
             late = (now - times[-1]) * self._period
             accepted = f"within stream.delay, {self._options.delay:g} s, of its stamp, or time_from_start ahead"
@@ -206,13 +204,14 @@ class Stream:
             )
             if self._times[-1] > now:
                 return False
-            times, values, slopes = np.array([now + 1.0]), values[-1:], slopes[-1:]
-        before = self._times < times[0]
-        times = np.concatenate([self._times[before], times])
-        first = max(int(np.searchsorted(times, now, side="right")) - 2, 0)
-        self._times = times[first:]
-        self._values = np.vstack([self._values[before], values])[first:]
-        self._slopes = np.vstack([self._slopes[before], slopes])[first:]
+            times[-1], ahead[-1] = now + 1.0, True
+        times = times[ahead]
+        kept = self._times < times[0]
+        # Two before now are needed: for the slope at the later one.
+        kept[: max(int(np.searchsorted(self._times, now)) - 2, 0)] = False
+        self._times = np.concatenate([self._times[kept], times])
+        self._values = np.vstack([self._values[kept], values[ahead]])
+        self._slopes = np.vstack([self._slopes[kept], slopes[ahead]])
         return True
 
     def _due(self, points: SetPoints, now: int) -> Array:

@@ -75,7 +75,7 @@ def main(options: argparse.Namespace) -> int:
     from rx90_common.description.robot_files import RobotFiles
     from rx90_common.exchange.ros_start import prepare
     from rx90_common.process.files import write_text
-    from rx90_emulator.conformance.battery import CASES, OF_A_TOOL
+    from rx90_emulator.conformance.battery import CASES
     from rx90_emulator.loop.setup import Setup
 
     prepare()
@@ -83,8 +83,7 @@ def main(options: argparse.Namespace) -> int:
     from rx90_emulator.conformance.check import check_controller
 
     setup = Setup.load(RobotFiles.of_options(options))
-    with_tool = setup.files is not None and setup.files.tool is not None
-    names = options.cases or [name for name in CASES if with_tool or name not in OF_A_TOOL]
+    names = options.cases or list(CASES)
     for name in names:
         if name not in CASES:
             raise ConfigError(f"--case {quoted(name)}; accepted: {', '.join(CASES)}")

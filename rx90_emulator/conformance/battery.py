@@ -66,13 +66,14 @@ class Nominal(NamedTuple):
     def scaled(self, case: str, role: str, keys: Collection[str], factor: float | Array) -> Setup:
         """Return the arm with all values of these keys in one of its files times a factor, or one for each motor.
 
-        Raises:
-            ConfigError: if it has no such file.
+        Without such a file, as where it carries no tool, it is the nominal arm.
         """
+        nominal: Path | None = getattr(self.files, role)
+        if nominal is None:
+            return self.setup
         file = self.folder / f"{case}_{role}.yaml"
-        content = load_yaml(self.files.required(role)).content
-        write_text(file, yaml_text(_scaled(content, keys, factor)))
-        return Setup.load(replace(self.files, **{role: file}), self.setup.rates, self.setup.seed)
+        write_text(file, yaml_text(_scaled(load_yaml(nominal).content, keys, factor)))
+        return Setup.load(replace(self.files, **{role: file}))
 
 
 def _scaled(content: Any, keys: Collection[str], factor: float | Array, inside: bool = False) -> Any:
@@ -135,9 +136,6 @@ CASES: dict[str, Callable[[Nominal, str], Case]] = {
     "saturation": saturation,
 }
 """The functions that make the cases, by name."""
-
-OF_A_TOOL = ("payload_0.7", "payload_1.3")
-"""Those for arms that carry a tool."""
 
 
 def run_cs7b(case: Case, nominal: Setup) -> Record:
