@@ -106,6 +106,11 @@ class TopicComparison:
     reasons: tuple[str, ...]
     verdict: Verdict
 
+    @property
+    def identical(self) -> bool:
+        """Return whether the messages that were compared are the same bit for bit: no tolerance has been used."""
+        return self.verdict is Verdict.SAME and all(value.tolerance == 0.0 for value in self.values)
+
 
 @dataclass(frozen=True)
 class BagComparison:

@@ -18,15 +18,22 @@ _SUMMARISED = ("topic", "type", "messages", "rate (Hz)", "first (s)", "last (s)"
 
 
 def comparison_text(comparison: BagComparison) -> str:
-    """Return a table of the differences, topic by topic, and the verdict in the last line."""
-    blocks = [_topic_text(topic) for topic in comparison.topics]
+    """Return a table for each topic that is not the same bit for bit, and the verdict in the last line."""
+    alike = [topic for topic in comparison.topics if topic.identical]
+    blocks = [_topic_text(topic) for topic in comparison.topics if not topic.identical]
     if comparison.shift_ns:
         blocks.insert(0, f"stamps of {plain(comparison.path_b)} moved by {comparison.shift_ns / NANOSECONDS:+.9f} s")
-    if comparison.skipped:
+    verdict = f"{plain(comparison.path_a)} against {plain(comparison.path_b)}: {_WORDS[comparison.verdict]}"
+    if alike:
+        verdict += f"; {len(alike)} of {counted(len(comparison.topics), 'topic')} bit for bit"
+    outside = sum(side.outside for topic in alike for side in (topic.a, topic.b) if side is not None)
+    if outside:
+        verdict += f", {counted(outside, 'message')} outside the common range"
+    if len(alike) == len(comparison.topics):
+        verdict += f"; {counted(len(comparison.skipped), 'other topic')} not compared"
+    elif comparison.skipped:
         blocks.append(f"not compared, as they are no JointState: {listed(comparison.skipped)}")
-    blocks += comparison.notes
-    blocks.append(f"{plain(comparison.path_a)} against {plain(comparison.path_b)}: {_WORDS[comparison.verdict]}")
-    return "\n\n".join(blocks)
+    return "\n\n".join([*blocks, *comparison.notes, verdict])
 
 
 def comparison_json(comparison: BagComparison) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -17,13 +16,11 @@ from rcl_interfaces.msg import (
     ParameterEvent,
     SetParametersResult,
 )
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from type_description_interfaces.srv import GetTypeDescription
 
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.quoting import plain, quoted
@@ -39,8 +36,6 @@ Effective = Callable[[int], None]
 _Group = tuple[tuple[str, ...], Callable[[Mapping[str, Any]], Any], Callable[[Any, Effective], None]]
 _Value = TypeVar("_Value", bool, int, float, str, list[float])
 _REMEMBERED = 100  # changes that a recorder gets which comes later
-_TYPES = {kind.value for kind in Parameter.Type}
-_TYPE_HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 
 
 def declare(
@@ -275,54 +270,3 @@ def _with_real_numbers(given: Parameter, usual: object) -> Parameter:
     if not isinstance(usual, bool | int | float | str | bytes) and given.type_ is Parameter.Type.INTEGER_ARRAY:
         return Parameter(given.name, Parameter.Type.DOUBLE_ARRAY, [float(number) for number in given.value])
     return given
-
-
-def answer_all_requests(node: Node) -> None:
-    """Let the services refuse values that rclpy cannot handle.
-
-    It crashes on a value of a type that does not exist. rcl prints an invalid type hash unchanged, with
-    its line breaks.
-    """
-    answers = {
-        SetParameters: _set_one_by_one,
-        SetParametersAtomically: _set_all_or_none,
-        GetTypeDescription: _describe_type,
-    }
-    for service in node.services:
-        if service.srv_type in answers:
-            service.callback = partial(answers[service.srv_type], service.callback)
-
-
-def _set_one_by_one(set_parameters: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-    for parameter in request.parameters:
-        refused = _refused([parameter])
-        if refused is None:
-            set_parameters(SetParameters.Request(parameters=[parameter]), response)
-        else:
-            response.results.append(refused)
-    return response
-
-
-def _set_all_or_none(set_parameters: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-    refused = _refused(request.parameters)
-    if refused is None:
-        return set_parameters(request, response)
-    response.result = refused
-    return response
-
-
-def _describe_type(describe: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
-    if _TYPE_HASH.fullmatch(request.type_hash):
-        return describe(request, response)
-    response.failure_reason = f"type_hash is {quoted(request.type_hash)}; accepted: RIHS01_ and 64 digits"
-    return response
-
-
-def _refused(parameters: Sequence[Any]) -> SetParametersResult | None:
-    """Return why a request is refused, if one of its values has a type that does not exist."""
-    for name, kind in ((each.name, each.value.type) for each in parameters):
-        if kind not in _TYPES:
-            accepted = f"accepted: {min(_TYPES)} to {max(_TYPES)}"
-            reason = f"parameter {quoted(name)} has a value of type {kind}; {accepted}"
-            return SetParametersResult(successful=False, reason=reason)
-    return None

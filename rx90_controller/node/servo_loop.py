@@ -170,7 +170,7 @@ class ServoLoop:
                     self._note(f"{what} at {end[0] * self._period:.3f} s; holding")
                 stream, tick = self._stream, cs7b.position_tick
                 if stream is not None and tick > stream.expires and not cs7b.trajectory.moving(tick):
-                    self._end_stream(stream.ending)
+                    self._end_stream("holding")
             cs7b.step(states.position, states.velocity, states.torque)
             self._unpublished = slow
             fault = cs7b.fault
@@ -486,18 +486,17 @@ class ServoLoop:
         now = cs7b.position_tick
         if stream is None or stream.interface != points.interface or (stream.named != points.named).any():
             self._drop("replaced by streamed set-points", wanted=True)
-            timeout = self.streaming.timeout
-            stream = Stream(points.interface, points.named, cs7b.trajectory.limits, self._period, timeout)
+            stream = Stream(points.interface, points.named, cs7b.trajectory.limits, self._period, self.streaming)
             self._stream = stream
             self._note(f"stream begins at {now * self._period:.3f} s: {points.interface} set-points from {source}")
         cs7b.trajectory.follow_stream(stream, points, now)
-        for line in stream.notes(self.streaming.delay):
-            self._note(f"stream: {line}", wrong=True)
+        while stream.notes:
+            self._note(f"stream: {stream.notes.pop(0)}", wrong=True)
 
     def _end_stream(self, what: str) -> None:
         stream, self._stream = self._stream, None
         if stream is not None:
-            late = f", {stream.late} of them late, by up to {stream.latest:.3g} s" if stream.late else ""
+            late = f", {stream.late} of them late" if stream.late else ""
             now = self._cs7b.position_tick * self._period
             self._note(f"stream ended at {now:.3f} s after {stream.count} set-points{late}; {what}")
 

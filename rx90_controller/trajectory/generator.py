@@ -15,7 +15,7 @@ from rx90_controller.trajectory.correction import Correction, PlayedCorrection, 
 from rx90_controller.trajectory.paths import JointLimits, connect, stop
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.spline import FollowedPath, Path, Spline, joined, merged, remainder, resting, smooth
-from rx90_controller.trajectory.stream import POSITION, SetPoints, Stream
+from rx90_controller.trajectory.stream import POSITION, SetPoints, Stream, StreamOptions
 
 _ADVICE = ", or velocities_from_positions, where the points' velocities do not belong to their positions"
 _CORRECTION_SLACK = 1e-6  # rad, as planners have it
@@ -69,7 +69,7 @@ class TrajectoryGenerator:
         spline.bounds()
         self._followed(0, Path(spline, 0.0, 1.0)).halted(0, 1)
         every = np.ones(joints, dtype=np.bool_)
-        stream = Stream(POSITION, every, self.limits, self.period, 0.0)
+        stream = Stream(POSITION, every, self.limits, self.period, StreamOptions())
         one = SetPoints(POSITION, None, np.array([self.period]), rest[:1], rest[:1], every)
         stream.take(one, 0, held)
         stream.motion(0, held)

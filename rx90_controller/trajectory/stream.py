@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.declared import option
@@ -32,7 +33,7 @@ POSITION, VELOCITY = "position", "velocity"
 INTERFACES: Final = (POSITION, VELOCITY)
 """What a stream may consist of."""
 _OTHER_CLOCK = 1.0  # s: a stamp further from the controller's time than this comes from another clock
-_MARGIN = 64  # ticks that a motion is expected to need at most beyond the bound from its limits
+_MARGIN = 64  # ticks that a motion may take beyond its reference before it is computed anew with more room
 _AT_REST, _SLOW = 1e-9, 1e-6  # rad, rad/s: position and velocity that are rounded to rest at the end of a motion
 
 
@@ -104,15 +105,11 @@ def from_joint_state(names: Sequence[str], message: Any, options: StreamOptions,
     Raises:
         TrajectoryError: naming joint, field and what is accepted.
     """
-    given = list(message.name)
-    check_joints(names, given, partial=partial)
-    columns = [list(names).index(name) for name in given]
-    fields = (("positions", message.position), ("velocities", message.velocity), ("efforts", message.effort))
-    position, velocity, effort = (joint_table(what, [row], columns, names, "") for what, row in fields)
-    if effort is not None:
+    check_joints(names, list(message.name), partial=partial)
+    if len(message.effort):
         raise TrajectoryError("carries effort; accepted: position, with velocity or without, or velocity alone")
-    named = np.isin(np.arange(len(names)), columns)
-    return _one(position, velocity, message_time_ns(message.header.stamp), options, named)
+    stamp_ns = message_time_ns(message.header.stamp) or None
+    return _set_point(names, list(message.name), message.position, message.velocity, stamp_ns, options.delay)
 
 
 def from_array(names: Sequence[str], message: Any, options: StreamOptions) -> SetPoints:
@@ -121,23 +118,25 @@ def from_array(names: Sequence[str], message: Any, options: StreamOptions) -> Se
     Raises:
         TrajectoryError: for another count, or a number that is not finite.
     """
-    if len(message.data) != len(names):
-        raise TrajectoryError(f"{len(message.data)} numbers; accepted: {len(names)}, of {', '.join(names)}")
-    what = "positions" if options.commands == POSITION else "velocities"
-    values = joint_table(what, [message.data], range(len(names)), names, "")
-    position, velocity = (values, None) if options.commands == POSITION else (None, values)
-    return _one(position, velocity, 0, options, np.ones(len(names), dtype=np.bool_))
+    position, velocity = (message.data, ()) if options.commands == POSITION else ((), message.data)
+    return _set_point(names, names, position, velocity, None, options.delay)
 
 
-def _one(
-    position: Array | None, velocity: Array | None, stamp_ns: int, options: StreamOptions, named: Mask
-) -> SetPoints:
-    if position is None and velocity is None:
+def _set_point(
+    names: Sequence[str], given: Sequence[str], position: Sequence[float], velocity: Sequence[float],
+    stamp_ns: int | None, delay: float,
+) -> SetPoints:  # fmt: skip
+    columns = [list(names).index(name) for name in given]
+    positions = joint_table("positions", [position], columns, names, "")
+    velocities = joint_table("velocities", [velocity], columns, names, "")
+    unknown = np.full((1, len(names)), np.nan)
+    named = np.isin(np.arange(len(names)), columns)
+    times = np.array([delay])
+    if positions is not None:
+        return SetPoints(POSITION, stamp_ns, times, positions, unknown if velocities is None else velocities, named)
+    if velocities is None:
         raise TrajectoryError("neither position nor velocity; accepted: one of them, or both")
-    interface, values = (POSITION, position) if velocity is None or position is not None else (VELOCITY, velocity)
-    assert values is not None
-    slopes = np.full((1, len(named)), np.nan) if position is None or velocity is None else velocity
-    return SetPoints(interface, stamp_ns or None, np.array([options.delay]), values, slopes, named)
+    return SetPoints(VELOCITY, stamp_ns, times, velocities, unknown, named)
 
 
 def from_trajectory(points: TrajectoryPoints, stamp_ns: int | None) -> SetPoints:
@@ -154,27 +153,21 @@ class Stream:
         named: its joints, shape (j,).
         limits: that the motion respects.
         period: of the position loop, s.
-        timeout: `StreamOptions.timeout`, s.
+        options: of the stream.
 
     Attributes:
         interface, named: see above.
         count: number of received set-points.
         late: how many of them were due already.
-        latest: the largest delay, s.
-        own_clock: whether it is stamped by another clock than the controller's time.
-        beyond: the first violation of a limit, in words; empty for none.
-        reported: the kinds of `notes` that have been reported.
         expires: last tick of the stream, unless there are more set-points.
+        notes: problems that have not been reported yet; each kind comes once.
     """
 
-    def __init__(self, interface: str, named: Mask, limits: JointLimits, period: float, timeout: float) -> None:
-        self.interface, self.named = interface, named
-        self._limits, self._period, self._timeout = limits, period, timeout / period
+    def __init__(self, interface: str, named: Mask, limits: JointLimits, period: float, options: StreamOptions) -> None:
+        self.interface, self.named, self.notes = interface, named, list[str]()
+        self._limits, self._period, self._options = limits, period, options
         self.count = self.late = self.expires = 0
-        self.latest = 0.0
-        self.own_clock, self._offset = False, 0  # ns, from the stamps of another clock to the controller's time
-        self.beyond = ""
-        self.reported: set[str] = set()
+        self._noted: set[str] = set()
         self._times = np.zeros(0)
         self._values = self._slopes = np.zeros((0, len(named)))
 
@@ -182,7 +175,7 @@ class Stream:
         """Take set-points; return whether they change the motion.
 
         A set-point takes the place of those that were due later. One that is due already is followed at once, unless a
-        later one has been due as well. Until the next one is there the reference rests at the last position.
+        later one is still to come. Until the next one is there the reference rests at the last position.
 
         Args:
             points: of the same interface and joints.
@@ -191,246 +184,155 @@ class Stream:
         """
         times, values, slopes = self._due(points, now), points.values, points.slopes.copy()
         self.count += len(times)
-        self.expires = math.ceil(max(float(now), times[-1]) + self._timeout - 1e-6)
+        self.expires = math.ceil(max(float(now), times[-1]) + self._options.timeout / self._period - 1e-6)
         if self.interface == POSITION:
             values = np.clip(values, self._limits.lower, self._limits.upper)
-            self._note_beyond(points.values - values, points.values, "position", "rad")
             slopes[values != points.values] = 0.0
+            self._note_beyond((values != points.values).any(axis=0))
             if not slopes[-1].any():
                 slopes[-1] = np.nan  # senders usually let a single point rest; the next one is still to come
-        if not len(self._times):
-            self._times, self._values = np.array([float(now)]), held[None, 0 if self.interface == POSITION else 1]
-            self._slopes = held[None, 1] if self.interface == POSITION else np.zeros((1, len(self.named)))
-        elif self._times[-1] >= now:
-            # The slope that the motion already uses stays: a change on the way there would be a jump.
-            used = int(np.searchsorted(self._times, now)) + 1
-            self._slopes[:used] = self._bessel()[:used]
-        else:  # the reference has been held since
-            if self.interface == POSITION and (values[-1] == held[0]).all() and not held[1].any():
-                return False  # there already, as a sender that repeats itself wants it
-            self._times = np.array([float(now)])
-            self._values = self._values[-1:] if self.interface == POSITION else held[None, 1]
-            self._slopes = np.zeros((1, len(self.named)))
-        if times[-1] <= now:
+        if not len(self._times) or self._times[-1] < now:  # the reference begins where the arm is
+            row = INTERFACES.index(self.interface)
+            self._times, self._values, self._slopes = np.array([float(now)]), held[[row]], held[[row + 1]]
+        ahead = times > now
+        if not ahead[-1]:
             self.late += 1
-            self.latest = max(self.latest, (now - times[-1]) * self._period)
-            if times[-1] < self._times[-1] and self._times[-1] > now:
+            late = (now - times[-1]) * self._period
+            accepted = f"within stream.delay, {self._options.delay:g} s, of its stamp, or time_from_start ahead"
+            self._note(
+                "late", f"a set-point came {late:.3g} s after it was due: the last one was held; accepted: {accepted}"
+            )
+            if self._times[-1] > now:
                 return False
-            # The reference so far, and from the next tick on this one.
-            times, values, slopes = np.array([now + 1.0]), values[-1:], slopes[-1:]
-        before = self._times < times[0]
-        times = np.concatenate([self._times[before], times])
-        values, slopes = np.vstack([self._values[before], values]), np.vstack([self._slopes[before], slopes])
-        first = max(int(np.searchsorted(times, now, side="right")) - 2, 0)
-        self._times, self._values, self._slopes = times[first:], values[first:], slopes[first:]
+            times[-1], ahead[-1] = now + 1.0, True
+        times = times[ahead]
+        kept = self._times < times[0]
+        # Two before now are needed: for the slope at the later one.
+        kept[: max(int(np.searchsorted(self._times, now)) - 2, 0)] = False
+        self._times = np.concatenate([self._times[kept], times])
+        self._values = np.vstack([self._values[kept], values[ahead]])
+        self._slopes = np.vstack([self._slopes[kept], slopes[ahead]])
         return True
 
     def _due(self, points: SetPoints, now: int) -> Array:
         """Return when set-points are due, in ticks."""
-        times = points.times / self._period
-        if points.stamp_ns is None:
-            return np.asarray(now + times)
         tick_ns = round(self._period * NANOSECONDS)
-        ahead = points.stamp_ns - now * tick_ns  # whole ns: a stamp of today would lose some as a number of seconds
-        if not self.count:
-            self.own_clock = abs(ahead) > _OTHER_CLOCK * NANOSECONDS
-            self._offset = -ahead if self.own_clock else 0
-        elif self.own_clock and not 0.0 <= (ahead + self._offset) / tick_ns + times[-1] <= 2.0 * times[-1]:
-            self._offset = -ahead  # the clocks have drifted, or the stream has paused
-        return np.asarray(now + (ahead + self._offset) / tick_ns + times)
+        # Whole ns: a stamp of today would lose some as a number of seconds.
+        ahead = 0 if points.stamp_ns is None else points.stamp_ns - now * tick_ns
+        if abs(ahead) > _OTHER_CLOCK * NANOSECONDS:
+            self._note("clock", "stamps are of another clock than the controller's time: set-points count from their "
+                       "arrival; accepted: simulated time (use_sim_time), or no stamps")  # fmt: skip
+            ahead = 0
+        return np.asarray(now + ahead / tick_ns + points.times / self._period)
 
-    def notes(self, delay: float) -> list[str]:
-        """Return the problems of the stream that have not been reported yet, a line for each kind; `delay` is in s."""
-        notes = {
-            "late": f"a set-point came {self.latest:.3g} s after it was due: the last one was held; accepted: within "
-            f"stream.delay, {delay:g} s, of its stamp, or time_from_start ahead" if self.late else "",
-            "clock": "stamps are of another clock than the controller's time: set-points count from when they come; "
-            "accepted: simulated time (use_sim_time), or no stamps" if self.own_clock else "",
-            "beyond": f"{self.beyond}; followed within the limits" if self.beyond else "",
-        }  # fmt: skip
-        fresh = {kind: line for kind, line in notes.items() if line and kind not in self.reported}
-        self.reported |= fresh.keys()
-        return list(fresh.values())
+    def _note(self, kind: str, text: str) -> None:
+        if kind not in self._noted:
+            self._noted.add(kind)
+            self.notes.append(text)
 
-    @property
-    def ending(self) -> str:
-        """Return how it ends by itself, in words."""
-        if self.interface == VELOCITY and self._values[-1].any():
-            return f"braked, because no velocity came for stream.timeout, {self._timeout * self._period:g} s; holding"
-        return "holding"
+    def _note_beyond(self, joints: Mask) -> None:
+        """Note that some joints are asked for more than their limits, if any are."""
+        if joints.any():
+            names = ", ".join(np.array(self._limits.names)[joints])
+            self._note("beyond", f"{names}: a {self.interface} beyond the limits; followed within them")
 
     def motion(self, now: int, held: Array) -> Spline:
         """Return the motion from tick `now` on, at the set-point `held`, shape (3, j), to rest; times in s from there.
 
-        Where the reference exceeds the limits, it is followed within them, and `beyond` says so.
+        Where the reference exceeds the limits, it is followed within them, with a note.
         """
         free = ~self.named if self.interface == POSITION else np.ones_like(self.named)
-        times, values = self._times, self._values
-        slopes = self._bessel() if self.interface == POSITION else np.zeros_like(values)
+        last = max(self._times[-1] - now, 0.0)
         if self.interface == VELOCITY:
-            values = np.where(self.named, values, 0.0)
-            last = max(float(now), times[-1]) + self._timeout
-            times, values = (
-                np.append(times, [last, last + 1.0]),
-                np.vstack([values, values[-1:], np.zeros((1, len(self.named)))]),
-            )
-        count = self._expected(now, times[-1], values[-1], held)
+            last += self._options.timeout / self._period
+        count = math.ceil(last) + _MARGIN
+        limits = np.stack([self._limits.velocity, self._limits.acceleration, self._limits.lower, self._limits.upper])
         while True:
-            states, behind = np.empty((count + 1, 2, len(self.named))), np.zeros(len(self.named))
+            reference = self._reference(now, last, count)
+            states = np.zeros_like(reference)
             states[0] = held[:2]
-            limits = self._limits
-            ticks = _follow(
-                times - now, values, slopes * self._period, free, limits.velocity, limits.acceleration,
-                limits.lower, limits.upper, self._period, states, behind,
-            )  # fmt: skip
+            ticks = _follow(reference, free, last, limits, self._period, states)
             if ticks <= count:
                 break
             count *= 2
-        what, unit = ("position", "rad") if self.interface == POSITION else ("velocity", "rad/s")
-        if not self.beyond:
-            joint = int(np.argmax(behind))
-            if behind[joint] > self._limits.start_tolerance:
-                self.beyond = f"{limits.names[joint]} is up to {behind[joint]:.3g} {unit} behind the {what} asked for"
+        behind = np.abs(states - reference)[: int(last), INTERFACES.index(self.interface)].max(axis=0, initial=0.0)
+        self._note_beyond((behind > self._limits.start_tolerance) & self.named)
         if ticks == 0:
             return resting(held[0].copy())
         states = states[: ticks + 1]
         coefficients = np.zeros((ticks, 6, len(self.named)))
         coefficients[:, :2] = states[:-1]
         coefficients[:, 2] = np.diff(states[:, 1], axis=0) / (2.0 * self._period)
-        return Spline(
-            np.asarray(np.arange(ticks + 1) * self._period, dtype=np.float64), coefficients, states[-1, 0].copy()
-        )
+        times = np.arange(ticks + 1, dtype=np.float64) * self._period
+        return Spline(times, coefficients, states[-1, 0].copy())
 
-    def _note_beyond(self, excess: Array, asked: Array, what: str, unit: str) -> None:
-        if excess.any() and not self.beyond:
-            row, joint = np.argwhere(excess)[0].tolist()
-            low, high = self._limits.lower[joint], self._limits.upper[joint]
-            self.beyond = (
-                f"{self._limits.names[joint]} is asked for the {what} {asked[row, joint]:.6g} {unit}; accepted: "
-                f"[{low:.6g}, {high:.6g}]"
-            )
+    def _reference(self, now: int, last: float, count: int) -> Array:
+        """Return position and velocity asked for in each tick, shape (count + 1, 2, j); at rest from `last` on."""
+        at = np.arange(count + 1.0)
+        reference = np.zeros((count + 1, 2, len(self.named)))
+        times = (self._times - now) * self._period
+        if self.interface == POSITION:
+            cubic = CubicHermiteSpline(times, self._values, self._bessel())
+            inside = np.minimum(at, last) * self._period
+            reference[:, 0] = cubic(inside)
+            reference[:, 1] = np.where((at < last)[:, None], cubic(inside, 1), 0.0)
+        else:
+            for j, velocity in enumerate(self._values.T):
+                reference[:, 1, j] = np.where(at < last, np.interp(at * self._period, times, velocity), 0.0)
+        reference[:, 1, ~self.named] = 0.0
+        return reference
 
     def _bessel(self) -> Array:
         """Return the slopes at the set-points, 1/s, those that are not given from parabolas; shape (n, j)."""
-        if len(self._times) == 1:
-            return np.nan_to_num(self._slopes)
         span = np.diff(self._times)[:, None] * self._period
         rise = np.diff(self._values, axis=0) / span
-        slopes = np.vstack(
-            [rise[:1], (span[1:] * rise[:-1] + span[:-1] * rise[1:]) / (span[1:] + span[:-1]), rise[-1:]]
-        )
-        return np.where(np.isnan(self._slopes), slopes, self._slopes)
-
-    def _expected(self, now: int, last: float, target: Array, held: Array) -> int:
-        """Return in how many ticks the motion should have come to rest."""
-        v, a = self._limits.velocity, self._limits.acceleration
-        way = np.abs(target - held[0]) if self.interface == POSITION else np.zeros(len(held[0]))
-        rest = float(((way / v) + 2.0 * v / a).max()) / self._period
-        return math.ceil(max(last - now, 0.0) + rest) + _MARGIN
+        inner = (span[1:] * rise[:-1] + span[:-1] * rise[1:]) / (span[1:] + span[:-1])
+        return np.where(np.isnan(self._slopes), np.vstack([rise[:1], inner, rise[-1:]]), self._slopes)
 
 
 @kernel
-def _follow(
-    times: Array,
-    values: Array,
-    slopes: Array,
-    free: Mask,
-    velocity: Array,
-    acceleration: Array,
-    lower: Array,
-    upper: Array,
-    period: float,
-    states: Array,
-    behind: Array,
-) -> int:
+def _follow(reference: Array, free: Mask, last: float, limits: Array, period: float, states: Array) -> int:
     """Follow a reference; return the ticks until all joints rest, or more than there is room for.
 
     Args:
-        times: of the knots in ticks from now, shape (n,).
-        values: at the knots: positions, of free joints velocities, shape (n, j).
-        slopes: at the knots, rad for each tick, shape (n, j).
-        free: which joints follow velocities, shape (j,).
-        velocity: limits, rad/s, shape (j,).
-        acceleration: limits, rad/s^2, shape (j,).
-        lower: limits of positions, rad, shape (j,).
-        upper: likewise.
+        reference: positions and velocities in each tick, shape (m + 1, 2, j).
+        free: which joints follow velocities alone, shape (j,).
+        last: tick from which on the reference rests, not necessarily a whole number.
+        limits: of velocity, rad/s, and acceleration, rad/s^2, and lower and upper ones of position, rad, shape (4, j).
         period: of a tick, s.
         states: positions and velocities, shape (m + 1, 2, j), of which the first is given; the others are filled in.
-        behind: set to the largest distance from the reference up to the last knot, shape (j,).
     """
     room: int = states.shape[0] - 1
-    last, ticks = times.size - 1, 0
-    for j in range(velocity.size):
-        most, top = acceleration[j], velocity[j]
-        done, k = False, 0
+    ticks = 0
+    for j in range(limits.shape[1]):
+        top, acceleration, lower, upper = limits[:, j]
+        step = acceleration * period
+        done = False
         for i in range(room):
             q, v = states[i, 0, j], states[i, 1, j]
-            if done:
-                states[i + 1, 0, j], states[i + 1, 1, j] = q, v
-                continue
-            while k < last and times[k + 1] <= i:
-                k += 1
-            after = i >= times[last]
-            if free[j]:
-                desired = _line(times, values, j, i + 1.0)
-                if i < times[last] - 1.0:
-                    behind[j] = max(behind[j], abs(v - _line(times, values, j, float(i))))
-                change = desired - v
-                done = after and v == 0.0
-            else:
-                r, w = _cubic(times, values, slopes, j, k, float(i))
-                w /= period
-                _, then = _cubic(times, values, slopes, j, k, i + 1.0)
-                if not after:
-                    behind[j] = max(behind[j], abs(q - r))
-                feed = min(max(then / period - w, -0.5 * most * period), 0.5 * most * period) if not after else 0.0
-                done = after and abs(q - r) <= _AT_REST and abs(v) <= _SLOW
-                if done:
-                    states[i, 0, j], states[i, 1, j] = r, 0.0
-                    states[i + 1, 0, j], states[i + 1, 1, j] = r, 0.0
-                    ticks = max(ticks, i)
-                    continue
-                step = most * period
-                change = feed + _filter(q - r, v - w, step - abs(feed), period)
-            if done:
-                states[i + 1, 0, j], states[i + 1, 1, j] = q, v
+            r, w, then = reference[i, 0, j], reference[i, 1, j], reference[i + 1, 1, j]
+            at_rest = v == 0.0 if free[j] else abs(q - r) <= _AT_REST and abs(v) <= _SLOW
+            if i >= last and at_rest:
+                done = True
                 ticks = max(ticks, i)
-                continue
+                states[i:, 0, j] = q if free[j] else r
+                states[i:, 1, j] = 0.0
+                break
+            if free[j]:
+                change = then - v
+            else:
+                feed = min(max(then - w, -0.5 * step), 0.5 * step) if i < last else 0.0
+                change = feed + _filter(q - r, v - w, step - abs(feed), period)
             v1 = v + change
             # From where it may go, it must be possible to brake before the limits.
-            v1 = min(v1, _room(upper[j] - q - 0.5 * period * v, most, period))
-            v1 = max(v1, -_room(q + 0.5 * period * v - lower[j], most, period))
+            v1 = min(v1, _room(upper - q - 0.5 * period * v, acceleration, period))
+            v1 = max(v1, -_room(q + 0.5 * period * v - lower, acceleration, period))
             v1 = min(max(v1, -top), top)
-            v1 = min(max(v1, v - most * period), v + most * period)
+            v1 = min(max(v1, v - step), v + step)
             states[i + 1, 0, j], states[i + 1, 1, j] = q + 0.5 * period * (v + v1), v1
         if not done:
             ticks = room + 1
     return ticks
-
-
-@inlined
-def _line(times: Array, values: Array, j: int, t: float) -> float:
-    """Return the value at a time on the lines between the knots."""
-    last: int = times.size - 1
-    if t >= times[last]:
-        return float(values[last, j])
-    k: int = max(np.searchsorted(times, t, side="right") - 1, 0)  # type: ignore[assignment]
-    share = max((t - times[k]) / (times[k + 1] - times[k]), 0.0)
-    return float(values[k, j] + share * (values[k + 1, j] - values[k, j]))
-
-
-@inlined
-def _cubic(times: Array, values: Array, slopes: Array, j: int, k: int, t: float) -> tuple[float, float]:
-    """Return value and derivative at a time on the cubic behind knot k; at rest behind the last one."""
-    if t >= times[times.size - 1]:
-        return values[times.size - 1, j], 0.0
-    if t >= times[k + 1]:
-        k += 1
-    h = times[k + 1] - times[k]
-    s = (t - times[k]) / h
-    rise, a, b = values[k + 1, j] - values[k, j], slopes[k, j] * h, slopes[k + 1, j] * h
-    c2, c3 = 3.0 * rise - 2.0 * a - b, a + b - 2.0 * rise
-    return values[k, j] + s * (a + s * (c2 + s * c3)), (a + s * (2.0 * c2 + 3.0 * s * c3)) / h
 
 
 @inlined

@@ -6,7 +6,6 @@ import argparse
 import re
 import shutil
 import sys
-from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
 from rx90_common.base.quoting import one_line, plain, quoted
@@ -23,7 +22,6 @@ from rx90_emulator.cli.options import (
 
 _TIMEOUT = 30.0
 _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
-_REPORT, _RESULT = "report.html", "result.json"
 _EPILOG = """\
 the controller is COMMAND, which is started anew for each case and gets what stands behind --ros-args, on a
 ROS_DOMAIN_ID of its own unless one is set; without COMMAND it is the running node --node.
@@ -34,7 +32,7 @@ docs/howto/controller_check.md says more.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.epilog = _EPILOG
-    parser.set_defaults(interrupted="there is no report", ros_args=[])
+    parser.set_defaults(interrupted="there is no report; {output} has the logs of the controller", ros_args=[])
     parser.add_argument("command", nargs=argparse.REMAINDER, metavar="COMMAND",
                         help="starts the controller, with its arguments; after all options")  # fmt: skip
     parser.add_argument("--case", action="append", dest="cases", metavar="NAME",
@@ -47,8 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         "(%(default)s)")  # fmt: skip
     parser.add_argument("--command-rate", type=whole_number, metavar="HZ",
                         help="of joint_commands (the rate of the position loop)")  # fmt: skip
-    parser.add_argument("--limits", type=Path, metavar="FILE", help="limits in YAML, instead of the usual ones")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
     parser.add_argument("--output", type=new_folder, default="controller_check",
                         help="new folder for report, result and logs (%(default)s)")  # fmt: skip
     add_node_arguments(parser, _TIMEOUT)
@@ -61,14 +57,13 @@ def main(options: argparse.Namespace) -> int:
     Raises:
         Rx90Error: for what cannot be done.
     """
-    if options.command_interface == "motor" and options.command_rate is not None:
-        raise ConfigError("--command-rate without --command-interface joint; accepted: with it, motor_commands have "
-                          "the base rate")  # fmt: skip
-    for name, given in (("node", options.node), ("set-points", options.set_points)):
-        if given is not None and not _NAME.fullmatch(given):
-            raise ConfigError(
-                f"--{name} {quoted(given)}; accepted: a name such as my_controller or /cell/my_controller"
-            )
+    at_joints = options.command_interface == "joint"
+    if options.command_rate is not None and not at_joints:
+        raise ConfigError(
+            "--command-rate without --command-interface joint; accepted: with it, motor_commands have the base rate"
+        )
+    if options.set_points is not None and not _NAME.fullmatch(options.set_points):
+        raise ConfigError(f"--set-points {quoted(options.set_points)}; accepted: a topic such as /cell/set_points")
     command = [*options.command, *options.ros_args]
     if command and shutil.which(command[0]) is None:
         raise ConfigError(f"COMMAND {quoted(command[0])}: no such program; accepted: one that starts a controller, or "
@@ -81,34 +76,25 @@ def main(options: argparse.Namespace) -> int:
     from rx90_common.exchange.ros_start import prepare
     from rx90_common.process.files import write_text
     from rx90_emulator.conformance.battery import CASES
-    from rx90_emulator.conformance.quantities import CheckLimits
     from rx90_emulator.loop.setup import Setup
 
     prepare()
     from rx90_emulator.conformance.bench import Candidate
     from rx90_emulator.conformance.check import check_controller
 
-    setup, limits = Setup.load(RobotFiles.of_options(options)), CheckLimits.load(options.limits)
-    assert setup.files is not None
-    for name in options.cases or ():
+    setup = Setup.load(RobotFiles.of_options(options))
+    names = options.cases or list(CASES)
+    for name in names:
         if name not in CASES:
             raise ConfigError(f"--case {quoted(name)}; accepted: {', '.join(CASES)}")
-    names = options.cases or CASES
-    if options.cases is None and setup.files.tool is None:
-        names = [name for name in CASES if not name.startswith("payload")]
-        print("the arm carries no tool: the cases with another payload are left out")
-    at_joints, rates = options.command_interface == "joint", setup.rates
-    rate = (options.command_rate or rates.position_hz) if at_joints else rates.base_hz
-    ticks, timeout = ticks_per("command_rate", rates.base_hz, rate), options.timeout or _TIMEOUT
-    candidate = Candidate(command, node_of(options), options.set_points, at_joints, ticks, timeout)
-    output = Path(options.output)
-    output.mkdir(parents=True)
-    options.interrupted += "; {output} has the logs of the controller"
+    rate = (options.command_rate or setup.rates.position_hz) if at_joints else setup.rates.base_hz
+    ticks = ticks_per("command_rate", setup.rates.base_hz, rate)
+    candidate = Candidate(command, node_of(options), options.set_points, at_joints, ticks, options.timeout or _TIMEOUT)
     with progress_bar("check") as progress:
-        result = check_controller(candidate, setup, names, limits, output, progress)
-    write_text(output / _RESULT, result.json)
-    write_text(output / _REPORT, result.page)
-    print(result.json if options.json else f"{result.text}\nreport: {plain((output / _REPORT).resolve())}")
-    for one in result.deciding:
-        print(one_line(f"rx90_controller_check: {one.text}"), file=sys.stderr)
-    return DONE if result.passed else VERDICT_NO
+        result = check_controller(candidate, setup, names, options.output, progress)
+    write_text(options.output / "result.json", result.json)
+    write_text(options.output / "report.html", result.page)
+    print(f"{result.text}\nreport: {plain(options.output / 'report.html')}")
+    for line in result.deciding:
+        print(one_line(f"rx90_controller_check: {line}"), file=sys.stderr)
+    return VERDICT_NO if result.deciding else DONE

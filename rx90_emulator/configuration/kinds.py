@@ -18,7 +18,6 @@ from rx90_common.description.robot import TOOL, load_tool
 from rx90_common.friction.friction_file import FRICTION, FrictionFile
 from rx90_controller.law.parameters import CONTROLLER, load_controller
 from rx90_controller.lines.task import TASK, load_task
-from rx90_emulator.conformance.quantities import CHECK_LIMITS, CheckLimits
 from rx90_emulator.correction.file import CORRECTION, load_correction
 from rx90_emulator.identification.experiments.plan import EXPERIMENTS, POSES, Poses, read_index
 from rx90_emulator.loop.path_file import PATH, TRAJECTORY, load_path, load_trajectory
@@ -91,7 +90,6 @@ KINDS = (
     ),
     FileKind("log_mapping", MAPPING, LogMapping.load),
     FileKind("tolerances", TOLERANCES, load_rules),
-    FileKind("check_limits", CHECK_LIMITS, CheckLimits.load),
     FileKind("correction", CORRECTION, load_correction),
     FileKind("experiments", EXPERIMENTS, lambda path: read_index(path.parent)),
 )

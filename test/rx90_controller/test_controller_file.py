@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,7 +12,6 @@ from refusals import refusal_by
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.law.parameters import load_controller
-from rx90_controller.node import controller_node
 from rx90_emulator.configuration.nodes import declared
 from rx90_emulator.loop.setup import Setup
 
@@ -47,25 +44,6 @@ def test_what_needs_a_model_takes_the_files_beside(
     assert (law.model.friction, law.model.tool) == (path.parent / "friction.yaml", None)
 
 
-def test_named_files_do_not_depend_on_where_a_program_is_started(
-    shipped_files: RobotFiles, edited_yaml: Edit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In a folder that was moved away from its model, a file of that name in the present folder is not taken for it."""
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    for folder in (elsewhere, tmp_path):
-        (folder / "mine.yaml").write_bytes(shipped_files.friction.read_bytes())
-    monkeypatch.chdir(elsewhere)
-    shared = {role: str(getattr(shipped_files, role)) for role in ("urdf", "drives")}
-    named = edited_yaml(shipped_files.controller, ("model",), {**shared, "friction": "mine.yaml"})
-    model = load_controller(named).model
-    assert model is not None
-    assert model.friction == named.parent / "mine.yaml"
-    model.friction.unlink()
-    accepted = "a friction file: a path from this file's folder or from config/, or an absolute one"
-    assert f"model.friction is 'mine.yaml'; accepted: {accepted}" in refusal(named)
-
-
 def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: Edit, tmp_path: Path) -> None:
     """A named file is beside the controller file or below config/; what is wrong in it is refused in any case."""
     shared = {role: shipped_files.text(role) for role in ("urdf", "drives", "friction")}
@@ -89,24 +67,6 @@ def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: 
     other.write_text(whole.replace("tau_c: 25.0", "tau_c: -25.0"))
     said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, "friction": "other.yaml"}))
     assert f"{other}: elements.joint_1.tau_c is -25.0; accepted" in said
-
-
-@pytest.mark.parametrize("switch", ["inverse_dynamics", "friction_model"])
-def test_without_a_model_its_parts_stay_off(shipped: Setup, switch: str) -> None:
-    """Parameters built in Python without a model refuse the parts that need one."""
-    on = dataclasses.replace(shipped.controller.feed_forward, **{switch: True})
-    with pytest.raises(ConfigError, match=f"{switch} is true without a model; accepted: with one"):
-        dataclasses.replace(shipped.controller, feed_forward=on, model=None)
-
-
-def test_one_line_says_that_the_action_is_off_and_how_to_turn_it_on() -> None:
-    """Without control_msgs nothing is served beyond what there was, and the log has one line of information."""
-    said: list[str] = []
-    node: Any = SimpleNamespace(get_logger=lambda: SimpleNamespace(info=said.append))
-    missing = "needs control_msgs; accepted: make action"
-    what = "the action follow_joint_trajectory is"
-    assert controller_node.import_optional(node, "client_interfaces", what, missing) is None
-    assert said == ["the action follow_joint_trajectory is off: needs control_msgs; accepted: make action"]
 
 
 @pytest.mark.parametrize(

@@ -255,15 +255,6 @@ def test_the_first_sample_is_held_to_the_path_and_has_no_acceleration_of_its_own
     assert arm.run(10) == []
 
 
-def test_what_is_furthest_beyond_its_tolerance_is_named() -> None:
-    """Of several violations the largest in terms of its limit is told; a value that is none counts as the largest."""
-    for wrong, joint in ((0.5, "joint_2"), (np.nan, "joint_5")):
-        arm = Arm()
-        arm.offer("a", message(path_tolerance=[tolerance("joint_5", 0.4), tolerance("joint_2", 0.1)]))
-        arm.off[1], arm.off[4] = 0.5, wrong
-        assert arm.run(1)[0].text.startswith(f"{joint}: position error")
-
-
 def test_a_goal_is_reached_once_its_tolerances_hold() -> None:
     """Past the last point it settles, and succeeds within goal_time; path tolerances no longer count."""
     arm = Arm()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 
 import numpy as np
 import pytest
@@ -83,24 +82,6 @@ def test_points_of_the_past_are_left_out(generator: TrajectoryGenerator) -> None
     curve = hermite([0.4, 0.9, 1.3], rows)
     assert got[1:901, 0] == pytest.approx(curve(0.4 + np.arange(900) * PERIOD), abs=1e-9)
     assert np.all(got[902:, 0] == way[3])
-
-
-@pytest.mark.parametrize("times", [[3600.0], [1800.0, 3600.0]])
-def test_an_hour_within_the_limits_is_not_sampled(times: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
-    """What its polynomials show to be within the limits is taken at once, be it one point or more."""
-    monkeypatch.setattr(JointLimits, "_of_setpoints", lambda *_: pytest.fail("millions of set-points are looked at"))
-    plain = points(times, [HOME + 0.1] * len(times), [ZERO] * len(times))
-    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    assert generator.join(plain, 0, None, anywhere=False).end == 3_600_000
-
-
-def test_refusals_count_the_points_as_they_were_sent(generator: TrajectoryGenerator) -> None:
-    """Behind points that were left out, a refused one bears its number in what was sent."""
-    way, rest = [HOME + 0.1, HOME + 0.2, HOME + 5.0], [ZERO] * 3
-    with pytest.raises(TrajectoryError, match=r"^point 2: joint_1 has the position 5.1 rad"):
-        generator.join(points([0.1, 0.2, 3.0], way, rest), 400, 100, anywhere=False)
-    with pytest.raises(TrajectoryError, match=r"^point 2: joint_1 gets a set-point"):
-        generator.join(points([0.1, 0.2, 0.301], [*way[:2], HOME - 0.5], rest), 400, 100, anywhere=False)
 
 
 REQUESTS = ("join", "join", "accept", "scale", "scale", "halt", "stop", "delay")
@@ -247,11 +228,3 @@ def test_what_would_come_too_late_is_not_handed_over() -> None:
         plan = planned(running(), start=start)
         assert not plan.fits(NOW + late)
         assert plan.fits(NOW + late - 1)
-
-
-def test_from_rest_it_begins_when_it_is_there() -> None:
-    """Then the time that it took shifts the motion, and when it is said to run."""
-    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    alone = copy(generator)
-    assert planned(generator).adopt(NOW + 77) == alone.join(BACK, NOW + 77, None, anywhere=False)
-    assert np.array_equal(rest(generator, NOW + 77), rest(alone, NOW + 77))

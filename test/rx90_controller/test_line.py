@@ -272,10 +272,3 @@ def test_values_that_make_no_line_are_refused(change: dict[str, Any], expected: 
     """A task that is not a line is refused when it is made, by the name and value of what is wrong."""
     with pytest.raises(LineError, match=expected):
         replace(load_task(config_path(REFERENCE)), **change)
-
-
-@pytest.mark.parametrize(("speed", "acceleration"), [(0.0, 1.0), (1.1, 1.0), (0.5, 0.0), (0.5, float("nan"))])
-def test_approach_limits_are_checked(speed: float, acceleration: float) -> None:
-    """A share outside (0, 1] or a useless acceleration is refused."""
-    with pytest.raises(LineError, match="accepted:"):
-        Approach(speed, acceleration)

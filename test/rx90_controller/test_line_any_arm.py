@@ -22,9 +22,7 @@ from rx90_common.base.share import config_path
 from rx90_common.description.inverse import SphericalWristArm
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.plan import LinePlan, describe_line, plan_line
-from rx90_controller.lines.postures import task_from
 from rx90_controller.lines.task import LineTask, load_task
-from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.arms import robot_of_urdf
 from rx90_emulator.loop.setup import Setup
 
@@ -215,33 +213,6 @@ def test_what_no_line_is_for_is_refused(tmp_path: Path, joints: int, change: dic
     robot = robot_of_urdf(write_urdf(tmp_path, joints), JOINTS[:joints])
     with pytest.raises(LineError, match=re.escape(said)):
         plan_line(robot, replace(_line(robot), **change))  # type: ignore[arg-type]
-
-
-def test_a_posture_of_an_arm_with_a_closed_form_is_refused(shipped: Setup) -> None:
-    """The RX90B's postures have names; a start posture beside them would say it twice."""
-    task = replace(load_task(config_path("robots/rx90b/task.yaml")), start_posture=(0.0,) * 6)
-    with pytest.raises(LineError, match="accepted: shoulder, elbow and wrist"):
-        plan_line(shipped.robot, task)
-
-
-def test_the_command_plans_from_a_posture(
-    shipped: Setup, aside: Callable[[], Path], capsys: pytest.CaptureFixture[str]
-) -> None:
-    """`rx90_line --start-posture` without --start begins where the tool is in that posture, turned as it is."""
-    file = aside()
-    robot = robot_of_urdf(file)
-    posture = (0.1, 0.4, 0.9, 0.3, 0.8, -0.2)
-    task = task_from(robot, posture, (0.0, 0.0, 0.0))
-    place, rotation = _pose(robot, np.array(posture))
-    np.testing.assert_allclose(task.start, place, atol=1e-12)
-    np.testing.assert_allclose(pin.rpy.rpyToMatrix(*task.start_rpy), rotation, atol=1e-12)
-    end = " ".join(f"{value:.6f}" for value in np.add(place, (0.02, 0.03, 0.01)))
-    words = f"--urdf {file} --tool none --start-posture {' '.join(map(str, posture))} --end {end} --dry-run"
-    assert run("rx90_line", words.split()) == 0
-    rows = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines()}
-    starts = [float(rows[f"joint_{k}"][0]) for k in range(1, 7)]
-    assert starts == pytest.approx(np.degrees(posture), abs=0.01)
-    assert shipped.robot.joint_names == robot.joint_names
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,13 +19,10 @@ from schema_faults import schema_faults
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from rx90_common.base.errors import ConfigError, ExchangeError, LineError
 from rx90_common.base.share import config_path
-from rx90_common.exchange.client_node import ClientNode
 from rx90_common.process.children import executable
-from rx90_controller.lines.plan import Approach, approached, plan_line
+from rx90_controller.lines.plan import Approach, plan_line
 from rx90_controller.lines.task import load_task
-from rx90_controller.node.trajectory_client import TrajectoryClient
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.setup import Setup
 
@@ -211,53 +207,3 @@ def test_approach_comes_first_where_the_arm_stands_elsewhere(
     expected = Approach().duration(shipped.robot, here, plan.start_pose)
     delay = first.time_from_start.sec + 1e-9 * first.time_from_start.nanosec
     assert expected <= delay < expected + 1e-3
-
-
-def test_without_approach_an_arm_elsewhere_is_refused(shipped: Setup) -> None:
-    """An arm that stands away from the start gets nothing; the line names joint, angles and the way out."""
-    plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
-    said = r"^joint_3 is at 0\.0000 rad, the line starts at 1\.4490 rad; accepted: within .* or --approach$"
-    with pytest.raises(LineError, match=said):
-        approached(plan, np.zeros(6), shipped.controller.limits(shipped.robot), 1e-3, None)
-
-
-@pytest.mark.ros
-@pytest.mark.usefixtures("warm")
-def test_no_controller_within_the_timeout(ros_domain: int, start_apart: Start) -> None:  # noqa: ARG001 - of its own
-    """Without a controller the tool gives up with one line and status 3."""
-    process = start_apart(*LINE, "--start-time", "1", "--timeout", "1")
-    _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 3
-    assert err == "rx90_line: found no controller on /rx90_controller/joint_trajectory within 1 s\n"
-
-
-@pytest.mark.ros
-def test_a_controller_that_is_being_started_is_waited_for(ros_domain: int) -> None:
-    """A node of that name without its topic yet gets more time than the timeout, which is said; none gets no more."""
-    context = Context()
-    rclpy.init(context=context, domain_id=ros_domain)
-    node, starting = (rclpy.create_node(name, context=context) for name in ("asks", "rx90_controller"))
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    said: list[str] = []
-
-    def say(text: str) -> None:
-        said.append(text)
-        if "is there, without its topics" in text:
-            starting.create_subscription(JointTrajectory, "~/joint_trajectory", lambda _: None, 10)
-
-    try:
-        asks = ClientNode(node, executor, 0.3, say, lambda: None)
-        TrajectoryClient(asks, "rx90_controller").wait_for_controller(PATIENCE)
-        assert len(said) == 2
-        with pytest.raises(ExchangeError, match=r"found no controller .* within 0\.3 s"):
-            TrajectoryClient(asks, "another").wait_for_controller(PATIENCE)
-    finally:
-        executor.shutdown()
-        context.try_shutdown()
-
-
-def test_an_empty_controller_name_is_refused() -> None:
-    """`--node ''` would name a topic in the root namespace, where no controller listens."""
-    with pytest.raises(ConfigError, match="is empty; accepted: a name such as"):
-        TrajectoryClient(SimpleNamespace(node=None), "")  # type: ignore[arg-type]  # refused before it is looked at

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import count, pairwise
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -181,31 +181,6 @@ def test_two_simulations_in_lock_step_get_no_commands_until_one_is_left(lock_ste
     assert lock_step.begun[-1] == 40
 
 
-def test_a_missing_simulation_is_announced_once_and_its_return_too(
-    lock_step: Loops, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Waiting for a simulation is one line, however long, and its arrival another one."""
-    later = count(1e12)
-    monkeypatch.setattr(serving.time, "monotonic", lambda: next(later))
-    lock_step.simulation.publishers = 0
-    for _ in range(100):
-        lock_step.side.serve_lock_step(0.0)
-    assert lock_step.said == ["waiting for a simulation on /motor_states"]
-    lock_step.hear(message(0), message(1))
-    assert lock_step.said[1:] == ["the simulation is there: 0 s"]
-
-
-def test_states_that_cannot_be_used_are_left_out(lock_step: Loops) -> None:
-    """No message without velocities, with numbers that are none or with a stamp between two ticks changes anything."""
-    one, nan = np.ones(1), np.full(1, np.nan)
-    odd = CODEC.encode(RATES.period_ns + 7, one, one)
-    bad = [odd, b"", b"garbage", *(CODEC.encode(k * RATES.period_ns, nan, one) for k in range(3)), CODEC.encode(0, one)]
-    lock_step.hear(*bad, message(0), message(1), *bad, *bad, message(2))
-    assert ([own for own, _ in lock_step.answered], lock_step.begun, lock_step.said) == ([0, 1, 2], [0], [])
-    (line,) = lock_step.refused  # throttled
-    assert line.startswith("/motor_states: the stamp is 1000007 ns; accepted: multiples of 1000000 ns")
-
-
 @pytest.fixture
 def loops() -> Loops:
     """Return loops that have run for a second beside a simulation."""
@@ -233,13 +208,6 @@ def test_each_tick_answers_its_own_states(loops: Loops, speed: float) -> None:
     assert len(loops.begun) == 1
 
 
-def test_it_sleeps_until_states_are_due(loops: Loops) -> None:
-    """In time with a simulation, nearly every wake-up finds states, and none waits for the network for long."""
-    before = loops.simulation.waits
-    loops.run_for(10.0)
-    assert loops.simulation.waits - before < 0.1 * 10.0 / TICK
-
-
 def test_a_short_stall_is_caught_up(loops: Loops) -> None:
     """After 4 ms in which the controller did not run, all ticks come at once, and one command answers them."""
     loops.simulation.sleep(4 * TICK)
@@ -261,18 +229,6 @@ def test_a_longer_lag_is_skipped_and_told(loops: Loops) -> None:
     (line,) = loops.said
     assert "3 s behind the simulation" in line
     assert abs(loops.ticks[-1][1] - loops.ticks[-1][2]) <= 3
-
-
-def test_a_machine_that_is_too_slow_does_not_flood_the_terminal(loops: Loops) -> None:
-    """Where the controller runs once in 20 ticks of the simulation's, lag after lag is skipped; few lines tell it."""
-    end = loops.simulation.now + 30.0
-    while loops.simulation.now < end:
-        loops.side.serve_free_running()
-        loops.simulation.sleep(20 * TICK)
-    assert len(loops.skipped) > 20
-    assert len(loops.begun) == 1
-    assert 1 <= len(loops.said) <= 8
-    assert loops.ticks[-1][2] - loops.ticks[-1][1] < 300
 
 
 def test_the_motion_goes_on_after_a_pause(loops: Loops) -> None:

@@ -5,7 +5,6 @@ Where the motors of the rig stand still, the error of a joint is its set-point: 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -14,7 +13,6 @@ from joint_moves import trajectory
 from servo_rig import Rig
 
 from rx90_controller.trajectory.request import Feedback, GoalTolerances, JoinedAhead, State, TrajectoryRequest
-from rx90_emulator.loop.setup import Setup
 
 RATIO = 4  # ticks for each of the position loop, which come every millisecond
 
@@ -118,35 +116,6 @@ def test_a_long_goal_that_is_joined_while_the_torque_goes_off_and_on_moves_the_a
     rig.run(8, 4)
     assert rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
     assert sender.ends == []
-
-
-def test_a_trajectory_that_waits_for_the_torque_does_not_outlast_its_run(rig: Rig) -> None:
-    """Where the states begin anew it is dropped, as one that is followed is."""
-    switch_off_and_on(rig)
-    rig.loop.receive(rig.trajectory(0.1))
-    rig.loop.hold(rig.states(0))
-    assert rig.around.lines[-1] == "the trajectory that waited is dropped: the states go on from 0 s; holding"
-    rig.run(0, 8)
-    assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
-
-
-def test_a_goal_that_waits_for_the_torque_ends_with_what_takes_its_place(rig: Rig) -> None:
-    """A trajectory on the topic, or the torque off again: the goal gets its result at once, and is never followed."""
-    switch_off_and_on(rig)
-    replaced = offer(rig, 0.1)
-    rig.loop.receive(rig.trajectory(0.2))
-    assert [(end.state, end.reason) for end in replaced.ends] == [
-        (State.ABORTED, "replaced by a trajectory on the topic")
-    ]
-    rig.loop.enable(False)
-    rig.loop.enable(True)
-    dropped = offer(rig, 0.1)
-    rig.loop.enable(False)
-    assert [(end.state, end.reason) for end in dropped.ends] == [(State.ABORTED, "the torque is off")]
-    rig.loop.enable(True)
-    rig.run(8, 16)
-    assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
-    assert [len(sender.ends) for sender in (replaced, dropped)] == [1, 1]
 
 
 def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
@@ -342,35 +311,3 @@ def test_what_is_held_to_constraints(held: Callable[..., Rig]) -> None:
     offer(rig, 0.1)
     rig.run(0, RATIO * 1500)
     assert len(aborted(rig)) == 2
-
-
-@pytest.mark.parametrize("field", ["kp", "ki", "viscous"])
-def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, field: str) -> None:
-    """One line names the joint, no torque that is not finite goes out, and enable after mending goes on.
-
-    The value comes past the checks, as one would by Python.
-    """
-    huge = np.array(getattr(shipped.controller, field))
-    huge[3] = np.inf if field in ("ki", "viscous", "coulomb") else 1e308
-    object.__setattr__(absurd := dataclasses.replace(shipped.controller), field, huge)
-    good = rig.cs7b.law.copy()
-    rig.loop.hold(rig.states(0))
-    assert rig.run(0, 8) == [True] * 8
-    heard: list[int] = []
-    with np.errstate(all="ignore"):
-        rig.loop.change_law(absurd.record(shipped.robot, shipped.drives, shipped.rates), heard.append)
-    torques = rig.run(8, 40)
-    assert not any(torques[4:])
-    assert rig.around.published == [0, 4 * rig.period]  # torques that are no numbers are not published
-    lines = [line for line in rig.around.lines if "torque nan Nm" in line]
-    assert len(lines) == 1
-    assert lines[0].startswith("joint_4: torque nan Nm at 0.002 s; accepted: finite torques; torque off")
-    assert np.isfinite(rig.loop.command).all()
-    rig.loop.enable(True)  # nothing is mended: it stops again, and says so again
-    assert not any(rig.run(48, 4))
-    rig.loop.change_law(good, heard.append)
-    rig.loop.enable(True)
-    assert rig.run(52, 40) == [True] * 40
-    assert sum("torque nan Nm" in line for line in rig.around.lines) == 2
-    assert np.isfinite(rig.loop.command).all()
-    assert np.isfinite(rig.cs7b.saturated).all()

@@ -141,14 +141,6 @@ def test_the_change_of_speed_is_as_quick_as_the_accelerations_allow() -> None:
     assert got[5:100, 2, 0] == pytest.approx(-18.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("factor", [-0.1, 1.01, float("nan"), float("inf")])
-def test_a_scaling_that_is_none_is_refused(generator: TrajectoryGenerator, factor: float) -> None:
-    """Only numbers from 0 to 1 are taken; a refused one changes nothing."""
-    with pytest.raises(TrajectoryError, match=r"^speed scaling .*; accepted: a number in \[0, 1\]$"):
-        generator.set_speed_scaling(factor, 100)
-    assert generator.factor == generator.speed_scaling(400) == 1.0
-
-
 def test_what_waits_at_rest_starts_in_time_whatever_the_scaling(generator: TrajectoryGenerator) -> None:
     """At rest a change of the scaling moves no start; the trajectory begins in its tick and runs at the new speed."""
     generator.setpoints(0, 1400)

@@ -39,11 +39,6 @@ joint_states:
   position: 1.0e-9
   joints: {joint_1: {position: 1.0e-8, effort: 2}}
 """,
-    "check_limits": """\
-error_factor: 2.0
-hunting: 2.0e-5
-phase_margin: 45
-""",
     "node_parameters": """\
 /**/rx90_sim:
   ros__parameters:

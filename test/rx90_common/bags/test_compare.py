@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -213,8 +214,11 @@ def test_exit_code(bags: Path, arguments: str, code: int, monkeypatch: pytest.Mo
 
 
 def test_report(bags: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """The table names joint, maximum, time, RMS and unit of what differs, and JSON has the same figures."""
+    """Bags of equal bits are one line; else a table names joint, maximum, time, RMS and unit; JSON has the figures."""
     monkeypatch.chdir(bags)
+    run("rx90_bag", ["compare", "a", "a"])
+    (line,) = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(r"a against a: same; (\d+) of \1 topics? bit for bit; 0 other topics not compared", line)
     run("rx90_bag", ["compare", "a", "off"])
     text = capsys.readouterr().out
     (row,) = (line.split() for line in text.splitlines() if "joint_2" in line)

@@ -276,14 +276,6 @@ def test_damaged_lines_of_an_exported_file_are_left_out(tmp_path: Path, capsys: 
     assert "every row is corrupt: 1 corrupt row, line 2 (line 2: time 'x'" in capsys.readouterr().err
 
 
-def test_a_first_row_that_is_taken_for_a_header_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A torn quotation mark makes of a row a line without a number; how many such stood before is told."""
-    write(tmp_path / "log.yaml", PLAIN)
-    log = write(tmp_path / "log.csv", 't,a,b\n"0,1,2\n1,2,3\n')
-    assert run("rx90_bag", ["import", str(log), str(tmp_path / "bag")]) == 0
-    assert "header t, a, b in 2 lines before the first row" in capsys.readouterr().out
-
-
 def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Currents are called A in the bag, its table, plots, comparisons and exports, and on the way back; torques Nm."""
     for unit in ("mA", "mNm"):

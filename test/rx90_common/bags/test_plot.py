@@ -68,17 +68,6 @@ def test_without_options_the_usual_topics_are_drawn(bags: dict[str, Path]) -> No
     assert walls.plot.panels[-1].x_label == "time since 2026-09-21 14:13:20 and 0 ns UTC, s"  # type: ignore[union-attr]
 
 
-def test_reading_tells_how_far_it_is(tmp_path: Path) -> None:
-    """While one bag after the other is read the share that is done grows, half of it for each, up to all."""
-    told: list[float] = []
-    for name, count in (("a", 20_000), ("b", 9_000)):
-        rows = np.arange(count, dtype=np.int64)
-        write_joint_states(tmp_path / name, [JointSeries("/joint_states", NAMES, rows, np.zeros((count, 2)))])
-    plot_bags([tmp_path / "a", tmp_path / "b"], progress=lambda done, total: told.append(done / total))
-    shares = [0.5 * 8192 / 20_000, 0.5 * 16_384 / 20_000, 0.5, 0.5 + 0.5 * 8192 / 9_000, 1.0]
-    assert told == pytest.approx(shares, abs=1e-3)
-
-
 def test_two_bags_are_drawn_with_their_difference(bags: dict[str, Path]) -> None:
     """Both lie over each other, below is the second less the first; the table has largest and RMS difference."""
     plot = plot_bags([bags["first"], bags["second"]])[0]

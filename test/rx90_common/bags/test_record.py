@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
-import pty
 import re
-import select
 import signal
-import struct
 import subprocess
 import sys
-import termios
 import threading
 import time
 from collections import Counter
@@ -374,24 +368,6 @@ def test_a_middleware_that_does_not_return_ends_the_recorder(tmp_path: Path, sta
     assert (code, out, err.count("\n")) == (3, "", 1)
     assert err.startswith("rx90_bag: the message reader did not end within 0.5 s (it is in ")
     assert len(read_joint_states(tmp_path / "bag", "motor_states").stamp_ns) == 400
-
-
-@pytest.mark.ros
-def test_status_on_a_terminal(tmp_path: Path, start: Start, node: Node) -> None:
-    """On a terminal the recorder shows the number of messages and the simulated time."""
-    suite = Suite(node)
-    controller, terminal = pty.openpty()
-    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("4H", 24, 100, 0, 0))
-    recorder = record(start, tmp_path / "bag", "motor_states", ready=1, stderr=terminal)
-    suite.publish(4001, 0)
-    shown = ""
-    while "4.00k msgs" not in shown or "t = 1.000 s" not in shown:
-        readable, _, _ = select.select([controller], [], [], TIMEOUT_S)
-        assert readable, shown
-        shown += os.read(controller, 65536).decode()
-    assert recorder.finish(signal.SIGINT)[0] == 0
-    os.close(terminal)
-    os.close(controller)
 
 
 @pytest.mark.ros

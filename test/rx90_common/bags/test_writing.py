@@ -35,7 +35,6 @@ from rx90_common.bags.writing import (
 )
 from rx90_common.base.errors import FAILED, REFUSED, BagError, BagWriteError
 from rx90_common.exchange.cdr import cdr_stamp_ns
-from rx90_emulator.cli.frame import run
 
 
 class ChecksummedWriter(McapWriter):
@@ -266,23 +265,6 @@ def test_a_checkpoint_outlives_the_process(tmp_path: Path, storage: str) -> None
     write_one(bag, connection, 1_000_000_000, message.cdr)
     assert file.read_bytes().count(b"marked content") == 2
     bag.close()
-
-
-LONGEST = 243
-"""Bytes: a file system's 255 without the 12 of .db3-journal."""
-
-
-def test_the_longest_name_can_be_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A bag with the longest name, also one of characters of four bytes, is written and read; one byte more is not."""
-    monkeypatch.chdir(tmp_path)
-    for character in "x", "\N{ROBOT FACE}":
-        name = character * (LONGEST // len(character.encode()))
-        write_joint_states(name, [series()])
-        assert run("rx90_bag", ["info", name]) == 0
-    for write in BagWriter, lambda path: write_joint_states(path, [series()]):
-        with pytest.raises(BagError, match=r"has 244 bytes; accepted: up to 243"):
-            write("z" * (LONGEST + 1))
-    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_a_path_beyond_that_of_a_database_is_refused(tmp_path: Path) -> None:

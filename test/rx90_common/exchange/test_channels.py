@@ -16,7 +16,6 @@ from pathlib import Path
 
 import pytest
 from processes import on_own_domain, wait_until
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_client import Client
 from sensor_msgs.msg import JointState
@@ -27,7 +26,6 @@ from rx90_common.exchange.arrivals import count_arrivals
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Channel, LocalLink, TickChannel, lock_publisher
 from rx90_common.exchange.endpoints import TICK_QOS, wait_until_matched
-from rx90_common.exchange.parameters import declare_robot_files
 
 pytestmark = pytest.mark.ros
 QOS = TICK_QOS
@@ -194,14 +192,6 @@ def test_a_call_leaves_no_client_behind(client: Client) -> None:
     before = list(client.node.clients)
     client.asking.call(Trigger, "asked", Trigger.Request())
     assert list(client.node.clients) == before
-
-
-def test_a_robot_folder_s_missing_file_is_named_once(client: Client, tmp_path: Path) -> None:
-    """The files that a node takes from a robot folder are those of the folder, whether they are there or not."""
-    (tmp_path / "drives.yaml").touch()
-    client.node._parameter_overrides["robot"] = Parameter("robot", value=str(tmp_path))
-    files = declare_robot_files(client.node, "urdf", "drives", "tool")
-    assert (files.urdf, files.drives, files.tool) == (tmp_path / "robot.urdf", tmp_path / "drives.yaml", None)
 
 
 @pytest.mark.usefixtures("warm")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from processes import Processes
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_client import JOINTS, Client, seconds
 from sensor_msgs.msg import JointState
 
@@ -79,55 +77,6 @@ def command(stamp: Any, names: Sequence[str] = JOINTS, **arrays: Sequence[float]
 
 
 ZERO = [0.0] * 6
-FAULTS: list[tuple[Command, str]] = [
-    (lambda s: command(s, ["a", *JOINTS[1:]], effort=ZERO), r"joint name 'a' is unknown; accepted: joint_1, "),
-    (lambda s: command(s, JOINTS[:5], effort=ZERO[:5]), r"joint name 'joint_6' is missing; accepted: joint_1, "),
-    (lambda s: command(s, position=ZERO), r"position without effort; accepted: 6 efforts at the joints, Nm"),
-    (lambda s: command(s, effort=ZERO[:4]), r"effort has 4 elements; accepted: 6"),
-    (lambda s: command(s, effort=[np.nan, *ZERO[1:]]), r"effort of joint_1 is nan; accepted: a finite number"),
-    (
-        lambda _: command(Time(sec=1_790_000_000), effort=ZERO),
-        r"the stamp is 1790000000 s, of another clock,.*accepted",
-    ),
-    (command, r"effort is empty: no torque, brakes closed; for torque: 6 efforts at the joints"),
-]
-
-
-@pytest.mark.parametrize("mode", ["lock_step", "free_running"])
-def test_each_fault_is_one_line_that_says_what_is_expected(processes: Processes, client: Client, mode: str) -> None:
-    """Names, missing efforts, sizes, numbers, a clock of one's own, best effort: told once, however often it comes.
-
-    In lock-step time stands still for the faults; the right stamp lets it run on. Efforts that are empty close the
-    brakes.
-    """
-    parameters = {"time_mode": mode, **({"real_time_factor": 1.0} if mode == "free_running" else {})}
-    simulation = start(processes, **parameters)
-    states = client.listen("measured_joint_states", depth=1)
-    unheard = client.node.create_publisher(
-        JointState, "joint_commands", QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    )
-    simulation.wait_for("/joint_commands: node test_client publishes best effort, .*accepted: reliable")
-    client.node.destroy_publisher(unheard)
-    stray = client.node.create_publisher(JointState, "motor_commands", 1)
-    simulation.wait_for("/motor_commands: node test_client is not heard, because command_interface is joint; accepted")
-    client.node.destroy_publisher(stray)
-    publisher = client.node.create_publisher(JointState, "joint_commands", 1)
-    client.spin_until(lambda: bool(states) and publisher.get_subscription_count() > 0, "the simulation")
-
-    def send(make: Command) -> None:
-        publisher.publish(make(states[-1].header.stamp))
-
-    if mode == "lock_step":  # at 0 a stamp that is not set is the right one
-        client.spin_until(lambda: send(lambda s: command(s, effort=ZERO)) or seconds(states[-1]) > 0, "time to run")
-    for make, words in FAULTS:
-        client.spin_until(lambda m=make, w=words: send(m) or bool(re.search(w, simulation.output)), words)
-    for _ in range(50):
-        for make, _ in FAULTS[:-1]:
-            send(make)
-    for _, words in FAULTS:
-        assert len(re.findall(words, simulation.output)) == 1, words
-    now = seconds(states[-1])
-    client.spin_until(lambda: send(lambda s: command(s, effort=ZERO)) or seconds(states[-1]) > now + 0.01, "time")
 
 
 def test_a_late_listener_of_joint_states_alone_may_answer_them(processes: Processes, client: Client) -> None:

@@ -4,27 +4,22 @@ from __future__ import annotations
 
 import re
 import signal
-from itertools import count, groupby, pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 
 import pytest
 from builtin_interfaces.msg import Duration
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from processes import Processes, open_files
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from rclpy.time import Time
 from ros_client import JOINTS, Client, seconds
 from rosgraph_msgs.msg import Clock
 from scipy.optimize import brentq
-from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from rx90_common.base.rates import NANOSECONDS, Rates
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.cdr import cdr_stamp_ns
-from rx90_common.exchange.endpoints import LATCHED_QOS, TICK_QOS
-from rx90_common.exchange.topics import FREE_RUNNING, TimeMode, motor_names
 
 ROS_ARGS = ("--ros-args", "-r", "__ns:=/cell_1")
 SLOW_RATES = ("-p", "base_rate:=1000", "-p", "position_rate:=250")  # for time by the clock: fewer ticks to compute
@@ -96,10 +91,9 @@ def to_rest(duration: float, position: list[float], names: list[str] = JOINTS) -
 
 @pytest.mark.ros
 def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, client: Client) -> None:
-    """Refused trajectories leave the motion that runs alone; without power the brakes hold; diagnostics tell the rate.
+    """Refused trajectories leave the motion that runs alone; without power the brakes hold.
 
-    Beyond a supervised limit: one line and an ERROR that name joint, value, limit and time; `enable` brings the arm
-    back. The nodes run with integers where reals are asked for.
+    The nodes run with integers where reals are asked for.
     """
     given = ("-p", "real_time_factor:=0", "-p", "initial_position:=[0.0, 0.8, 0.8, 0.0, 0.5, 0.0]")
     processes.start("rx90_sim", "--ros-args", *given)
@@ -135,39 +129,6 @@ def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, c
     assert joints[-1].position[1] == pytest.approx(held, abs=2e-4)
     client.enable(True)
     client.spin_until(lambda: len(commands[-1].effort) == 6, "commands with torque again")
-
-    # A limit of the supervision that the next motion exceeds. Slowly, because diagnostics come by the wall clock.
-    assert client.set_parameters("rx90_sim", real_time_factor=0.1) == [""]
-    heard = client.listen("/diagnostics", DiagnosticArray)
-
-    def of_controller(since: Time) -> list[DiagnosticStatus]:
-        newer = [message.status[0] for message in heard if Time.from_msg(message.header.stamp) > since]
-        return [status for status in newer if status.name == "rx90_controller"]
-
-    assert client.set_parameters("rx90_controller", supervision__following_error=[5e-4] * 6) == [""]
-    begun_at = client.node.get_clock().now()
-    publisher.publish(to_rest(0.4, [angle + 0.1 for angle in target]))
-    controller.wait_for(r"joint_\d: following error .* rad at .* s; accepted: up to 0.0005 rad; torque off")
-
-    def errors() -> list[str]:
-        return [one.message for one in of_controller(begun_at) if one.level == DiagnosticStatus.ERROR]
-
-    client.spin_until(lambda: bool(errors()), "the diagnostics")
-    assert "accepted: up to 0.0005 rad" in errors()[0]
-    assert sum("following error" in line for line in controller.lines) == 1
-    client.enable(True)
-    enabled = client.node.get_clock().now()  # diagnostics from before may come after the answer
-    publisher.publish(to_rest(5.0, list(reference[-1].position)))
-    controller.wait_for("trajectory accepted")
-    client.spin_until(lambda: bool(of_controller(enabled)), "diagnostics")
-    assert DiagnosticStatus.ERROR not in [one.level for one in of_controller(enabled)]
-
-    # The controller's rate is that of the ticks it answers.
-
-    def rates() -> list[float]:
-        return [float(pair.value) for one in of_controller(enabled) for pair in one.values if pair.key == "rate, Hz"]
-
-    client.spin_until(lambda: any(300.0 < rate < 500.0 for rate in rates()), "a rate near 400 Hz")
 
 
 @pytest.mark.ros
@@ -212,34 +173,6 @@ def test_time_runs_by_the_clock_with_pauses_and_without_a_controller(processes: 
     closed = len(simulation.lines)
     controller.signal(signal.SIGCONT)
     client.spin_until(lambda: any("the brakes open" in line for line in simulation.lines[closed:]), "open brakes")
-
-
-@pytest.mark.ros
-def test_a_mode_that_comes_late_costs_no_trajectory(processes: Processes, client: Client) -> None:
-    """A trajectory that is sent between a simulation's first states and its mode is followed in that mode."""
-    controller = processes.start("rx90_controller")
-    states = client.node.create_publisher(JointState, "motor_states", TICK_QOS)
-    reference = client.listen("rx90_controller/reference", depth=1)
-    stamps = count()
-
-    def simulate() -> bool:
-        """Publish the states of the next ticks, as a simulation does that gets to run now and then."""
-        message = JointState(name=list(motor_names(6)), position=[0.0] * 6, velocity=[0.0] * 6, effort=[0.0] * 6)
-        for _ in range(16):
-            message.header.stamp.sec, message.header.stamp.nanosec = divmod(next(stamps) * 250_000, NANOSECONDS)
-            states.publish(message)
-        return False
-
-    client.spin_until(lambda: states.get_subscription_count() > 0, "the controller")
-    for _ in range(4):
-        simulate()
-    client.send([(0.1, [0.005] * len(JOINTS))])
-    controller.wait_for("a trajectory waits for the simulation's first tick")
-    mode = client.node.create_publisher(String, "time_mode", LATCHED_QOS)
-    mode.publish(String(data=TimeMode(FREE_RUNNING, Rates()).text))
-    client.spin_until(
-        lambda: simulate() or (bool(reference) and reference[-1].position[0] > 0.00499), "the end of the motion"
-    )
 
 
 UNPACED = ("--ros-args", "-p", "real_time_factor:=0.0")

@@ -89,24 +89,6 @@ def test_a_bad_parameter_is_one_line(refused: Refused, name: str, argument: str,
     assert all(word in line for word in accepted), line
 
 
-@pytest.mark.parametrize(
-    ("name", "argument", "accepted"),
-    [
-        ("rx90_sim", "joint_state_rate:=333", ["333", "4000"]),
-        ("rx90_controller", "joints:=3", ["parameter joints is 3", "joint_1, joint_2"]),
-    ],
-)
-def test_a_bad_parameter_ends_a_process_with_one_line(
-    processes: Processes, name: str, argument: str, accepted: list[str]
-) -> None:
-    """So it does as a process of its own: with what its end writes, and with the exit code that a shell gets."""
-    done = processes.run(name, "--ros-args", "-p", argument)
-    assert done.returncode == 2, done.stderr
-    line = the_line(done.stderr)
-    assert line.startswith(f"{name}: ")
-    assert all(word in line for word in accepted), line
-
-
 @pytest.mark.parametrize(("name", "topic"), [("rx90_sim", "/motor_states"), ("rx90_controller", "/motor_commands")])
 def test_a_second_node_of_a_kind_is_refused(refused: Refused, ros_domain: int, name: str, topic: str) -> None:
     """Its topic has a publisher already: exit code 3 and one line that names topic and process."""
@@ -160,24 +142,6 @@ def test_what_a_declaration_does_not_accept_is_named(client: Client, shipped: Se
         assert str(caught.value).startswith(f"parameter {name} ")
         assert accepted in str(caught.value)
         assert "is empty" in str(caught.value) or isinstance(value, list) or str(value) in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("variable", "value", "accepted", "command"),
-    [
-        ("ROS_DOMAIN_ID", "500", "0 to 232", ["rx90_sim"]),
-        ("ROS_DOMAIN_ID", "-1", "0 to 232", ["rx90_bag", "record", "--output", "never_made"]),
-        ("RMW_IMPLEMENTATION", "rmw_nothing_cpp", "rmw_fastrtps_cpp", ["rx90_demo", "--output", "never_made"]),
-    ],
-)
-def test_an_environment_that_cannot_be_is_one_line(
-    refused: Refused, monkeypatch: pytest.MonkeyPatch, variable: str, value: str, accepted: str, command: list[str]
-) -> None:
-    """A DDS domain that has no ports, or a middleware that is not there, is named with what is accepted."""
-    monkeypatch.setenv(variable, value)
-    line = refused(2, *command)
-    assert all(word in line for word in (variable, value, accepted)), line
-    assert not Path("never_made").exists()
 
 
 def test_a_diverging_arm_ends_the_run_with_joint_and_tick(

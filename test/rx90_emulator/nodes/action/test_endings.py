@@ -8,7 +8,6 @@ from __future__ import annotations
 import re
 from typing import Any
 
-import numpy as np
 import pytest
 from action_bench import ABORTED, CANCELED, STEP, SUCCEEDED, Bench
 
@@ -107,28 +106,3 @@ def test_what_ends_a_goal_is_told_to_who_sent_it(bench: Bench) -> None:
     ends(fourth, ABORTED, -1, "the states go on from 0 s; holding, at ")
     bench.begin_anew()
     bench.home()
-
-
-def spin_for(bench: Bench, set_points: int) -> None:
-    """Wait until so many set-points have come, and one."""
-    last = len(bench.set_points) + set_points
-    bench.client.spin_until(lambda: len(bench.set_points) > last, f"{set_points} set-points")
-
-
-def test_cancelling_while_time_runs_gives_one_of_two_ends(bench: Bench) -> None:
-    """Cancel and end may cross: the client gets CANCELED or SUCCEEDED, the next goal is followed all the same."""
-    from action_client import move
-
-    bench.home()
-    bench.time.pause(False)
-    generator = np.random.default_rng(1)
-    ends = set()
-    for k in range(6):
-        handle = bench.goals.send(move(0.02 * (k % 2), 0.25))
-        result = bench.goals.result_of(handle)
-        spin_for(bench, int(generator.integers(0, 300)))
-        bench.goals.cancel(handle)
-        ends.add(bench.goals.wait(result).status)
-    bench.time.pause(True)
-    assert ends <= {SUCCEEDED, CANCELED}
-    bench.begin_anew()

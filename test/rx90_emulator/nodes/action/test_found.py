@@ -111,14 +111,3 @@ def test_an_inactive_controller_is_listed_so(bench: Bench) -> None:
     bench.time.run(STEP)  # the torque comes back with a tick
     manager.discover()
     assert manager.active == {NAME: JOINTS}
-
-
-def test_joints_and_interfaces_can_be_read_and_not_be_changed(bench: Bench) -> None:
-    """Who asks for joint_trajectory_controller's parameters gets the arm's; setting them is refused with a reason."""
-    from rcl_interfaces.srv import GetParameters
-
-    names = ["joints", "command_interfaces", "state_interfaces"]
-    answer = bench.client.asking.call(GetParameters, f"{NAME}/get_parameters", GetParameters.Request(names=names))
-    assert [list(each.string_array_value) for each in answer.values] == [JOINTS, ["position"], ["position", "velocity"]]
-    (reason,) = bench.client.set_parameters(NAME, command_interfaces=["effort"])
-    assert "command_interfaces is read when the node is configured" in reason

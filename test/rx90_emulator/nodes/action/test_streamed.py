@@ -13,7 +13,6 @@ from processes import TIMEOUT
 from rclpy.duration import Duration
 from ros_client import JOINTS
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
 from rx90_common.exchange.endpoints import ros_time
 
@@ -56,11 +55,3 @@ def test_stamped_set_points_are_passed_through_after_the_delay_bit_by_bit(bench:
     assert np.abs(found[0][due - 1] - np.array([wave(k * STEP) for k in range(3, 39)])).max() < 1e-5
     assert (found[0] == found[1]).all()
     assert "came" not in bench.cell.output.rpartition("stream begins")[2]
-
-
-def test_numbers_without_names_move_the_arm(bench: Bench) -> None:
-    """A Float64MultiArray, as of MoveIt Servo and forward_command_controller, is a set-point of all joints."""
-    bench.home()
-    followed = set_points(bench, [Float64MultiArray(data=[0.05] * 6)], "commands", 0.6)
-    assert np.abs(followed[-1] - 0.05).max() < 1e-9
-    bench.said("stream ended")
