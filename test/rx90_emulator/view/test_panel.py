@@ -79,6 +79,7 @@ class Stranger:
         self._socket.close()
 
 
+@pytest.mark.ros
 def test_who_has_the_code_moves_the_arm_and_nobody_else(
     processes: Processes, shipped: Setup, plan: LinePlan, open_page: Open
 ) -> None:
