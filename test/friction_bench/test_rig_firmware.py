@@ -162,10 +162,7 @@ def test_8051_ticks_are_exact_by_the_cycle(make_board: Callable[..., Any], firmw
 
 @pytest.mark.parametrize("target", ALL)
 def test_random_damage_never_moves_the_rig(target: str, make_board: Callable[..., Any]) -> None:
-    """Torque commands with bytes flipped, lost or doubled at random never reach the DAC of an armed rig.
-
-    The rig has said in its greeting which processor it has.
-    """
+    """Torque commands with bytes flipped, lost or doubled at random never reach the DAC of an armed rig."""
     random_ = random.Random(7)
     player = armed(make_board(target))
     for number in range(400 if target == "native" else 25):
