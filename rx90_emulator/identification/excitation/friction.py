@@ -185,7 +185,7 @@ def identify_friction_parts(
         problem: the rows.
         parts: to try beside Coulomb and viscous friction, in this order; bristles take several times as long.
         prior: of the base parameters, for the values; the parts are selected by the runs alone.
-        progress: called with the name of each stage of the selection before it, `choice.stages(parts, fixed)` times.
+        progress: called with the name of each part before its trial.
         fixed: whether all elements have the parts, without selection.
 
     Returns:

@@ -17,9 +17,6 @@ import rx90_emulator as rx
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import DONE, REFUSED, ConfigError
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.options import MeasuredLayout
-from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.recording import open_recording
 
 GEAR, CONSTANT, ZERO = -50.0, 0.08, 0.3
 Columns = dict[str, Any]
@@ -135,23 +132,6 @@ def test_stamps_and_numbers_are_those_of_the_table(tmp_path: Path, suffix: str) 
     np.testing.assert_array_equal(series.stamp_ns, t)
     np.testing.assert_array_equal(series.position, q * [1, -1])
     assert series.names == ("a", "b")
-
-
-def test_view_and_plot_show_a_table(shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Six joints of a table are drawn and played as those of a bag."""
-    q = np.linspace(0.0, 0.2, 30)[:, None] * np.ones(6) + [0.0, 0.3, 0.9, 0.4, 0.5, 0.0]
-    table = write_table(tmp_path / "arm.npz", {"t": np.arange(30) / 10.0, "q": q})
-    field = {"columns": [f"q[{k}]" for k in range(6)], "unit": "rad"}
-    signals = write_map(tmp_path / "map.yaml", time={"column": "t", "unit": "s"}, position=field, velocity=None,
-                        names=[f"j{k}" for k in range(6)], effort=None, gear=None, torque_constant=None,
-                        zero=[0.1] * 6)  # fmt: skip
-    recording = open_recording(table, shipped.robot, shipped.files, MeasuredLayout(signals=signals))
-    np.testing.assert_allclose(recording.arm.fields["position"], q - 0.1, atol=1e-15)
-    picture = tmp_path / "page.svg"
-    assert run("rx90_bag", ["plot", str(table), "--signals", str(signals), "-o", str(picture)]) == DONE
-    assert "j5" in picture.read_text(encoding="utf-8")
-    assert run("rx90_bag", ["plot", str(table), "-o", str(tmp_path / "other.svg")]) == REFUSED
-    assert "no arm.yaml beside it, which says what its columns hold; accepted" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

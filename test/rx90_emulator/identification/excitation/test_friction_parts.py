@@ -239,14 +239,6 @@ def test_a_rise_that_may_be_there_lies_between_bounds() -> None:
     )
 
 
-def test_an_exponent_does_not_take_the_place_of_coulomb_friction(arm: RigidArm) -> None:
-    """A curve that a power alone would fit, from nothing at rest on, keeps a Coulomb torque, which an arm needs."""
-    laws = (lambda v: np.sign(v) * np.maximum(2.3 * np.abs(v) ** 0.3 - 0.3, 0.0), LAWS[1])
-    found = identify_friction_parts(problem_of(arm, record(laws, 1)))
-    assert Part.EXPONENT not in found.parts[0]
-    assert found.elements[0].parameters["tau_c_positive"].value > 0.0
-
-
 def test_asymmetry_is_told_to_be_an_offset(arm: RigidArm) -> None:
     """Of unequal directions the mean comes out, and it is said which offset holds half their difference."""
     laws = (power_law(3.0, 2.0, 1.0, up=0.5), LAWS[1])
@@ -389,34 +381,6 @@ def test_a_gain_is_judged_by_paired_blocks(weighted: WeightedProblem) -> None:
 RISING = (stribeck(2.0, 3.0, 0.1, 1.5), LAWS[1])
 
 
-@pytest.fixture(scope="module")
-def search(arm: RigidArm) -> Selection:
-    """Return a search, before any part was tried, along a run whose first element has a Stribeck rise."""
-    return Selection(problem_of(arm, record(RISING, 9)), (Part.EXPONENT, Part.STRIBECK))
-
-
-@pytest.mark.parametrize("name", ["rise", "delta"])
-def test_a_rise_that_ends_at_a_bound_is_tried_with_delta_1(search: Selection, name: str) -> None:
-    """The rise that is there comes out, and delta is not said to be known."""
-    begun = ElementShape(frozenset({Part.STRIBECK}), rise=1.5, omega_s=0.01, delta=0.5)
-    fit = fit_shapes(search.weighted, [begun, ElementShape()], ())
-    ended = Scored.of(search.weighted, replace(fit, at_bound=(frozenset({name}), frozenset())), search.blocks)
-    shape = search.within_bounds(ended, Part.STRIBECK).fit.shapes[0]
-    assert Part.STRIBECK in shape.parts
-    assert (shape.delta, shape.fixed) == (1.0, {"delta"})
-    assert shape.rise == pytest.approx(0.5, abs=0.15)
-    assert shape.omega_s == pytest.approx(0.1, rel=0.3)
-
-
-def test_an_exponent_at_a_bound_is_no_result(search: Selection) -> None:
-    """The part goes, whichever part is being tried, and the reason names the bound."""
-    shapes = [ElementShape(), ElementShape(frozenset({Part.EXPONENT}), alpha=2.0)]
-    fit = fit_shapes(search.weighted, shapes, ())
-    ended = Scored.of(search.weighted, replace(fit, at_bound=(frozenset(), frozenset({"alpha"}))), search.blocks)
-    assert search.within_bounds(ended, Part.STRIBECK).fit.shapes == (ElementShape(), ElementShape())
-    assert search.refused[1, Part.EXPONENT] == "alpha of two ends at the bound of its range, 2"
-
-
 @pytest.mark.parametrize(("laws", "noise", "open_ones"), [(RISING, 1.5, {0}), (LAWS, 0.0, set())])
 def test_a_rise_that_may_be_there_widens_the_deviations(
     arm: RigidArm, laws: tuple[Law, Law], noise: float, open_ones: set[int]
@@ -475,14 +439,6 @@ def test_friction_that_falls_with_speed_is_said(arm: RigidArm) -> None:
     assert written == pytest.approx(estimates["tau_c_positive"].value, abs=0.01)
     assert abs(3.0 - estimates["tau_c_positive"].value) < 1.96 * estimates["tau_c_positive"].deviation
     assert "without its bound 0 it would be -0." in estimates["c2"].reason
-
-
-def test_friction_without_a_viscous_part_carries_no_warning(arm: RigidArm) -> None:
-    """Where noise alone takes c2 below its bound 0, nothing is said of friction that falls with speed."""
-    laws = (power_law(3.0, 0.0, 1.0), power_law(1.0, 0.0, 1.0))
-    found = identify_friction_parts(problem_of(arm, record(laws, 1)), (), fixed=True)
-    assert any("without its bound 0" in one.parameters["c2"].reason for one in found.elements)
-    assert found.warnings == ()
 
 
 def test_a_bristle_needs_coulomb_torque(arm: RigidArm) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,9 +15,9 @@ from benchmarks.random_arms import random_arm
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation import filtering
-from rx90_emulator.identification.excitation.checks import check_zeros, coulomb_viscous
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record, low_pass_taps
 from rx90_emulator.identification.excitation.fit import solve
+from rx90_emulator.identification.excitation.law import coulomb_viscous
 from rx90_emulator.identification.excitation.problem import (
     BaseGroups,
     ExcitationProblem,
@@ -291,44 +290,3 @@ def test_a_motion_that_is_repeated_says_no_more_of_what_the_model_leaves_out(tmp
     assert deviation(misfit, [1, 1, 1, 1]) == pytest.approx(deviation(misfit, [1]), rel=0.05)
     averaged = deviation(noise, [1, 2, 3, 4]) / deviation(noise, [1])
     assert np.median(averaged) == pytest.approx(0.5, abs=0.15)
-
-
-_SMALL = 0.08  # rad
-
-
-@pytest.fixture(scope="module")
-def four_joints(tmp_path_factory: pytest.TempPathFactory) -> tuple[RigidArm, tuple[FilteredRun, ...]]:
-    """Return what is known of an arm, and a run with the angles of its URDF; an independent model made its torques."""
-    arm = plain_arm(3, 4, coupled=False)
-    known = rigid_arm(arm, tmp_path_factory.mktemp("arm"))
-    return known, runs_of(arm, 100.0, NOISE, Bandwidths(25.0, 8.0), (1,), periods=1)
-
-
-@pytest.mark.parametrize(
-    "encoder",
-    [
-        (0.0, 0.0, 0.0, 0.0),
-        (0.0, 0.5 * math.pi, 0.0, 0.0),
-        (0.0, 0.5 * math.pi, -0.5 * math.pi, 0.0),
-        (0.0, 0.0, -_SMALL, 0.0),
-    ],
-)
-def test_wrong_zeros_are_found(
-    four_joints: tuple[RigidArm, tuple[FilteredRun, ...]], encoder: tuple[float, ...]
-) -> None:
-    """Quarter turns are told exactly, small errors within four deviations, and right zeros are not blamed."""
-    known, runs = four_joints
-    recorded = tuple(replace(run, position=run.position + np.array(encoder)) for run in runs)
-    given = np.array([0.0, 0.25, 0.0, 0.0])  # what --zero said: the better one is this and the error
-    check = check_zeros(ExcitationProblem.of(known, recorded), given)
-    small = np.abs(encoder) == _SMALL
-    for error, deviation in zip(check.error[small], check.deviation[small], strict=True):
-        assert f"by {error:.4g} +- {deviation:.2g} rad" in check.text
-    assert np.all(np.abs(check.error - encoder)[small] < 4.0 * check.deviation[small])
-    assert np.allclose(np.angle(np.exp(1j * (check.error - encoder)))[~small], 0.0, atol=1e-9)
-    assert check.deviation[~small].max() == 0.0
-    assert bool(check.text) == any(encoder)
-    if any(encoder):
-        assert check.after < check.before
-        wanted = [float(word) for word in check.text.split("--zero ")[1].split(";")[0].split()]
-        assert np.allclose(wanted, given + check.error, atol=1e-6)
