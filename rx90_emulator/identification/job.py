@@ -49,7 +49,8 @@ _BAR = "{desc:<40.40}{n_fmt} steps [{elapsed}]"
 @contextmanager
 def steps() -> Iterator[Callable[[str], None]]:
     """Show a progress line; yield the function to call with the name of each step before it."""
-    with tqdm(bar_format=_BAR, disable=None, delay=1e-9, mininterval=0.0, file=sys.stderr) as bar:  # nothing before the first step
+    # What is refused before the first step needs no line.
+    with tqdm(bar_format=_BAR, disable=None, delay=1e-9, mininterval=0.0, file=sys.stderr) as bar:
 
         def step(text: str) -> None:
             bar.set_description_str(text, refresh=False)
