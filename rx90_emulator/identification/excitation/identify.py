@@ -263,7 +263,6 @@ def excitation_problem(
     """Return the equations of recorded runs, the first step of `identify_excitation`: filtered torque, regressor, rows.
 
     Shocks are not excluded, and the bandwidths from the spectra are not checked by prediction.
-    `identify_friction_parts(problem, parts=())` fits the simplest friction to them; `parts` adds others by name.
 
     Args:
         bags: bags or tables.

@@ -251,13 +251,6 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     assert "recorded 20" in texts["robot.urdf"].partition("<link")[0]
 
 
-GRIPPER = """<link name="finger"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0"
-iyz="0"/></inertial></link><link name="frame"><inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0"
-ixz="0" iyz="0"/></inertial></link><joint name="grip" type="prismatic"><parent link="link_3"/><child link="finger"/>
-<axis xyz="1 0 0"/><limit lower="0" upper="0.1" velocity="1" effort="1"/></joint><joint name="end" type="fixed">
-<parent link="finger"/><child link="frame"/></joint></robot>"""
-
-
 def test_gains_that_do_not_hold_the_weight_are_told() -> None:
     """The shipped panda's hold it; with kv and kp 2.5 times lower the engine trips at joints 3, 5 and 6 (by hand)."""
     setup = Setup.load(RobotFiles.named("panda"))

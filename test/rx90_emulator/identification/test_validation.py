@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,12 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from foreign_arms import urdf_text
 from scipy.signal import butter, resample_poly, sosfiltfilt
 
 import rx90_emulator as rx
 from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO, IdentificationError, TrajectoryError
-from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.output.report import check_page
 from rx90_emulator.identification.output.summary import check_summary
@@ -23,8 +20,6 @@ from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import TorquePrediction
 from rx90_emulator.loop.setup import Setup
-
-WAY_OUT = "rx90_identify --friction FILE --validation BAG --urdf URDF"
 
 STILL = 3  # the joint that rests: joint_4
 MOVE = [k for k in range(6) if k != STILL]
@@ -241,33 +236,6 @@ def test_the_verdict_is_the_exit_code(
     assert run("rx90_compare_measured", [str(measured.bag), "--position-tolerance", "1e-12"]) == VERDICT_NO
     assert "DOES NOT AGREE" in capsys.readouterr().out
     check_report(page)
-
-
-def test_other_arms_are_told_where_to_go(
-    measured: Measured, shipped_files: RobotFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A folder without drives, other numbers or names of joints, and a bag of others are one line with the way out."""
-    four, other = tmp_path / "four.urdf", tmp_path / "other.urdf"
-    for path, names in ((four, "abcd"), (other, "abcdef")):
-        text = urdf_text(names, ["0 0 1"] * len(names), [1.0] * len(names))
-        path.write_text(text.replace('effort="0"', 'effort="10"'), encoding="utf-8")
-    folder = tmp_path / "arm"
-    folder.mkdir()
-    shutil.copy(other, folder / "robot.urdf")
-    shutil.copy(shipped_files.friction, folder)
-    series = rx.read_joint_states(measured.bag, "joint_states", [f"joint_{k}" for k in range(1, 7)])
-    foreign = rx.JointSeries("/joint_states", tuple("abcdef"), series.stamp_ns, series.position, None, series.effort)
-    rx.write_joint_states(tmp_path / "foreign", [foreign])
-    for words, found in (
-        ([measured.bag, "--robot", folder], "no drives.yaml"),
-        ([measured.bag, "--urdf", four], "4 movable joints"),
-        ([measured.bag, "--urdf", other], "no friction element a, b, c, d, e, f"),
-        ([tmp_path / "foreign"], "joint_states is of a, b, c, d, e, f; accepted: joint_1,"),
-    ):
-        assert run("rx90_compare_measured", [str(word) for word in words]) == REFUSED
-        (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("rx90_compare_measured")]
-        assert found in line
-        assert WAY_OUT in line
 
 
 def validation(error: float) -> Validation:

@@ -41,7 +41,6 @@ from rx90_emulator.identification.excitation.friction import (
 from rx90_emulator.identification.excitation.law import ElementMotion, ElementShape, Part, element_rows
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import simulated_elements
-from rx90_emulator.identification.options import MODEL_PARTS
 from rx90_emulator.identification.records import BagSource, JointRecord
 
 Array = NDArray[np.float64]
@@ -469,21 +468,6 @@ def test_an_exponent_that_is_nearly_coulomb_torque_is_not_kept(arm: RigidArm, fi
     assert (Part.EXPONENT in model.fit.shapes[0].parts) is fixed
     if not fixed:
         assert "is within 2 deviations of the bound of its range" in search.refused[0, Part.EXPONENT]
-
-
-def test_named_parts_are_fitted_without_a_choice(arm: RigidArm) -> None:
-    """Asked for, an exponent is on both elements, though one has none; without any part, alpha stays 1 and known."""
-    problem = problem_of(arm, record(LAWS, 1))
-    both = identify_friction_parts(problem, (Part.EXPONENT,), fixed=True)
-    assert both.parts == (frozenset({Part.EXPONENT}),) * 2
-    held(both, 0, tau_c_positive=3.0, c2=2.0, alpha=0.7)
-    assert abs(both.elements[1].parameters["alpha"].value - 1.0) < 3.0 * both.elements[1].parameters["alpha"].deviation
-    none = identify_friction_parts(problem, (), fixed=True)
-    assert [row.name for row in none.models] == ["Coulomb + viscous"]
-    assert "one.alpha" not in none.names
-    names = [part.value.lower().replace(" ", "-") for part in Part]
-    assert names == list(MODEL_PARTS)
-    assert [Part.named(name) for name in names] == list(Part)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from excitation_arms import Array, all_columns, plain_arm, rigid_arm, runs_of, s
 from benchmarks.excitation_runs import NOISE, NOTHING, Disturbances, FourierMotion, measured
 from benchmarks.random_arms import random_arm
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation import filtering
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record, low_pass_taps
 from rx90_emulator.identification.excitation.fit import solve
@@ -161,31 +160,6 @@ def test_base_parameters_are_as_many_as_the_torque_tells(tmp_path: Path) -> None
     assert len(base.leading) == int(np.sum(values > 1e-9 * values[0]))
     parameters = base.combination @ standard_values(arm)
     assert torque[:, :, base.leading] @ parameters == pytest.approx(arm.frictionless(*motion), abs=1e-8)
-
-
-def two_links(folder: Path, first: float, second: float) -> BaseGroups:
-    """Return the groups of two links 0.5 m apart, each turned about x by an angle, rad."""
-    links = "".join(
-        f'<link name="{name}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-        f'</inertial></link><joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{name}"/>'
-        f'<origin xyz="{place} 0 0" rpy="{turn} 0 0"/><axis xyz="0 0 1"/></joint>'
-        for name, parent, place, turn in (("a", "base", 0, first), ("b", "a", 0.5, second))
-    )
-    (folder / "two.urdf").write_text(f'<robot name="two"><link name="base"/>{links}</robot>', encoding="utf-8")
-    return BaseGroups.of(StandardColumns(RigidArm.from_urdf(folder / "two.urdf")))
-
-
-def test_groups_are_said_in_words(tmp_path: Path) -> None:
-    """Of two parallel links the second's mass joins the first's inertia and first moment by its lever.
-
-    Upright and level axes with the 1.5708 of many a description have the groups of exact right angles.
-    """
-    base = two_links(tmp_path, np.pi / 2.0, 0.0)
-    groups = dict(zip(base.names, base.groups, strict=True))
-    assert groups.pop("IzzR_1") == "Izz_1 + 0.25 m_2 + Ia_1"
-    assert groups.pop("mxR_1") == "mx_1 + 0.5 m_2"
-    assert set(groups) == {"my_1", "mx_2", "my_2", "Izz_2", "Ia_2", "offset_1", "offset_2"}
-    assert two_links(tmp_path, 0.0, 1.5708).groups == two_links(tmp_path, 0.0, np.pi / 2.0).groups
 
 
 def test_rows_leave_out_pauses_and_keep_reversals(tmp_path: Path) -> None:
