@@ -21,18 +21,15 @@ Corrections     learn_correction, load_correction, write_correction, NormOptimal
 Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries
 Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
                 Verdict
-Measured runs   compare_measured, measured_summary, write_measured, MeasuredComparison, MeasuredLayout,
-                MeasuredTolerances
+Measured runs   compare_measured, measured_summary, write_measured, MeasuredLayout, MeasuredTolerances
 Friction        FrictionFile, FrictionSet, FrictionElement, and its parts LoadPart, TemperaturePart, RipplePart,
                 ScatterPart, ElastoPlastic, MaxwellSlip
 Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, RobotFiles, Block,
                 SweptParameter, Values, Uniform, LogUniform, Normal
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
-                check_friction, Experiment, FrictionIdentification, IdentificationBags, RobotOptions, Validation,
-                ValidationTolerances; from excitation runs: identify_excitation, excitation_summary,
-                write_excitation, ExcitationIdentification, ExcitationTolerances; for one of your own: regressor,
-                excitation_problem, predict_torque, identify_friction_parts, RigidArm, Regressor, ExcitationProblem,
-                BaseParameter, Part
+                check_friction, IdentificationBags, RobotOptions, ValidationTolerances; from excitation runs:
+                identify_excitation, excitation_summary, write_excitation, ExcitationTolerances; for one of your own:
+                regressor, excitation_problem, predict_torque, RigidArm
 Exports         export_robot, write_export, export_plot, Export, FrictionFit
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted;
                 Rx90Warning, of a run that means less than it seems to
@@ -100,28 +97,16 @@ if TYPE_CHECKING:
     from rx90_emulator.correction.path import TrajectoryPath as TrajectoryPath
     from rx90_emulator.correction.recorded import learn_from_record as learn_from_record, measured as measured
     from rx90_emulator.identification.arm import RigidArm as RigidArm
-    from rx90_emulator.identification.excitation.friction import identify_friction_parts as identify_friction_parts
     from rx90_emulator.identification.excitation.identify import identify_excitation as identify_excitation
-    from rx90_emulator.identification.excitation.law import Part as Part
     from rx90_emulator.identification.excitation.identify import (
-        Regressor as Regressor,
         excitation_problem as excitation_problem,
         predict_torque as predict_torque,
         regressor as regressor,
     )
-    from rx90_emulator.identification.excitation.problem import ExcitationProblem as ExcitationProblem
-    from rx90_emulator.identification.excitation.result import (
-        BaseParameter as BaseParameter,
-        ExcitationIdentification as ExcitationIdentification,
-    )
     from rx90_emulator.identification.experiments.plan import IdentificationBags as IdentificationBags
-    from rx90_emulator.identification.experiments.plan import (
-        Experiment as Experiment,
-        plan_experiments as plan_experiments,
-    )
+    from rx90_emulator.identification.experiments.plan import plan_experiments as plan_experiments
     from rx90_emulator.identification.experiments.series import record_on_engine as record_on_engine
     from rx90_emulator.identification.identify import (
-        FrictionIdentification as FrictionIdentification,
         check_friction as check_friction,
         identify_friction as identify_friction,
     )
@@ -142,11 +127,7 @@ if TYPE_CHECKING:
         identification_summary as identification_summary,
         measured_summary as measured_summary,
     )
-    from rx90_emulator.identification.validation.measured import (
-        MeasuredComparison as MeasuredComparison,
-        compare_measured as compare_measured,
-    )
-    from rx90_emulator.identification.validation.prediction import Validation as Validation
+    from rx90_emulator.identification.validation.measured import compare_measured as compare_measured
     from rx90_emulator.loop.closed_loop import simulate as simulate
     from rx90_emulator.loop.line import (
         LineRun as LineRun,

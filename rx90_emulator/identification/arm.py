@@ -27,7 +27,7 @@ from rx90_common.description.coupling import sum_name
 from rx90_common.friction import FrictionElement
 from rx90_emulator.loop.setup import Setup
 
-_MIN_MASS, _MAX_MASS = 1e-12, 1e5  # kg
+_MAX_MASS = 1e5  # kg
 _MAX_NUMBER = 1e12  # m and kg m^2: beyond any unit, and its square is a number
 _NUMBERS = "link/inertial/origin", "link/inertial/inertia", "joint/origin", "joint/axis"
 _KEYS = {"xyz", "rpy", "ixx", "ixy", "ixz", "iyy", "iyz", "izz"}
@@ -180,31 +180,6 @@ class RigidArm:
         for k, row in enumerate(motion):
             found[k] = pin.computeJointTorqueRegressor(model, data, *row)
         return found
-
-    def torque_of(self, regressor: Array, inertial: Array, position: Array, acceleration: Array) -> Array:
-        """Return `torque` with other inertial parameters, Nm, shape (m, n); cheap where the regressor is known already.
-
-        Args:
-            regressor: along the motion, shape (m, n, 10 n).
-            inertial: of the links, shape (10 n,).
-            position: rad, shape (m, n).
-            acceleration: rad/s^2, shape (m, n).
-        """
-        rotor_and_spring = rotor_and_spring_torque(self.rotor, self.spring, position, acceleration)
-        return regressor @ inertial + rotor_and_spring + self.offset
-
-    def stiffness_of(self, inertial: Array, position: Array, velocity: Array, acceleration: Array) -> Array:
-        """Return the derivative of `torque_of` by the positions, Nm/rad, shape (m, n, n), all arguments as there."""
-        model = self.model.copy()
-        for k, (mass, *rest) in enumerate(inertial.reshape(-1, 10).tolist()):
-            # It divides by the mass, which may be 0; below 0 it may be.
-            model.inertias[k + 1] = pin.Inertia.FromDynamicParameters(np.array([mass or _MIN_MASS, *rest]))
-        data, found = model.createData(), np.empty((*position.shape, position.shape[1]))
-        motion = zip(configurations(model, position), velocity, acceleration, strict=True)
-        for k, row in enumerate(motion):
-            pin.computeRNEADerivatives(model, data, *row)
-            found[k] = data.dtau_dq
-        return found + (self.spring * np.cos(position))[:, :, None] * np.eye(position.shape[1])
 
     @property
     def inertial(self) -> Array:

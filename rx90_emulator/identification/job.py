@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, MODEL_FILES, RobotFiles
 from rx90_common.process.files import write_all, write_text
 from rx90_controller.law.parameters import load_controller
-from rx90_emulator.identification.excitation.identify import count_steps, identify_excitation
+from rx90_emulator.identification.excitation.identify import identify_excitation
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.experiments.plan import IdentificationBags, read_index
 from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction
@@ -43,21 +43,18 @@ from rx90_emulator.loop.setup import Setup
 
 REPORT, PARAMETERS = "report.html", "parameters.yaml"
 _FILES = (REPORT, PARAMETERS, *FILES.values())
-_MEASURED_STEPS = 3
-_BAR = "{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
+_BAR = "{desc:<40.40}{n_fmt} steps [{elapsed}]"
 
 
 @contextmanager
-def steps(total: int) -> Iterator[Callable[[str], None]]:
-    """Show a progress bar of `total` steps; yield the function to call with the name of each step before it."""
-    with ExitStack() as shown:
-        bars: list[tqdm[Any]] = []
+def steps() -> Iterator[Callable[[str], None]]:
+    """Show a progress line; yield the function to call with the name of each step before it."""
+    # What is refused before the first step needs no line.
+    with tqdm(bar_format=_BAR, disable=None, delay=1e-9, mininterval=0.0, file=sys.stderr) as bar:
 
         def step(text: str) -> None:
-            if not bars:  # not earlier: what is refused before the first step needs no bar
-                bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, disable=None, file=sys.stderr)))
-            bars[0].set_description_str(text)
-            bars[0].update()
+            bar.set_description_str(text, refresh=False)
+            bar.update()
 
         yield step
 
@@ -128,8 +125,7 @@ def run_identification(
     """
     _checked_targets(output, report, force=force)
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
-    total = sum(map(len, vars(chosen).values())) + 2 + len(chosen.validation)
-    with steps(total) as step:
+    with steps() as step:
         result = identify_friction(chosen, robot, tolerances, step, model=model)
     files = write_identification(result, output, report, force=force)
     print(f"{identification_summary(result)}\nfriction file: {files[0]}\nreport: {files[1]}")
@@ -153,7 +149,7 @@ def run_check(
         Rx90Error: for every refusal and failure; nothing has been written then.
     """
     check_targets(report, force=force)
-    with steps(2 * len(bags)) as step:
+    with steps() as step:
         checks = check_friction(friction, bags, robot, tolerances, step)
     lines = [check_summary(checks)]
     if report is not None:
@@ -212,8 +208,6 @@ def run_excitation(
     output: Path,
     *,
     force: bool = False,
-    bristles: bool = False,
-    model: Sequence[str] | None = None,
     **how: Any,
 ) -> bool:
     """Identify with a progress bar, write the folder, print a summary, and return whether all validation runs agree.
@@ -224,9 +218,7 @@ def run_excitation(
         Rx90Error: for every refusal and failure; nothing has been written then.
     """
     _check_folder(output, force=force)
-    how |= {"bristles": bristles, "model": model}
-    total = count_steps(len(bags), len(validation), bristles=bristles, model=model)
-    with steps(total) as step:
+    with steps() as step:
         result = identify_excitation(bags, robot, validation, tolerances, progress=step, **how)
     folder = write_excitation(result, output, force=force)
     print(f"{excitation_summary(result)}\n{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
@@ -279,7 +271,7 @@ def run_comparison(
     """
     check_targets(page, force=force)
     setup = simulated_setup(files)
-    with steps(_MEASURED_STEPS) as step:
+    with steps() as step:
         result = compare_measured(bag, setup, layout, tolerances, bandwidth=bandwidth, progress=step)
     print(measured_summary(result))
     if page is not None:

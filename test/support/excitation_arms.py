@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from benchmarks.excitation_runs import Disturbances, FourierMotion, measured
 from benchmarks.random_arms import FrictionLaw, SyntheticArm, random_arm
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.checks import coulomb_viscous
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
+from rx90_emulator.identification.excitation.law import coulomb_viscous
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 Array = NDArray[np.float64]

@@ -24,9 +24,10 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.excitation.checks import ROWS_PER_PARAMETER, coulomb_viscous
+from rx90_emulator.identification.checks import ROWS_PER_PARAMETER
 from rx90_emulator.identification.excitation.filtering import Bandwidths, least_bandwidth
 from rx90_emulator.identification.excitation.fit import solve, time_blocks
+from rx90_emulator.identification.excitation.law import coulomb_viscous
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.records import JointRecord
 

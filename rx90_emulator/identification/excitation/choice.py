@@ -268,8 +268,6 @@ _COMPANIONS = {
     Part.BRISTLE: frozenset({Part.STRIBECK, Part.DAMPING}),
 }
 """Parts that are tried together with another one."""
-_STAGES = ("starts", "fit of all elements", "elements without it", "weights")
-"""Stages of the trial of each part."""
 _START_COUNT = 5  # number of Stribeck velocities, and of presliding distances, to start from
 _START_RISE = 0.3  # to start from
 _REVERSAL_MISFIT = 1.2  # RMS residual of reversals over that of other rows, above which bristles are tried
@@ -285,32 +283,18 @@ def select_parts(
 ) -> Selection:
     """Try parts in the given order and keep those with which the model predicts better; or give them to all elements.
 
-    `progress` is called with the name of each of `stages(parts, fixed)` stages before it. With `fixed`, no part is
-    tried beside the given ones, and none is dropped because the model predicts as well without it.
+    `progress` is called with the name of each part before its trial. With `fixed`, no part is tried beside the given
+    ones, and none is dropped because the model predicts as well without it.
     """
     search = Selection(problem, parts, fixed=fixed)
-    for part in _attempts(parts, fixed):
-        remaining = iter([f"{part.value}: {stage}" for stage in _STAGES])
+    attempts = [part for part in parts if part is not Part.DAMPING]
+    if Part.STRIBECK in parts and Part.BRISTLE not in parts and not fixed:
+        attempts.append(Part.BRISTLE)  # only after a rise, or where reversals fit badly
+    for part in attempts:
         if part in parts or _wants_bristles(problem, search.now):
-            search.attempt(part, lambda remaining=remaining: progress(next(remaining)))  # type: ignore[misc]
-        for stage in remaining:  # of a part that no element can have
-            progress(stage)
+            progress(f"trial of the {part.value}")
+            search.attempt(part)
     return search
-
-
-def stages(parts: Sequence[Part], fixed: bool = False) -> int:
-    """Return how many stages the selection of parts reports."""
-    return len(_attempts(parts, fixed)) * len(_STAGES)
-
-
-def _attempts(parts: Sequence[Part], fixed: bool) -> tuple[Part, ...]:
-    """Return the parts that are tried one after the other, bristles included that are tried only after a rise."""
-    requested = tuple(part for part in parts if part is not Part.DAMPING)
-    return (
-        requested
-        if fixed or Part.STRIBECK not in requested or Part.BRISTLE in requested
-        else (*requested, Part.BRISTLE)
-    )
 
 
 class Selection:
@@ -345,24 +329,18 @@ class Selection:
         """Return the fit of the model."""
         return self.now.fit
 
-    def attempt(self, part: Part, stage: Callable[[], None]) -> None:
-        """Give a part to all elements, remove it where it is not needed, and keep it if the model predicts better.
-
-        `stage` is called before each of the stages.
-        """
-        stage()
+    def attempt(self, part: Part) -> None:
+        """Give a part to all elements, remove it where it is not needed, and keep it if the model predicts better."""
         shapes = self._started(part)
         given = [e for e, shape in enumerate(shapes) if part in shape.parts]
         keys = [(e, old) for e in given for old in shapes[e].parts if old is not Part.BRISTLE or old is part]
         if not keys:
             return
-        stage()
         # Weights of the larger model: the smaller model's would reduce the weight of the rows in which the part acts.
         fit = fit_shapes(self.weighted, shapes)
         self.weighted = _reweighted(self.weighted, fit)
         before = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
         everywhere = self._scored(fit_shapes(self.weighted, fit.shapes))
-        stage()
         trimmed = self.within_bounds(everywhere, part)
         if not self._fixed:
             # Without the removed parts, others may come to a bound.
@@ -380,7 +358,6 @@ class Selection:
             self.refused |= {} if kept else {(e, part): text for e in remaining}
         if kept:
             self.now = trimmed
-        stage()
         self.weighted = _reweighted(self.weighted, self.now.fit)
         self.now = self.within_bounds(self._scored(fit_shapes(self.weighted, self.now.fit.shapes)))
 

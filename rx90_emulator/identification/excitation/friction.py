@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.estimates import ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.excitation.choice import (
     ModelRow,
@@ -89,26 +88,12 @@ class FittedElement:
     covariance: Array
     ranges: tuple[tuple[float, float], tuple[float, float]]
 
-    def curve(self, velocity: Array | None = None) -> FrictionCurve:
-        """Return the steady friction torque with its deviation.
-
-        Args:
-            velocity: rad/s, shape (k,); by default over all velocities with data.
-
-        Raises:
-            IdentificationError: for a velocity outside the data.
-        """
-        (low, high), (low_back, high_back) = self.ranges
-        if velocity is None:
-            back, forward = (
-                np.geomspace(*pair, _CURVE_POINTS) if pair[1] > 0.0 else np.empty(0) for pair in self.ranges[::-1]
-            )
-            velocity = np.concatenate([-back[::-1], forward])
-        inside = ((velocity >= low) & (velocity <= high)) | ((-velocity >= low_back) & (-velocity <= high_back))
-        if not inside.all():
-            found = f"{self.element}: velocity {velocity[~inside][0]:.4g} rad/s"
-            accepted = f"{-high_back:.4g} to {-low_back:.4g} and {low:.4g} to {high:.4g} rad/s, where there were data"
-            raise IdentificationError(f"{found}; accepted: {accepted}")
+    def curve(self) -> FrictionCurve:
+        """Return the steady friction torque with its deviation, over all velocities with data."""
+        back, forward = (
+            np.geomspace(*pair, _CURVE_POINTS) if pair[1] > 0.0 else np.empty(0) for pair in self.ranges[::-1]
+        )
+        velocity = np.concatenate([-back[::-1], forward])
         columns, slopes = steady_columns(self.shape, velocity)
         by_shape = [
             slopes[name] * self.linear[place] if name in slopes else 0.0 * velocity for name, place in SHAPED.items()
@@ -185,7 +170,7 @@ def identify_friction_parts(
         problem: the rows.
         parts: to try beside Coulomb and viscous friction, in this order; bristles take several times as long.
         prior: of the base parameters, for the values; the parts are selected by the runs alone.
-        progress: called with the name of each stage of the selection before it, `choice.stages(parts, fixed)` times.
+        progress: called with the name of each part before its trial.
         fixed: whether all elements have the parts, without selection.
 
     Returns:

@@ -20,10 +20,9 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.checks import ROWS_PER_PARAMETER, Recorded, suspicion
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
 from rx90_emulator.identification.excitation.bodies import make_consistent, written_arm
-from rx90_emulator.identification.excitation.checks import ROWS_PER_PARAMETER, check_signs, check_zeros
-from rx90_emulator.identification.excitation.choice import stages
 from rx90_emulator.identification.excitation.filtering import Bandwidths, recording_notes, without_shocks
 from rx90_emulator.identification.excitation.friction import (
     ALL_PARTS,
@@ -93,7 +92,7 @@ def identify_excitation(
             used only for values that the runs do not determine.
         bandwidth: of the low-pass of the positions, Hz; that of the torque is a third of it. By default the widest of a
             few that predicts as well as the best of them (`bandwidths.choose_bandwidths`).
-        progress: called with the name of each step before it, `count_steps` times.
+        progress: called with the name of each step before it.
 
     Returns:
         Base parameters and friction with standard deviations, how well they fit, and a verdict for each validation run.
@@ -121,8 +120,10 @@ def identify_excitation(
     bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
     notes += [*recording_notes(records["excitation"], bandwidths), *log_warnings(problem, source.held)]
     parts = parts if fixed or len(problem) >= ROWS_PER_PARAMETER * problem.parameters else ()  # no choice by so few
-    check_signs(problem, replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source)))
-    zeros = check_zeros(problem, source.zero)
+    given = replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source))
+    suspects, doubt = suspicion(problem.arm, Recorded.of(problem), given, source.zero)
+    if any(one.what != "zero" for one in suspects):
+        raise IdentificationError(doubt)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
     progress("friction")
     friction = identify_friction_parts(problem, parts, known, progress, fixed=fixed)
@@ -151,7 +152,7 @@ def identify_excitation(
         torques=fitted,
         validations=tuple(checks),
         trends=trends(fitted, friction.blocks.length),
-        zeros=zeros,
+        doubt=doubt,
         notes=tuple(notes),
         bags=tuple((use, record.bag) for use, some in records.items() for record in some),
     )
@@ -188,17 +189,6 @@ def log_warnings(problem: ExcitationProblem, held: Sequence[str] = ()) -> list[s
     if held:
         found.append(f"warning: held at 0, though the log has them, for their gears are not known: {', '.join(held)}")
     return found
-
-
-def count_steps(
-    bags: int,
-    validation: int,
-    *,
-    bristles: bool = False,
-    model: Sequence[str] | None = None,
-) -> int:
-    """Return how often `identify_excitation` calls `progress` for a number of bags and validation runs."""
-    return bags + 2 * validation + 3 + stages(*_requested_parts(bristles, model))
 
 
 def _requested_parts(bristles: bool, model: Sequence[str] | None) -> tuple[tuple[Part, ...], bool]:
@@ -273,7 +263,6 @@ def excitation_problem(
     """Return the equations of recorded runs, the first step of `identify_excitation`: filtered torque, regressor, rows.
 
     Shocks are not excluded, and the bandwidths from the spectra are not checked by prediction.
-    `identify_friction_parts(problem, parts=())` fits the simplest friction to them; `parts` adds others by name.
 
     Args:
         bags: bags or tables.

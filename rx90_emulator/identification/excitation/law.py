@@ -355,6 +355,15 @@ def element_rows(problem: ExcitationProblem) -> tuple[ElementRows, ...]:
     return tuple(found)
 
 
+def coulomb_viscous(problem: ExcitationProblem) -> Array:
+    """Return two columns for each element: sign(v) and v, the torques per tau_c and c2; shape (r, 2 n_el).
+
+    The sign is of the filtered velocity at the full rate, where the torque was recorded, and is filtered with it.
+    """
+    columns = joint_columns(problem, [ElementShape()] * len(problem.arm.element_names))
+    return np.asarray(columns[:, :, [COULOMB, VISCOUS]].reshape(len(problem), -1))
+
+
 def joint_columns(problem: ExcitationProblem, shapes: Sequence[ElementShape]) -> Array:
     """Return the joint torques per unit of tau_c, c2 and c1 of each element with its shape, shape (r, n_el, 3)."""
     found = np.zeros((len(problem), len(shapes), len(LINEAR)))

@@ -35,7 +35,6 @@ from rx90_emulator.identification.options import ExcitationTolerances, RobotOpti
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.validation.verdict import Criterion, RunTorques, torque_criteria
-from rx90_emulator.identification.zeros import ZeroCheck
 
 UNITS = {"m": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m", "k": "Nm", "offset": "Nm"}
 """Units of base parameters by the first word of their names; of all others kg m^2."""
@@ -135,7 +134,7 @@ class ExcitationIdentification:
         validations: the same for runs that were not used, with a verdict.
         trends: drifts within a run.
         bags: the bags by use: excitation, validation.
-        zeros: which encoder zeros seem wrong.
+        doubt: which encoder zeros look wrong, in words; empty if none does.
         notes: what was excluded or bridged in the recordings, and what they cannot determine.
     """
 
@@ -150,7 +149,7 @@ class ExcitationIdentification:
     validations: tuple[TorqueValidation, ...]
     trends: tuple[Trend, ...]
     bags: tuple[tuple[str, BagSource], ...]
-    zeros: ZeroCheck
+    doubt: str = ""
     notes: tuple[str, ...] = ()
 
     @cached_property

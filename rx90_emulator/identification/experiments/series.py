@@ -153,25 +153,16 @@ def write_motions(folder: Path, plan: Sequence[Experiment], arm: PlannedArm, rat
         write_all(files)
 
 
-_BAR = "{desc:<16}{bar}| {n_fmt}/{total_fmt} steps [{elapsed}<{remaining}]"
-
-
 def plan_with_progress(arm: PlannedArm, options: ExcitationOptions) -> ExcitationPlan:
-    """Plan excitation runs with a progress bar.
+    """Plan excitation runs with a progress line.
 
     Raises:
         Rx90Error: as `plan_excitation`.
     """
-    total = (options.runs + options.validation) * options.steps
-    names: list[str] = []
-    # The bar appears with the first step: what is refused before needs none.
-    with tqdm(total=total, bar_format=_BAR, disable=None, delay=1e-9) as bar:
+    with tqdm(unit="step", disable=None, delay=1e-9) as bar:  # what is refused before the first step needs none
 
         def step(name: str) -> None:
-            if name not in names:  # the search before may have needed fewer steps
-                names.append(name)
-                bar.set_description_str(name, refresh=False)
-                bar.update((len(names) - 1) * options.steps - bar.n)
+            bar.set_description_str(name, refresh=False)
             bar.update()
 
         return plan_excitation(arm, options, step)

@@ -142,9 +142,7 @@ def _provenance(
         estimate = one.estimates.get(name, _NOT_FITTED)
         content = {"provenance": "assumed", "value": values.get(name, 0.0)}
         if not estimate.identifiable:
-            # A part that is not known is omitted, even if the fallback has one. Bristles, however, belong to c0.
-            there = "." not in name or (one.given_bristles and name.startswith("bristles."))
-            there &= estimate.reason != NOT_IN_MODEL
+            there = estimate.reason != NOT_IN_MODEL
             content |= {
                 "identifiable": False,
                 "reason": estimate.reason,

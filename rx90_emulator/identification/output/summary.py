@@ -67,7 +67,7 @@ def identification_summary(result: FrictionIdentification) -> str:
     if given_bristles := ", ".join(result.with_given_bristles):
         lines.append(f"bristles of {given_bristles}: as c0 those of {result.fallback_name}, assumed")
     lines += [line for name, one in zip(names, sliding.quality, strict=True) if one for line in one.lines(name)]
-    lines += [sliding.zeros.text] if sliding.zeros is not None and sliding.zeros.text else []
+    lines += [f"warning: {sliding.doubt}"] if sliding.doubt else []
     lines += [f"{use.bag.path}: {use.text(names)}" for use in sliding.usage]
     return "\n".join([*lines, *(validation_verdict(check, result.scope) for check in result.validations)])
 
@@ -101,7 +101,7 @@ def check_summary(checks: Sequence[Validation]) -> str:
         rows = ((name, _number(a), _number(b, ".2%"), _number(c), _number(d, ".2%")) for name, a, b, c, d in values)
         head = ("joint", "RMS, Nm", "of torque", "worst, Nm", "of largest")
         lines += _table(head, (_width(8, check.names), 10, 11, 11, 12), rows)
-        lines += [check.zeros.text] if check.zeros is not None and check.zeros.text else []
+        lines += [f"warning: {check.doubt}"] if check.doubt else []
         lines += [f"recording: {text}" for text in check.notes]
         lines.append(validation_verdict(check))
     return in_unit("\n".join(lines), checks[0].unit)
@@ -169,7 +169,7 @@ def excitation_summary(result: ExcitationIdentification) -> str:
             fits.append(["  (>1e4: next to no noise beside the difference, as in smoothed torques; no information)"])
     width, places = max(8, *(len(run.source.path.name) + 9 for _, run in runs)), [max(10, len(n) + 2) for n in joints]
     lines += _table(["torque RMS", *joints, "all"], [width, *places, 8], fits)
-    lines += [result.zeros.text] if result.zeros.text else []
+    lines += [f"warning: {result.doubt}"] if result.doubt else []
     bandwidths = result.problem.runs[0].bandwidths
     lines.append(f"low-pass: {bandwidths.position:.3g} Hz, torques {bandwidths.torque:.3g} Hz: {bandwidths.reason}")
     lines += [note if note.startswith("warning") else f"recording: {note}" for note in result.notes]

@@ -110,17 +110,15 @@ class GroupMotion:
     Attributes:
         inputs: joint velocities to input velocities of the elements, shape (e, k).
         traces: of the elements.
-        measured: torque of the bristles at the joints, drive less weight, inertia and viscous torque, and the
-            contributions of errors of the inertia, one for each pair of joints, in units of sqrt(M_jj M_ii); Nm, block
-            means, shape (b, k, 1 + p). Errors of the other joints' inertia, which hardly move, are neglected.
-        target: the first of them as a spectrum, Nm, shape (r, k).
-        inertial: the others, Nm, shape (r, k, p).
+        target: spectrum of the bristles' torque at the joints, drive less weight, inertia and viscous torque, Nm, shape
+            (r, k).
+        inertial: those of errors of the inertia, one for each pair of joints, in units of sqrt(M_jj M_ii), Nm, shape
+            (r, k, p). Errors of the other joints' inertia, which hardly move, are neglected.
         line: frequency of each of the r rows, Hz, rounded.
     """
 
     inputs: Array
     traces: tuple[ElementTrace, ...]
-    measured: Array
     target: Array
     inertial: Array
     line: Array
@@ -145,17 +143,15 @@ class GroupMotion:
         measured[:, :, 0] -= np.column_stack([trace.viscous for trace in traces]) @ inputs
         spectrum, frequency = band_spectrum(measured.reshape(len(measured), -1), motion.step)
         spectrum = spectrum.reshape(-1, *measured.shape[1:])
-        return cls(inputs, traces, measured, spectrum[:, :, 0], spectrum[:, :, 1:], np.round(frequency))
+        return cls(inputs, traces, spectrum[:, :, 0], spectrum[:, :, 1:], np.round(frequency))
 
     def changed(self, n: int, element: FrictionElement, speed: Array | None = None) -> GroupMotion:
         """Return the motion with another sliding regime, and other velocities if given, of element n."""
         before = self.traces[n]
         trace = ElementTrace.of(element, before.speed if speed is None else speed, before.step)
         more = np.outer(trace.viscous - before.viscous, self.inputs[n])
-        measured = self.measured.copy()
-        measured[:, :, 0] -= more
         traces = (*self.traces[:n], trace, *self.traces[n + 1 :])
-        return replace(self, traces=traces, measured=measured, target=self.target - trace.spectrum(more))
+        return replace(self, traces=traces, target=self.target - trace.spectrum(more))
 
 
 @dataclass(frozen=True, eq=False)

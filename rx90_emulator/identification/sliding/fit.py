@@ -11,6 +11,7 @@ from scipy.stats import t as student
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.checks import Recorded, suspicion
 from rx90_emulator.identification.estimates import (
     NOT_IN_MODEL,
     SLIDING,
@@ -37,7 +38,6 @@ from rx90_emulator.identification.sliding.solver import (
     torque,
     torque_jacobian,
 )
-from rx90_emulator.identification.zeros import ZeroCheck, check_zeros
 
 MIN_SPEEDS = 5
 """Least number of speeds in each direction: four determine the seven parameters of an element, and one more leaves a
@@ -75,7 +75,7 @@ class SlidingFit:
         plateaus: number of stretches of constant velocity that were used.
         usage: what was used of each record, and why the rest was not.
         quality: goodness of fit of each element; None where it could not be identified.
-        zeros: check of the encoders' zeros by the torques.
+        doubt: which sign or zero looks wrong, in words; empty if none does.
     """
 
     estimates: tuple[ElementEstimate, ...]
@@ -85,7 +85,7 @@ class SlidingFit:
     plateaus: int
     usage: tuple[BagUse, ...] = ()
     quality: tuple[FitQuality | None, ...] = ()
-    zeros: ZeroCheck | None = None
+    doubt: str = ""
 
 
 def identify_sliding(
@@ -115,7 +115,9 @@ def identify_sliding(
         # The reason of an element that moves is more informative than that of one at rest.
         name = min(lacking, key=lambda name: lacking[name] == _DOES_NOT_SLIDE)
         raise IdentificationError(f"{where}: {name} {lacking[name]}")
-    zeros = check_zeros(blocks, arm, zero)
+    motion = np.stack([blocks.position, blocks.velocity, blocks.acceleration])
+    used = ~(~blocks.sliding @ (arm.element_matrix != 0.0)) & arm.identified
+    _, doubt = suspicion(arm, Recorded(motion, blocks.torque, used, blocks.plateau), zero=zero)
     rows = sliding_rows(blocks, arm)
     free = np.zeros((len(names), SIZE), dtype=np.bool_)
     free[[name not in lacking for name in names], :EXPONENT] = True
@@ -127,7 +129,7 @@ def identify_sliding(
             f"{where}: {names[e]}: the torque does not oppose the motion; accepted: efforts of the sign with which "
             "the drive moves the joint (check the signs of gears and torque constants)"
         )
-        raise IdentificationError("; ".join(filter(None, (error, zeros.text))))
+        raise IdentificationError("; ".join(filter(None, (error, doubt))))
     requested = None if model is None else model_parts(model, SLIDING_PARTS)
     fit = _with_shown_parameters(fit) if requested is None else _with_parts(fit, requested)
     sources = tuple(record.bag for record in records)
@@ -151,7 +153,7 @@ def identify_sliding(
     covariance += scale[:, None] * (np.eye(len(scale)) - scaled @ scaled.T) * scale
     inertial = directions @ fit.nuisance
     count = len(np.unique(rows.plateau))
-    return SlidingFit(tuple(estimates), tuple(curves), inertial, covariance, count, usage, tuple(quality), zeros)
+    return SlidingFit(tuple(estimates), tuple(curves), inertial, covariance, count, usage, tuple(quality), doubt)
 
 
 def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:

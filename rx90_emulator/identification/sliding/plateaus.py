@@ -21,7 +21,6 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.records import BagSource, JointRecord, block_means, stretches
-from rx90_emulator.identification.zeros import Instants
 
 USED = "used"
 AT_REST = "at rest"
@@ -106,18 +105,28 @@ class BagUse:
 
 
 @dataclass(frozen=True, eq=False)
-class Blocks(Instants):
+class Blocks:
     """Block means of m blocks of plateaus, of n joints with n_el friction elements.
 
     Attributes:
+        position: rad, shape (m, n).
         velocity: of the straight line fitted to the plateau's velocity, rad/s, shape (m, n).
         acceleration: slope of that line, rad/s^2, shape (m, n).
+        torque: of the drives, Nm, shape (m, n).
+        sliding: whether each friction element slides and does not stick, shape (m, n_el).
+        plateau: number of each block's plateau, shape (m,).
         count: samples in each mean, shape (m,).
         source: number of the record, shape (m,).
         time: in the series, s, shape (m,).
         noise: covariance of the torque's samples, Nm^2, shape (n, n).
     """
 
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+    sliding: Mask
+    plateau: NDArray[np.int64]
     count: Array
     source: NDArray[np.int64]
     time: Array

@@ -22,6 +22,7 @@ from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.checks import Recorded, suspicion
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record, without_shocks
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.options import (
@@ -46,7 +47,6 @@ from rx90_emulator.identification.validation.verdict import (
     run_torques,
     torque_criteria,
 )
-from rx90_emulator.identification.zeros import ZeroCheck, check_zeros, record_instants
 
 _MAX_WEIGHT_SD = 0.05  # standard deviation over RMS torque up to which a joint's error of the weights is corrected
 _BRISTLE_STEP_S = 1e-3  # s, longest step of constant velocity
@@ -64,7 +64,7 @@ class Validation:
         tip_distance: of the simulated from the recorded tip, m, shape (k,).
         tolerances: limits for agreement.
         source: the bag.
-        zeros: check of the encoders' zeros, if the bag is compared with a given friction.
+        doubt: which sign or zero looks wrong, in words, if the bag is compared with a given friction.
         unit: of the torques, which are currents if the friction was identified from currents.
         notes: what was left out of the bag, if it is compared with a given friction.
     """
@@ -75,7 +75,7 @@ class Validation:
     tip_distance: Array
     tolerances: ValidationTolerances
     source: str
-    zeros: ZeroCheck | None = None
+    doubt: str = ""
     unit: str = "Nm"
     notes: tuple[str, ...] = ()
 
@@ -250,11 +250,12 @@ def validate(
     tip_time, distance = _tip_difference(robot, elements, record)
     if not isinstance(tolerances, ValidationTolerances):
         tolerances = replace(EMULATED if len(distance) else RECORDED, **tolerances)
-    # For sweeps, the zeros have been checked already.
-    zeros = check_zeros(record_instants(record, robot.arm), robot.arm, robot.zero) if sliding is None else None
+    doubt = ""
+    if sliding is None:  # sweeps have been checked already
+        doubt = suspicion(robot.arm, Recorded.of(problem), robot.options, robot.zero)[1]
     (torque,) = run_torques(problem, predicted)
     names = tuple(name for name in record.names if name not in robot.followed)
-    return Validation(names, torque, tip_time, distance, tolerances, str(record.source), zeros, record.unit, notes)
+    return Validation(names, torque, tip_time, distance, tolerances, str(record.source), doubt, record.unit, notes)
 
 
 def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationProblem) -> Array:

@@ -7,28 +7,23 @@ import re
 import signal
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from processes import Processes, open_files, wait_until
-from schema_faults import schema_faults
 
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import DONE, INTERRUPTED
 from rx90_common.description.coupling import RX_WRIST
-from rx90_common.friction import FrictionSet, load_friction
+from rx90_common.friction import load_friction
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments import nodes
 from rx90_emulator.identification.experiments import plan as plans
 from rx90_emulator.identification.experiments.excitation import plan_excitation
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, read_emulated, read_index
-from rx90_emulator.identification.experiments.series import run_on_engine
-from rx90_emulator.identification.identify import identify_friction
-from rx90_emulator.identification.job import write_identification
 from rx90_emulator.identification.options import ExcitationOptions
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
@@ -64,64 +59,6 @@ def test_the_runs_of_one_joint_tell_that_joint_alone(
     for value in ("18", "23", "0.05", "1", "7", "70000", "60"):
         assert f"true {value}<" in page
     check_report(output.with_suffix(".html"))
-
-
-def test_python_identifies_and_writes_what_the_command_does(
-    series: Path, identified: tuple[Path, str], shipped: Setup, tmp_path: Path
-) -> None:
-    """`identify_friction` gives the elements that the command wrote, and the same file but for its date.
-
-    A motion that no plan has confirms them; the same motion with friction that joint 3 does not have refutes them.
-    """
-    third = replace(shipped.friction.elements[2], tau_c_positive=21.0, tau_c_negative=16.5, c2=8.5)
-    elements = (*shipped.friction.elements[:2], third, *shipped.friction.elements[3:])
-    other = replace(shipped, friction=FrictionSet(shipped.friction.names, elements))
-    for name, setup in (("fresh", shipped), ("other", other)):
-        run_on_engine(setup, fresh_motion(setup), tmp_path / name)
-    bags = replace(read_index(series), validation=(tmp_path / "fresh", tmp_path / "other"))
-    result = identify_friction(bags)
-    assert [check.passed for check in result.validations] == [True, False]
-    assert not result.confirmed
-    output, _ = write_identification(result, tmp_path / "friction.yaml")
-    assert schema_faults("friction", output) == schema_faults("experiments", series / "experiments.yaml") == []
-    assert [use for use, _ in result.bags] == ["sliding", "presliding", "validation", "validation"]
-    texts = [re.sub(r"20\d\d-[-+:T\d]+", "", file.read_text(encoding="utf-8")) for file in (output, identified[0])]
-    assert texts[0] == texts[1]
-
-
-def fresh_motion(setup: Setup) -> Experiment:
-    """Return a motion that no plan has: joint 3 fast and slow with reversals, the others a little."""
-    motion = Motion(np.zeros(6))
-    for target, speed in ((0.9, 1.2), (-0.5, 0.4), (-0.2, 0.1)):
-        motion.move([0.1 * target, 0.1, target, 0.1 * target, 0.2, 0.1], np.full(6, speed), 4.0)
-        motion.rest(0.1)
-    motion.move(np.zeros(6), np.full(6, 0.5), 4.0)
-    return Experiment("fresh", Kind.VALIDATION, motion.points(setup.robot.joint_names), 4)
-
-
-def test_the_report_names_bags_and_assumptions(identified: tuple[Path, str]) -> None:
-    """Every bag stands in the report with its use and digest, and every assumed value is marked as one, or its row."""
-    output, _ = identified
-    page = output.with_suffix(".html").read_text(encoding="utf-8").partition("<footer>")[0]
-    identification = yaml.safe_load(output.read_text(encoding="utf-8"))["identification"]
-    for bag in identification["bags"].values():
-        assert f"<td>{bag['path']}</td>" in page
-        assert bag["sha256"] in page
-    assert [page.count(f"<td>{use}</td>") for use in ("sliding", "presliding", "validation")] == [1, 1, 1]
-    parameters = {
-        name: {key: entry for key, entry in element.items() if key != "alpha" or "<th>alpha<br>" in page}
-        for name, element in identification["parameters"].items()
-    }
-    told = {
-        name: [entry["provenance"] == "assumed" for entry in element.values()]
-        for name, element in parameters.items()
-        if any(entry["provenance"] == "identified" for entry in element.values())
-    }
-    assert len(re.findall(r'<br><span class="assumed">assumed', page)) == sum(map(sum, told.values()))
-    others = ", ".join(name for name in parameters if name not in told)
-    assert others
-    assert page.count(f"{others}: nothing identified") == 1
-    assert "omega_d, at which c1 fades" in page
 
 
 def short_series(setup: Setup) -> list[Experiment]:
@@ -185,7 +122,6 @@ def test_experiments_run_on_the_real_nodes(
     assert not [file for file in open_files() if str(folder) in file]
     if run_of_plan.name not in again:  # on a busy machine: from where the first time ended
         check_against_the_engine(done.excitation[0], run_of_plan, shipped)
-    check_presliding_against_the_engine(done.presliding[0], series[0], shipped)
     output = tmp_path / "friction.yaml"
     words = ["--sliding", folder / "slide", "--presliding", folder / "cycle", "--output", output]
     assert run("rx90_identify", [str(word) for word in words]) == DONE
@@ -214,30 +150,6 @@ def check_against_the_engine(bag: Path, run: Experiment, setup: Setup) -> None:
         for quantity in ("stamp_ns", "position", "velocity", "effort"):
             expected = getattr(engine[name], quantity)
             assert np.array_equal(expected[rows], getattr(found, quantity)[there]), (name, quantity)
-
-
-def check_presliding_against_the_engine(bag: Path, experiment: Experiment, setup: Setup) -> None:
-    """Hold motor 4 in a bag of micro-oscillations against the closed loop, from within the sweep at their beginning on.
-
-    That erases what the friction remembers of the motions before. A sample's shift would be 0.03 Nm and 0.003 rad.
-    """
-    simulated = simulate(setup, experiment.points, duration=experiment.duration + 1.0, record_fast=True).series
-    times, quantities = [], []
-    for series in (read_joint_states(bag, "motor_states"), simulated["motor_states"]):
-        assert series.position is not None
-        assert series.effort is not None
-        position, effort = series.position[:, 3], series.effort[:, 3]
-        begin = int(np.flatnonzero(np.abs(position) > 0.5 * np.abs(position).max())[0])
-        times.append((series.stamp_ns - series.stamp_ns[begin])[begin:])
-        quantities.append(np.column_stack([position, effort])[begin:])
-    errors = []
-    for shift in range(-8, 9):
-        common, rows, others = np.intersect1d(times[0], times[1] + shift * 250_000, return_indices=True)
-        assert len(common) > 3000 * experiment.points.times[-1]
-        errors.append(np.abs(quantities[0][rows] - quantities[1][others]).max(axis=0))
-    position, effort = min(errors, key=lambda error: float(error[1]))
-    assert position < 2e-3
-    assert effort < 2e-3
 
 
 def interrupt_once(bag: Path) -> None:

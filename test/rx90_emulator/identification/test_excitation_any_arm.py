@@ -113,21 +113,6 @@ def test_the_table_of_set_points_is_the_trajectory(motions: Path) -> None:
         np.testing.assert_allclose(rows[inside, 1 + 7 * order : 8 + 7 * order], there, rtol=1e-6, atol=1e-7)
 
 
-def test_home_is_given_or_the_middle_of_the_ranges(
-    urdf: Path, motions: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The table says where home is and why; joints that are not of interest are named as held, meshes as uncounted."""
-    said = (motions / "said.txt").read_text(encoding="utf-8")
-    assert said.startswith("home 0, 0, 0, -1.585, 0, 1.865, 0 rad: the middle of the joints' ranges, assumed")
-    held = next(line for line in said.splitlines() if line.startswith("held at 0: "))
-    assert set(held.removeprefix("held at 0: ").split(", ")) == {"mast", "wheel", "finger_1"}
-    assert "meshes do not count for collisions: those of link_3" in said
-    assert "without friction" in said
-    words = ["--urdf", str(urdf), *ARM, *SHORT, "--steps", "2", "--harmonics", "3"]
-    assert _plan(*words, "--home", "0.1", "0", "0", "-1.5", "0", "1.5", "0") == DONE
-    assert capsys.readouterr().out.startswith("home 0.1, 0, 0, -1.5, 0, 1.5, 0 rad: as given")
-
-
 def test_the_tool_counts_for_the_table(urdf: Path) -> None:
     """A tool is fixed to the last link; its tip, by Pinocchio and the tool file, is what comes nearest to the table."""
     model = _held(urdf)
@@ -172,12 +157,3 @@ def test_what_does_not_fit_the_arm_is_refused(
     error = capsys.readouterr().err.strip().splitlines()
     assert len(error) == 1
     assert said in error[0]
-
-
-def test_a_run_needs_a_robot_of_this_project(urdf: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Nothing drives an arm of which only the URDF is known; nothing is written."""
-    folder = tmp_path / "bags"
-    words = ["run", "--excitation", "--engine", "--urdf", str(urdf), "--output", str(folder)]
-    assert run("rx90_experiment", words) == REFUSED
-    assert "without --robot; accepted: plan" in capsys.readouterr().err
-    assert not folder.exists()

@@ -14,9 +14,7 @@ import pytest
 from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import load_yaml
-from rx90_common.base.entries import Numbers
-from rx90_common.base.errors import DONE, REFUSED, ConfigError, IdentificationError
+from rx90_common.base.errors import DONE, REFUSED
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation import filtering, identify
@@ -25,7 +23,7 @@ from rx90_emulator.identification.experiments.excitation import ExcitationPlan, 
 from rx90_emulator.identification.experiments.plan import Kind, read_index, write_index
 from rx90_emulator.identification.experiments.series import describe_excitation, run_on_engine
 from rx90_emulator.identification.experiments.workspace import Workspace
-from rx90_emulator.identification.options import DECLARED, ExcitationOptions, RobotOptions, Wall
+from rx90_emulator.identification.options import ExcitationOptions, RobotOptions, Wall
 from rx90_emulator.loop.setup import Setup
 
 TABLE, WALL = 0.12, (-1.0, -0.5, 0.0, -0.45)
@@ -218,60 +216,6 @@ def test_the_same_seed_gives_the_same_plan_and_another_one_another(tx40: Setup) 
     assert not any(first.shape == one.shape and np.allclose(first, one) for one in (second, other))
 
 
-def test_each_run_is_for_what_those_before_leave_uncertain(tx40: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of four runs each is searched for at its own speed and knows what the others tell; the validation knows nothing.
-
-    Information by sums over 1 % of each joint's effort as noise; every run begins and ends at the home of the poses.
-    """
-    searches: list[tuple[float, Array]] = []
-    firsts: list[float] = []
-
-    def small(search: ExcitationPlan, rng: np.random.Generator, *_: object) -> Array:
-        coefficients = 0.02 * rng.normal(size=(6, 5))
-        coefficients[:, 0] += search.home
-        searches.append((search.speed, search.information))
-        firsts.append(float(coefficients[0, 1]))
-        return coefficients
-
-    monkeypatch.setattr(ExcitationPlan, "best", small)
-    plan = plan_excitation(tx40, ExcitationOptions(runs=4, harmonics=3, period=3.0, periods=2, steps=2))
-    assert tx40.files is not None
-    home = Numbers("", count=6).take(load_yaml(tx40.files.required("poses")).section("home"), "position")
-    for one in plan.experiments:
-        assert one.points.position[[0, -1]] == pytest.approx(np.array([home, home]), abs=1e-12)
-    assert [speed for speed, _ in searches] == pytest.approx([0.8, 0.4, 0.16, 0.8, 0.56])
-    assert len(set(firsts)) == 5
-    noise, time = 0.01 * tx40.robot.max_effort[:, None], np.arange(0.0, 3.0, 5e-3)
-    told = [np.zeros_like(plan.information)]
-    for coefficients in plan.coefficients[:4]:
-        position, velocity, acceleration = plan.basis(time) @ coefficients.T
-        standard = plan.standard.torque(position, velocity, acceleration)
-        rows = plan.rows(standard, velocity) * plan.noise[:, None] / noise
-        flat = rows.reshape(6 * len(time), -1)
-        told.append(told[-1] + flat.T @ flat * 600.0 / len(time))  # 100 independent samples per second of 6 s
-    size = np.sqrt(np.diag(told[4]))
-    for found, expected in zip(
-        [*(known for _, known in searches), plan.information], [*told[:4], told[0], told[4]], strict=True
-    ):
-        assert found / np.outer(size, size) == pytest.approx(expected / np.outer(size, size), abs=0.05)
-
-
-def test_a_wall_behind_the_arm_leaves_room(shipped: Setup) -> None:
-    """Of the random motions that a search begins with those count that can be made small enough for the walls.
-
-    Over a table at the height of the elbow none can, and the refusal says what comes near.
-    """
-    search = _search(shipped, "d", (Wall.through((1.0, 0.0, 0.0, -0.4)),))
-    found = search.random_starts(np.random.default_rng((0, 0)))
-    assert 1 < len(found) < 12
-    for coefficients in found:
-        ((distance, _),) = search.workspace.lowest((search.samples @ coefficients.T)[0])
-        assert distance >= search.options.clearance
-    high = _search(shipped, "d", (Wall.above(1.0),))
-    with pytest.raises(IdentificationError, match=r"no motion .* small one link_2 comes as near to --keep-above 1 as "):
-        high.best(np.random.default_rng(0), lambda: None)
-
-
 def test_the_arm_does_not_touch_itself(shipped: Setup) -> None:
     """A motion that folds the arm onto its base, by Pinocchio's plain collisions, is shrunk until it is free.
 
@@ -327,19 +271,6 @@ def test_what_does_not_fit_is_refused(words: list[str], text: str, capsys: pytes
     said = capsys.readouterr().err.strip().splitlines()
     assert text in said[-1]
     assert len(said) == 1
-
-
-@pytest.mark.parametrize("name", [name for name in DECLARED if name != "criterion"])
-def test_each_option_keeps_its_range(name: str) -> None:
-    """What is beyond the declared range of an option is refused with its name and value; its ends are not."""
-    low, high = (getattr(DECLARED[name], end) for end in ("low", "high"))
-    for value in (low - 1, high + 1):
-        with pytest.raises(ConfigError, match=rf"{name} is {value}; accepted: "):
-            ExcitationOptions(**{name: value})
-    for value in (low, high):
-        assert getattr(ExcitationOptions(**{"period": 1.0, "periods": 1, name: value}), name) == value
-    with pytest.raises(ConfigError, match="torque-noise is 1e-300; accepted: "):
-        ExcitationOptions(torque_noise=(1e-300,))
 
 
 def test_a_folder_of_excitation_runs_is_identified_as_such(

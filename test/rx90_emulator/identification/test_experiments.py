@@ -11,7 +11,6 @@ import pytest
 from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.base.errors import ConfigError, ExchangeError, IdentificationError
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import (
@@ -136,16 +135,6 @@ def test_a_plan_beyond_what_joints_or_motors_may_do_is_refused(shipped: Setup) -
     ):  # fmt: skip
         with pytest.raises(IdentificationError, match=said):
             PlannedArm.from_setup(setup).check(experiment)
-
-
-def test_plan_shows_time_and_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    """`rx90_experiment plan` prints runs and time of each experiment and their sums, and writes nothing."""
-    assert run("rx90_experiment", ["plan", "--group", "joint_4"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines[1:4]] == ["sliding_joint_4", "presliding_joint_4", "validation"]
-    assert lines[-1].startswith("3 experiments, ")
-    seconds = sum(float(line.split()[2]) for line in lines[1:4])
-    assert abs(float(lines[-1].split(" s of motion")[0].split()[-1]) - seconds) < 1.0
 
 
 def test_the_engine_writes_the_bags_that_the_recorder_would(series: Path) -> None:

@@ -95,20 +95,6 @@ def test_slow_sweeps_at_67_hz_are_used(hinge: RigidArm) -> None:
         assert abs(found[name].value - truth) < max(0.03 * truth, 3.0 * found[name].deviation), name
 
 
-def test_what_was_not_used_is_told(hinge: RigidArm) -> None:
-    """A bag at rest and one that creeps through 3 mrad are told with the reason; no claim covers their speeds."""
-    rng = np.random.default_rng(4)
-    time = np.arange(0.0, 10.0, 1.0 / 67.0)
-    rest = record(1000.0 + time, np.full(len(time), 3e-6), np.zeros(len(time)), "rest")
-    creep = record(1100.0 + time, np.full(len(time), 3e-4), np.full(len(time), 5.0), "creep")
-    fit = identify_sliding([*series(rng), rest, creep], hinge)
-    assert fit.usage[-2].text(("hinge",)).startswith("used NOTHING; left out 9.9 s at rest")
-    assert fit.usage[-1].text(("hinge",)).startswith("used NOTHING; left out 9.9 s travel of less than 10 mrad")
-    reason = fit.estimates[0].parameters["tau_s_positive"].reason
-    assert "no Stribeck effect shows at speeds from 0.004" in reason
-    assert reason.endswith("what it does at 0.0003 rad/s was recorded, but could not be used")
-
-
 def humped(velocity: Array) -> Array:
     """Return friction with a hump near 50 mrad/s, as of a lubricant, which is no curve of the model, Nm."""
     speed = np.abs(velocity) + 1e-9

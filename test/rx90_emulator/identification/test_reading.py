@@ -17,7 +17,7 @@ from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError, IdentificationError
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.options import MeasuredLayout
-from rx90_emulator.identification.records import read_record, stretches
+from rx90_emulator.identification.records import read_record
 from rx90_emulator.identification.robot import BagLayout, arm_layout
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.result import write_bag
@@ -50,23 +50,6 @@ def messages(
 
 
 LAYOUT = arm_layout("arm", NAMES)
-
-
-@pytest.mark.parametrize(
-    ("there", "expected"),
-    [
-        ("", []),
-        ("....", []),
-        ("####", [(0, 4)]),
-        ("#...", [(0, 1)]),
-        ("...#", [(3, 4)]),
-        ("##.#", [(0, 2), (3, 4)]),
-        (".##.#.", [(1, 3), (4, 5)]),
-    ],
-)
-def test_stretches_begin_and_end_where_the_condition_does(there: str, expected: list[tuple[int, int]]) -> None:
-    """Their ends are exclusive, also at the first and the last sample; without samples there are none."""
-    assert stretches(np.array([one == "#" for one in there], dtype=bool)) == expected
 
 
 @pytest.mark.parametrize("ros", [1, 2])

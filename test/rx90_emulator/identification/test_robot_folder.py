@@ -19,12 +19,9 @@ from foreign_arms import urdf_text
 from numpy.typing import NDArray
 from schema_faults import schema_faults
 
-from benchmarks.any_arm import joint_names, write_arm
-from rx90_common.base.errors import IdentificationError, Rx90Error
+from rx90_common.base.errors import Rx90Error
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.friction.parts.bristles import MaxwellSlip
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.arm import RigidArm
@@ -41,16 +38,13 @@ from rx90_emulator.identification.output.assumed_files import weight_warning
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot_files import (
     FolderBase,
-    Identified,
     folder_base,
-    marked,
     robot_texts,
     viscous_sum,
-    with_inertials,
 )
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.setup import Setup, load_setup
+from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(5)
@@ -257,53 +251,6 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     assert "recorded 20" in texts["robot.urdf"].partition("<link")[0]
 
 
-GRIPPER = """<link name="finger"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0"
-iyz="0"/></inertial></link><link name="frame"><inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0"
-ixz="0" iyz="0"/></inertial></link><joint name="grip" type="prismatic"><parent link="link_3"/><child link="finger"/>
-<axis xyz="1 0 0"/><limit lower="0" upper="0.1" velocity="1" effort="1"/></joint><joint name="end" type="fixed">
-<parent link="finger"/><child link="frame"/></joint></robot>"""
-
-
-def test_folder_of_an_arm_with_a_differential_runs(tmp_path: Path, source: BagSource) -> None:
-    """A gripper held in the identification becomes fixed; the folder's torque is the regressor's, and its loop follows.
-
-    The motors of joints 2 and 3 turn with both. URDF and friction file alone, held against bags, have that torque, too.
-    """
-    turns = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 1.0, -1.0]])
-    file = write_arm(tmp_path / "foreign", 3) / "robot.urdf"
-    file.write_text(file.read_text().replace("</robot>", GRIPPER))
-    arm = RigidArm.from_urdf(file, joint_names(3), coupling=turns, rotor_inertia=[0.5, 0.3, 0.2])
-    columns = StandardColumns(arm)
-    prior = InertialPrior.of_urdf(file, arm.names, [0.5, 0.3, 0.2])
-    theta = columns.values()
-    inertias = consistent_inertias(estimate_of(columns, theta), prior)
-    element = FrictionElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e3, 1.0, 0.5)
-    result = identified(arm, inertias, columns, (element_of(element, source),) * 5, source)
-    base, why = folder_base(arm, file)
-    assert base is not None, why
-    assert why.endswith("; grip fixed at 0, as in the identification")
-    wrong = tmp_path / "wrong.urdf"  # bodies that cannot be, as some descriptions have, are replaced by identified ones
-    wrong.write_text(re.sub(r'izz="[^"]*"', 'izz="9.0"', file.read_text(), count=3))
-    assert folder_base(arm, wrong)[0] is not None
-    folder = tmp_path / "written"
-    folder.mkdir()
-    for name, text in robot_texts(result, file, base).items():
-        (folder / name).write_text(text)
-    setup = load_setup(robot=folder)
-    assert setup.friction.names == (*joint_names(3), "arm_2+arm_3", "arm_2-arm_3")
-    motion = RNG.uniform(-2.0, 2.0, (3, 10, 3))
-    written = RigidArm.from_setup(setup).torque(*motion)
-    np.testing.assert_allclose(written, columns.torque(*motion) @ inertias.parameters, rtol=0.0, atol=1e-8)
-    alone = RigidArm.from_urdf(folder / "robot.urdf", joint_names(3), coupling=turns)
-    alone = alone.with_joints(FrictionFile.read(folder / "friction.yaml").joints)
-    np.testing.assert_allclose(alone.torque(*motion), written, rtol=0.0, atol=1e-4)
-    assert setup.controller.max_acceleration == pytest.approx(np.maximum(setup.robot.max_velocity / 0.5, [0, SEEN, 0]))
-    rest = np.zeros((2, 3))
-    points = TrajectoryPoints(np.array([0.0, 1.0]), np.stack([rest[0], rest[0] + 0.3]), rest, rest)
-    tracking = simulate(setup, points).slow.tracking_error[:, 0]
-    assert np.abs(tracking).max() < 2e-3
-
-
 def test_gains_that_do_not_hold_the_weight_are_told() -> None:
     """The shipped panda's hold it; with kv and kp 2.5 times lower the engine trips at joints 3, 5 and 6 (by hand)."""
     setup = Setup.load(RobotFiles.named("panda"))
@@ -323,38 +270,6 @@ def rest_of(urdf: str) -> str:
     return re.sub(r"\s+", "", ET.tostring(root, encoding="unicode")).replace("></link>", "/>")
 
 
-@pytest.mark.parametrize("link", ['<link name="l"/>', '<link name="l"></link>', '<link name="l" ><inertial /></link >'])
-def test_inertial_is_put_into_any_link(link: str) -> None:
-    """Empty links, empty inertials and links with spaces in their tags all take the inertial, and lose it again."""
-    urdf = f"<?xml version='1.0'?>\n<!-- é -->\n<robot\n name='a>b'>{link}<joint name='j'/></robot>"
-    pseudo = np.diag([0.1, 0.2, 0.3, 2.0])
-    root = ET.fromstring(with_inertials(urdf, {"l": pseudo}, "a -- b"))
-    assert [inertial.find("mass").attrib for inertial in root.findall("link/inertial")] == [{"value": "2.0"}]  # type: ignore[union-attr]
-    assert float(root.find("link/inertial/inertia").attrib["ixx"]) == pytest.approx(0.5)  # type: ignore[union-attr]
-    assert [child.tag for child in root] == ["link", "joint"]
-    assert ET.fromstring(with_inertials(urdf, {"l": None}, "")).find("link/inertial") is None
-    for absurd in (math.nan, 1e48):  # no number, or the mass of a mountain
-        with pytest.raises(IdentificationError, match="accepted: up to 100000 kg"):
-            with_inertials(urdf, {"l": np.diag([1.0, 1.0, 1.0, absurd])}, "")
-
-
-def test_each_value_of_a_block_says_where_it_comes_from() -> None:
-    """New values bring their provenance and source, the others keep theirs; a block of new values alone has one."""
-    block = {"provenance": "assumed", "source": "scaled", "note": "n", "a": 1, "b": 2, "c": 3, "d": 4}
-    once = marked(block, {"a": Identified(5, "identified", "bags")})
-    assert once == {
-        "provenance": {"a": "identified", "others": "assumed"}, "source": {"a": "bags", "others": "scaled"},
-        "note": "n", "a": 5, "b": 2, "c": 3, "d": 4,
-    }  # fmt: skip
-    twice = marked(once, {"b": Identified(6, "identified", "bags")})
-    assert twice["source"] == {"a": "bags", "b": "bags", "c": "scaled", "d": "scaled"}
-    with_gap = marked({"source": {"b": "book"}, "b": 1, "c": 2}, {})
-    assert with_gap["source"] == {"b": "book"}
-    whole = marked(twice, dict.fromkeys("cd", Identified(7, "identified", "bags")))
-    assert whole == {"provenance": "identified", "source": "bags", "note": "n", "a": 5, "b": 6, "c": 7, "d": 7}
-    assert marked({"a": 1, "b": 2}, {"a": Identified(3, "derived", "x")})["provenance"] == {"a": "derived"}
-
-
 def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
     """Motor 6 turns against two elements: of different exponents, their sum is met within 2 % at speeds that matter."""
     written = yaml.safe_load(case.files.controller.read_text())["feed_forward"]
@@ -367,15 +282,6 @@ def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
     c2, alpha = viscous_sum([bent, straight], 8.0)
     speed = np.linspace(1.5, 9.0, 20)
     np.testing.assert_allclose(c2 * speed**alpha, 2.0 * speed**0.6 + speed, rtol=0.02)
-
-
-def test_a_block_with_hardly_any_stiffness_is_written(source: BagSource) -> None:
-    """Parts of blocks that six digits cannot tell from all and nothing still sum to 1, and none of them is 0."""
-    blocks = MaxwellSlip((1.0 - 4.9e-7, 4.9e-7), (4.9e-7, 1.0 - 4.9e-7), attraction=200.0)
-    good = element_of(FrictionElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, 0.5, bristles=blocks), source)
-    written = yaml.safe_load(elements_text(["a"], [good], None))["elements"]["a"]["bristles"]
-    assert written["stiffness"] == pytest.approx(blocks.stiffness, rel=1e-9)
-    assert written["share"] == pytest.approx(blocks.share, rel=1e-9)
 
 
 @pytest.mark.parametrize(

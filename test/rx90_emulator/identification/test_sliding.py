@@ -18,14 +18,13 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.estimates import SLIDING, ElementEstimate, ParameterEstimate, cluster_variances
+from rx90_emulator.identification.estimates import SLIDING, ElementEstimate, cluster_variances
 from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, Poses, directions, make_plan
 from rx90_emulator.identification.identify import identify_records
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.summary import identification_summary
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import RecordedRobot
-from rx90_emulator.identification.sliding import solver
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
@@ -229,44 +228,6 @@ def test_clusters_of_residuals_give_the_jackknifes_variances_and_unbiased_ones()
     left = np.eye(30) - hat
     mean = sum(cluster_variances(slope, left[:, k], cluster, root, 0.5, 1e-9) for k in range(30))
     np.testing.assert_allclose(mean, np.diag(covariance), rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("value", "deviation", "text"),
-    [
-        (100021.3, 26.4, ("100021", "26")),
-        (110214.0, 203.0, ("110210", "200")),
-        (28.0312, 0.0998, ("28.031", "0.100")),
-        (0.04911, 0.00044, ("0.04911", "0.00044")),
-        (1e-9, 1e-11, ("1e-09", "1e-11")),
-        (5.0, 0.0, ("5", "0")),
-    ],
-)
-def test_a_value_has_the_digits_of_its_deviation(value: float, deviation: float, text: tuple[str, str]) -> None:
-    """A value is written to the second digit of its standard deviation."""
-    assert ParameterEstimate(value, deviation).texts() == text
-
-
-def test_the_drawn_curve_is_the_identified_one(sweeps: Any, arm: RigidArm) -> None:
-    """The line covers the measured speeds, none in between, and has the deviation that the parameters make."""
-    record, _ = sweeps([2], 3)
-    fit = identify_sliding([record], arm)
-    curve, found = fit.curves[2], fit.estimates[2]
-    velocity, torque, deviation = curve.line
-    assert np.abs(velocity).min() == pytest.approx(np.abs(curve.velocity).min())
-    assert np.abs(velocity).max() == pytest.approx(np.abs(curve.velocity).max())
-    values = np.array([found.parameters[name].value for name in SLIDING])
-    deviations = np.array([found.parameters[name].deviation for name in SLIDING])
-
-    def curve_of(p: np.ndarray[tuple[int], np.dtype[np.float64]]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        internal = np.array([p[0], p[1], p[2] - p[0], p[3] - p[1], p[6], np.log(p[4]), np.log(p[5]), 0.0])
-        return solver.torque(velocity, internal)
-
-    assert np.allclose(torque, curve_of(values))
-    slope = np.array([(curve_of(values + step) - curve_of(values - step)) / (2e-5 * size)
-                      for size, step in zip(values, 1e-5 * np.diag(values), strict=True)])  # fmt: skip
-    covariance = np.outer(deviations, deviations) * found.correlation
-    assert np.allclose(deviation, np.sqrt(np.einsum("ik,ij,jk->k", slope, covariance, slope)), rtol=1e-3)
 
 
 def on_the_engine(setup: Setup, options: PlanOptions) -> list[JointRecord]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,24 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
-from foreign_arms import urdf_text
 from scipy.signal import butter, resample_poly, sosfiltfilt
 
 import rx90_emulator as rx
 from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO, IdentificationError, TrajectoryError
-from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.output.report import check_page
 from rx90_emulator.identification.output.summary import check_summary
-from rx90_emulator.identification.records import read_record
-from rx90_emulator.identification.robot import RecordedRobot
-from rx90_emulator.identification.validation.prediction import Validation, filtered_runs
+from rx90_emulator.identification.validation.measured import MeasuredComparison
+from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import TorquePrediction
 from rx90_emulator.loop.setup import Setup
-
-WAY_OUT = "rx90_identify --friction FILE --validation BAG --urdf URDF"
 
 STILL = 3  # the joint that rests: joint_4
 MOVE = [k for k in range(6) if k != STILL]
@@ -47,7 +39,7 @@ class Measured:
         rx.write_joint_states(self.folder / name, series)
         return self.folder / name
 
-    def compare(self, name: str, *series: rx.JointSeries, **how: Any) -> rx.MeasuredComparison:
+    def compare(self, name: str, *series: rx.JointSeries, **how: Any) -> MeasuredComparison:
         """Write series as a bag and compare it with the closed loop of this robot."""
         return rx.compare_measured(self.write(name, *series), self.setup, **how)
 
@@ -143,29 +135,6 @@ def test_torques_are_compared_below_their_smoothing(measured: Measured) -> None:
     assert smooth.total_share < 0.04  # up to 100 Hz it is 0.06
 
 
-def test_a_table_of_motors_is_compared_as_their_bag(measured: Measured) -> None:
-    """Motor angles and torques in an NPZ file, by a map beside it, give the bag's figures, set-points included."""
-    motors, reference = measured.run.series["motor_states"], measured.run.series["rx90_controller/reference"]
-    both = np.isin(motors.stamp_ns, reference.stamp_ns)
-    bag = measured.write("some", motors.take(both), reference)
-    arrays = {"t": motors.stamp_ns[both]}
-    topics: dict[str, Any] = {}
-    for series, topic in ((motors.take(both), "motor_states"), (reference, "rx90_controller/reference")):
-        topics[topic] = {"names": list(series.names)}
-        for field, unit in (("position", "rad"), ("velocity", "rad/s"), ("effort", "Nm")):
-            if field in series.fields and not (series is reference and field == "effort"):
-                arrays[f"{topic}_{field}".replace("/", "_")] = series.fields[field]
-                columns = [f"{topic}_{field}[{k}]".replace("/", "_") for k in range(6)]
-                topics[topic][field] = {"columns": columns, "unit": unit}
-    np.savez(measured.folder / "log.npz", **arrays)
-    content = {"time": {"column": "t", "unit": "ns"}, "topic": "motor_states", "topics": topics}
-    (measured.folder / "log.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
-    table, plain = (rx.compare_measured(log, measured.setup) for log in (measured.folder / "log.npz", bag))
-    assert table.setpoints == plain.setpoints == "rx90_controller/reference in the bag"
-    np.testing.assert_array_equal(table.torque, plain.torque)
-    np.testing.assert_array_equal(table.simulated_torque, plain.simulated_torque)
-
-
 def test_a_delay_and_a_gap_are_found(measured: Measured) -> None:
     """States 8 ms later than in truth make the simulation 8 ms earlier, and the torques agree all the same.
 
@@ -232,20 +201,6 @@ def test_set_points_of_another_rate_and_zero_are_followed(measured: Measured) ->
         rx.compare_measured(bag, measured.setup, rx.MeasuredLayout(zero=zero), bandwidth=1e3)
 
 
-def test_set_points_lose_the_zero_as_positions_do(measured: Measured) -> None:
-    """Of a simulated bag whose angles begin elsewhere, set-points lie beside the positions that a fit is given."""
-    zero = np.array([0.3, -1.0, 0.5, 2.0, 0.1, -0.2])
-    names = ("joint_states", "rx90_controller/reference")
-    recorded = (measured.run.series[name] for name in names)
-    series = [replace(one, position=np.asarray(one.position) + zero) for one in recorded]
-    bag = measured.write("zeroed", *series)
-    robot = RecordedRobot.load(rx.RobotOptions(zero=zero.tolist()), [bag])
-    record = read_record(bag, robot.layout(bag, fast=True))
-    (run,) = filtered_runs(record, robot, Bandwidths(100.0, 30.0))
-    assert run.reference is not None
-    np.testing.assert_allclose(run.reference, run.position, atol=0.02)
-
-
 @pytest.mark.parametrize("said", ["have gaps", "are of different times", "no joint moves"])
 def test_what_cannot_be_followed_is_refused(measured: Measured, said: str) -> None:
     """Set-points with a hole, those that were recorded at another time, and an arm that holds still are named."""
@@ -281,33 +236,6 @@ def test_the_verdict_is_the_exit_code(
     assert run("rx90_compare_measured", [str(measured.bag), "--position-tolerance", "1e-12"]) == VERDICT_NO
     assert "DOES NOT AGREE" in capsys.readouterr().out
     check_report(page)
-
-
-def test_other_arms_are_told_where_to_go(
-    measured: Measured, shipped_files: RobotFiles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A folder without drives, other numbers or names of joints, and a bag of others are one line with the way out."""
-    four, other = tmp_path / "four.urdf", tmp_path / "other.urdf"
-    for path, names in ((four, "abcd"), (other, "abcdef")):
-        text = urdf_text(names, ["0 0 1"] * len(names), [1.0] * len(names))
-        path.write_text(text.replace('effort="0"', 'effort="10"'), encoding="utf-8")
-    folder = tmp_path / "arm"
-    folder.mkdir()
-    shutil.copy(other, folder / "robot.urdf")
-    shutil.copy(shipped_files.friction, folder)
-    series = rx.read_joint_states(measured.bag, "joint_states", [f"joint_{k}" for k in range(1, 7)])
-    foreign = rx.JointSeries("/joint_states", tuple("abcdef"), series.stamp_ns, series.position, None, series.effort)
-    rx.write_joint_states(tmp_path / "foreign", [foreign])
-    for words, found in (
-        ([measured.bag, "--robot", folder], "no drives.yaml"),
-        ([measured.bag, "--urdf", four], "4 movable joints"),
-        ([measured.bag, "--urdf", other], "no friction element a, b, c, d, e, f"),
-        ([tmp_path / "foreign"], "joint_states is of a, b, c, d, e, f; accepted: joint_1,"),
-    ):
-        assert run("rx90_compare_measured", [str(word) for word in words]) == REFUSED
-        (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("rx90_compare_measured")]
-        assert found in line
-        assert WAY_OUT in line
 
 
 def validation(error: float) -> Validation:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import io
-import os
 import re
-import signal
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
@@ -17,17 +15,21 @@ import pinocchio as pin
 import pytest
 import yaml
 from foreign_arms import Curve, drive_torque, urdf_text, write
-from scipy.signal import butter, fftconvolve, sosfiltfilt
+from scipy.signal import fftconvolve
 from terminal import Terminal
 from two_joints import CURVES, NAMES, NOISE, RATE, Bench, fourier
 
 import rx90_emulator as rx
-from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO
+from rx90_common.base.errors import REFUSED, VERDICT_NO
 from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
 from rx90_emulator.identification.excitation.friction import identify_friction_parts
-from rx90_emulator.identification.excitation.law import Part
-from rx90_emulator.identification.excitation.result import TorqueValidation, base_parameters, trends
+from rx90_emulator.identification.excitation.result import (
+    ExcitationIdentification,
+    TorqueValidation,
+    base_parameters,
+    trends,
+)
 from rx90_emulator.identification.output.summary import unseen_verdict
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.robot import RecordedRobot
@@ -71,7 +73,7 @@ class Outcome:
     folder: Path
     said: str
     error: str
-    result: rx.ExcitationIdentification
+    result: ExcitationIdentification
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +81,7 @@ def outcome(bench: Bench) -> Outcome:
     """Identify the arm; of two validation runs the second is of an arm with more friction."""
     folder, kept = bench.folder / "identified", []
 
-    def kept_result(*arguments: Any, **options: Any) -> rx.ExcitationIdentification:
+    def kept_result(*arguments: Any, **options: Any) -> ExcitationIdentification:
         kept.append(rx.identify_excitation(*arguments, **options))
         return kept[0]
 
@@ -109,7 +111,7 @@ def test_values_are_those_of_the_arm(bench: Bench, outcome: Outcome) -> None:
     names = found["correlation"]["names"]
     assert np.shape(found["correlation"]["matrix"]) == (len(names), len(names))
     assert [bag["use"] for bag in found["bags"]] == ["excitation", "validation", "validation"]
-    assert "Stribeck rise: elements without it" in outcome.error
+    assert "trial of the Stribeck rise" in outcome.error
 
 
 def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
@@ -129,15 +131,7 @@ def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
     assert all(
         f"{one.total_share:.1%}" in outcome.said for check in (good, bad) for one in (check.torques, check.files)
     )
-    line = next(one for one in outcome.said.splitlines() if one.startswith(f"validation {bad.torques.source.path}"))
-    decided, kept = line.partition("NOT CONFIRMED: ")[2].partition("; within the limits ")[::2]
-    assert f"torque RMS of all joints {bad.torques.total_share:.2%} (limit 10%)" in decided
-    for part in decided.split("), "):
-        value, limit = (float(text) for text in re.findall(r"([\d.]+)%", part))
-        assert value > limit
-    for part in kept.split("), ") if kept else []:
-        value, limit = (float(text) for text in re.findall(r"([\d.]+)%", part))
-        assert value <= limit
+    assert f"NOT CONFIRMED: torque RMS of all joints {bad.torques.total_share:.2%} (limit 10%)" in outcome.said
     # A verdict that the files alone decide says so.
     alone = replace(good, files=bad.files)
     assert not alone.passed
@@ -195,61 +189,12 @@ def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Call
     check_report(outcome.folder / "report.html")
 
 
-def test_offsets_and_rotors_of_a_friction_file_count(bench: Bench, outcome: Outcome, tmp_path: Path) -> None:
-    """Torques with offsets and rotors are predicted by the file that states them, whatever options say of rotors."""
-    motion, offset, rotor = fourier(2, 20.0), np.array([6.0, -3.0]), np.array([2.0, 1.0])
-    torque = bench.torque(motion) + offset + rotor * np.gradient(motion[1], 1.0 / RATE, axis=0)
-    bag = write(tmp_path / "bag", "/joint_states", NAMES, RATE, (*motion, torque))
-    file = yaml.safe_load((outcome.folder / "friction.yaml").read_text(encoding="utf-8"))
-    file.pop("joints", None)
-    pairs = zip(NAMES, offset.tolist(), rotor.tolist(), strict=True)
-    joints = {name: {"offset": constant, "rotor_inertia": inertia} for name, constant, inertia in pairs}
-    shares = []
-    for block in ({"joints": joints}, {}, {"joints": {"wrist": {"offset": 1.0}}}):
-        place = tmp_path / f"friction_{len(shares)}.yaml"
-        place.write_text(yaml.dump(file | block), encoding="utf-8")
-        if "wrist" in block.get("joints", {}):
-            with pytest.raises(rx.Rx90Error, match=r"yaml: joint 'wrist' is none of this arm; accepted: shoulder"):
-                rx.check_friction(place, [bag], rx.RobotOptions(urdf=bench.urdf))
-        else:
-            robot = rx.RobotOptions(urdf=bench.urdf, rotor_inertia=[9.0, 9.0] if block else None)
-            (check,) = rx.check_friction(place, [bag], robot)
-            shares.append(check.largest_share)
-    assert shares[0] < 0.05
-    assert shares[1] > 0.15
-
-
 def test_torques_without_rotors_of_this_robot_are_refused(bench: Bench) -> None:
     """A model without rotors is for other arms' torques behind the gears: with rotors given it is refused."""
     given = rx.RobotOptions(urdf=bench.urdf, rotor_inertia=[1.0, 1.0])
     for robot, words in ((rx.RobotOptions(), "without --urdf"), (given, "with --rotor-inertia")):
         with pytest.raises(rx.Rx90Error, match=f"^--no-rotors {words}; accepted: "):
             rx.identify_excitation([bench.folder / "run"], robot, rotors=False)
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("place", ["identify_excitation", "excitation_page", "write_folder"])
-def test_an_interrupt_leaves_nothing(
-    bench: Bench, outcome: Outcome, tmp_path: Path, place: str, number: signal.Signals,
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
-    """Ctrl-C and SIGTERM in the fit, in the drawing and in the middle of writing leave neither files nor a folder."""
-
-    def interrupted(*_: Any, **__: Any) -> str:
-        os.kill(os.getpid(), number)
-        return ""
-
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # as in a process of its own
-    monkeypatch.setattr(identification_job, "identify_excitation", lambda *_, **__: outcome.result)
-    monkeypatch.setattr(identification_job, "excitation_page", lambda *_: "page")
-    if place == "write_folder":
-        whole = Path.write_bytes
-        monkeypatch.setattr(Path, "write_bytes", lambda *a: (whole(*a), interrupted()))
-    else:
-        monkeypatch.setattr(identification_job, place, interrupted)
-    assert bench.identify("--excitation", bench.folder / "run", "--output", tmp_path / "folder") == INTERRUPTED
-    assert capsys.readouterr().err.splitlines()[-1] == "rx90_identify: interrupted; nothing was written"
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -279,8 +224,8 @@ def test_an_interrupt_leaves_nothing(
         (["still"], "no joint moves in any run; accepted"),
         (["short"], "samples without a gap; accepted"),
         (["single"], "single: 1 sample without a gap; accepted"),
-        (["negative"], r"wrong sign of the effort of \w+ and the effort of \w+: .*--torque-constant -1 -1,"),
-        (["one"], r"wrong sign of the effort of elbow: \d+.\d% .* other sign \d.\d%; .*--torque-constant 1 -1,"),
+        (["negative"], r"wrong sign of the effort of \w+ and sign of the effort of \w+: .*--torque-constant -1 -1,"),
+        (["one"], r"wrong sign of the effort of elbow: \d+.\d% .* change \d.\d%; .*--torque-constant 1 -1,"),
     ],
 )
 def test_what_cannot_be_identified_is_refused(
@@ -297,38 +242,6 @@ def test_what_cannot_be_identified_is_refused(
     assert len(said) == 1, said
     assert re.search(message, said[0]), said[0]
     assert sorted(bench.folder.rglob("*")) == before
-
-
-def test_a_slow_log_of_smoothed_torques_is_identified_with_a_warning(
-    bench: Bench, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """50 samples per second, torques behind a zero-phase low-pass of 5 Hz: all files, what is lost, Coulomb to 10 %."""
-    motion = fourier(8, 30.0)
-    low_pass = butter(2, 5.0, fs=RATE, output="sos")
-    torque = sosfiltfilt(low_pass, bench.torque(motion), axis=0)
-    write(bench.folder / "smooth", "/joint_states", NAMES, 0.5 * RATE, [values[::2] for values in (*motion, torque)])
-    folder = bench.folder / "smooth_identified"
-    assert bench.identify("--excitation", bench.folder / "smooth", "--output", folder) == DONE
-    said = capsys.readouterr().out
-    assert "warning: smooth: 50 samples per second do not resolve motion above 15 Hz" in said
-    assert "recording: the torques were smoothed before they were recorded" in said
-    friction = yaml.safe_load((folder / "parameters.yaml").read_text(encoding="utf-8"))["friction"]
-    for name, curve in zip(NAMES, CURVES, strict=True):
-        assert friction[name]["tau_c_positive"]["value"] == pytest.approx(curve.tau_c_positive, rel=0.1)
-
-
-def test_python_writes_what_the_command_does(outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`rx.write_excitation` writes the same files; those that exist stay without force, and others in the folder do."""
-    monkeypatch.setattr(identification_job, "excitation_page", lambda *_: "page")
-    (tmp_path / "notes.txt").write_text("mine")
-    assert rx.write_excitation(outcome.result, tmp_path) == tmp_path
-    names = {path.name for path in outcome.folder.iterdir()}
-    assert {path.name for path in tmp_path.iterdir()} == names | {"notes.txt"}
-    with pytest.raises(rx.Rx90Error, match="exists; accepted: another name, or --force"):
-        rx.write_excitation(outcome.result, tmp_path)
-    rx.write_excitation(outcome.result, tmp_path, force=True)
-    assert not outcome.result.confirmed
-    assert "shoulder" in rx.excitation_summary(outcome.result)
 
 
 def test_a_joint_that_is_not_identified_follows_the_bag(tmp_path: Path) -> None:
@@ -395,7 +308,7 @@ def test_currents_without_constants_stay_currents(bench: Bench, outcome: Outcome
     for shown in (said, page, texts["friction.yaml"], texts["parameters.yaml"]):
         assert not re.search(r"\bNm\b", shown)
     assert "A (s/rad)" in page
-    assert "unit: A s^2\n" in texts["parameters.yaml"]
+    assert "unit: A s^2" in texts["parameters.yaml"]
     robot = rx.RobotOptions(urdf=tmp_path / "identified" / "robot.urdf")
     (check,) = rx.check_friction(tmp_path / "identified" / "friction.yaml", [tmp_path / "run.csv"], robot)
     assert check.unit == "A"
@@ -457,21 +370,6 @@ def test_shares_and_chi_square_are_those_of_the_noise() -> None:
     assert TorqueValidation(both, both, rx.ExcitationTolerances(), both).passed
     assert not TorqueValidation(both, both, rx.ExcitationTolerances(total=0.01), both).passed
     assert not TorqueValidation(both, both, rx.ExcitationTolerances(joint=0.01), both).passed
-
-
-def test_torques_without_noise_have_no_chi_square(outcome: Outcome) -> None:
-    """Noise below a hundredth of the difference is said in words; the model line names all parts that were kept."""
-    result = outcome.result
-    (run, *_) = result.torques
-    assert not run.noiseless.any()
-    smooth = replace(run, noise=np.array([run.rms[0] / 101.0, run.rms[1] / 99.0]))
-    assert smooth.noiseless.tolist() == [True, False]
-    lines = rx.excitation_summary(replace(result, torques=(smooth,), validations=())).splitlines()
-    kept = next(line for line in lines if line.startswith("model: Coulomb + viscous"))
-    assert all((part.value in kept) == any(part in own for own in result.friction.parts) for part in Part)
-    (at,) = (k for k, line in enumerate(lines) if "chi^2 over noise" in line)
-    assert lines[at].split()[-2:] == [">1e4", "9.8e+03"]
-    assert "next to no noise beside the difference" in lines[at + 1]
 
 
 @pytest.mark.parametrize("steps", [0.0, 20.0])

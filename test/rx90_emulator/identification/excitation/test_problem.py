@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,11 +13,10 @@ from excitation_arms import Array, all_columns, plain_arm, rigid_arm, runs_of, s
 from benchmarks.excitation_runs import NOISE, NOTHING, Disturbances, FourierMotion, measured
 from benchmarks.random_arms import random_arm
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.excitation import filtering
-from rx90_emulator.identification.excitation.checks import check_zeros, coulomb_viscous
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record, low_pass_taps
 from rx90_emulator.identification.excitation.fit import solve
+from rx90_emulator.identification.excitation.law import coulomb_viscous
 from rx90_emulator.identification.excitation.problem import (
     BaseGroups,
     ExcitationProblem,
@@ -164,31 +162,6 @@ def test_base_parameters_are_as_many_as_the_torque_tells(tmp_path: Path) -> None
     assert torque[:, :, base.leading] @ parameters == pytest.approx(arm.frictionless(*motion), abs=1e-8)
 
 
-def two_links(folder: Path, first: float, second: float) -> BaseGroups:
-    """Return the groups of two links 0.5 m apart, each turned about x by an angle, rad."""
-    links = "".join(
-        f'<link name="{name}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-        f'</inertial></link><joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{name}"/>'
-        f'<origin xyz="{place} 0 0" rpy="{turn} 0 0"/><axis xyz="0 0 1"/></joint>'
-        for name, parent, place, turn in (("a", "base", 0, first), ("b", "a", 0.5, second))
-    )
-    (folder / "two.urdf").write_text(f'<robot name="two"><link name="base"/>{links}</robot>', encoding="utf-8")
-    return BaseGroups.of(StandardColumns(RigidArm.from_urdf(folder / "two.urdf")))
-
-
-def test_groups_are_said_in_words(tmp_path: Path) -> None:
-    """Of two parallel links the second's mass joins the first's inertia and first moment by its lever.
-
-    Upright and level axes with the 1.5708 of many a description have the groups of exact right angles.
-    """
-    base = two_links(tmp_path, np.pi / 2.0, 0.0)
-    groups = dict(zip(base.names, base.groups, strict=True))
-    assert groups.pop("IzzR_1") == "Izz_1 + 0.25 m_2 + Ia_1"
-    assert groups.pop("mxR_1") == "mx_1 + 0.5 m_2"
-    assert set(groups) == {"my_1", "mx_2", "my_2", "Izz_2", "Ia_2", "offset_1", "offset_2"}
-    assert two_links(tmp_path, 0.0, 1.5708).groups == two_links(tmp_path, 0.0, np.pi / 2.0).groups
-
-
 def test_rows_leave_out_pauses_and_keep_reversals(tmp_path: Path) -> None:
     """A joint's rows are missing where an element on it pauses, the coupled one among them; a reversal stays."""
     arm = plain_arm(4, 2, coupled=True)
@@ -291,44 +264,3 @@ def test_a_motion_that_is_repeated_says_no_more_of_what_the_model_leaves_out(tmp
     assert deviation(misfit, [1, 1, 1, 1]) == pytest.approx(deviation(misfit, [1]), rel=0.05)
     averaged = deviation(noise, [1, 2, 3, 4]) / deviation(noise, [1])
     assert np.median(averaged) == pytest.approx(0.5, abs=0.15)
-
-
-_SMALL = 0.08  # rad
-
-
-@pytest.fixture(scope="module")
-def four_joints(tmp_path_factory: pytest.TempPathFactory) -> tuple[RigidArm, tuple[FilteredRun, ...]]:
-    """Return what is known of an arm, and a run with the angles of its URDF; an independent model made its torques."""
-    arm = plain_arm(3, 4, coupled=False)
-    known = rigid_arm(arm, tmp_path_factory.mktemp("arm"))
-    return known, runs_of(arm, 100.0, NOISE, Bandwidths(25.0, 8.0), (1,), periods=1)
-
-
-@pytest.mark.parametrize(
-    "encoder",
-    [
-        (0.0, 0.0, 0.0, 0.0),
-        (0.0, 0.5 * math.pi, 0.0, 0.0),
-        (0.0, 0.5 * math.pi, -0.5 * math.pi, 0.0),
-        (0.0, 0.0, -_SMALL, 0.0),
-    ],
-)
-def test_wrong_zeros_are_found(
-    four_joints: tuple[RigidArm, tuple[FilteredRun, ...]], encoder: tuple[float, ...]
-) -> None:
-    """Quarter turns are told exactly, small errors within four deviations, and right zeros are not blamed."""
-    known, runs = four_joints
-    recorded = tuple(replace(run, position=run.position + np.array(encoder)) for run in runs)
-    given = np.array([0.0, 0.25, 0.0, 0.0])  # what --zero said: the better one is this and the error
-    check = check_zeros(ExcitationProblem.of(known, recorded), given)
-    small = np.abs(encoder) == _SMALL
-    for error, deviation in zip(check.error[small], check.deviation[small], strict=True):
-        assert f"by {error:.4g} +- {deviation:.2g} rad" in check.text
-    assert np.all(np.abs(check.error - encoder)[small] < 4.0 * check.deviation[small])
-    assert np.allclose(np.angle(np.exp(1j * (check.error - encoder)))[~small], 0.0, atol=1e-9)
-    assert check.deviation[~small].max() == 0.0
-    assert bool(check.text) == any(encoder)
-    if any(encoder):
-        assert check.after < check.before
-        wanted = [float(word) for word in check.text.split("--zero ")[1].split(";")[0].split()]
-        assert np.allclose(wanted, given + check.error, atol=1e-6)
