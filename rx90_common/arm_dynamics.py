@@ -174,7 +174,9 @@ def mass_and_bias(
         bias: overwritten, Nm.
     """
     pose = _pose(arm, body, q)
-    z, moment, origin = pose.z, pose.moment, pose.origin
+    z = pose.z
+    moment = pose.moment
+    origin = pose.origin
     turn = scale(load(v, size(arm.rotor)), z)
     w = sum_from_base(turn)
     # The link's own turn adds nothing to w x turn, so w may include it.
@@ -208,7 +210,8 @@ def inverse_dynamics(
         torque: overwritten, Nm.
     """
     pose = _pose(arm, body, q)
-    z, acceleration = pose.z, load(a, size(arm.rotor))
+    z = pose.z
+    acceleration = load(a, size(arm.rotor))
     turn = scale(load(v, size(arm.rotor)), z)
     w = sum_from_base(turn)
     field = _acceleration_field(w, sum_from_base(add_scaled(cross(w, turn), acceleration, z)))
@@ -244,7 +247,8 @@ def _pose(arm: Any, body: Any, q: NDArray[np.float64]) -> _Pose:
     sine, cosine = sine_cosine(load(q, n))
     _turn_joints(arm.frame, body.orientation, sine, cosine)
     _chain_rotations(body.orientation)
-    x, y = load_vectors(body.orientation[0], n), load_vectors(body.orientation[1], n)
+    x = load_vectors(body.orientation[0], n)
+    y = load_vectors(body.orientation[1], n)
     z = load_vectors(body.orientation[2], n)
     step = _combine(x, y, z, load_vectors(arm.next_origin, n))
     origin = sum_before(arm.first_origin, step)
@@ -268,7 +272,8 @@ def _torques(arm: Any, pose: Any, field: tuple[Vector, Vector, Vector]) -> Lanes
 def _turn_joints(frame: Any, orientation: Any, sine: Lanes, cosine: Lanes) -> None:
     """Write each link's orientation in the link before it: its frame at q = 0 turned about z by q."""
     for k in range(3):
-        x, y = load(frame[0, k], size(frame)), load(frame[1, k], size(frame))
+        x = load(frame[0, k], size(frame))
+        y = load(frame[1, k], size(frame))
         store(orientation[0, k], fma(sine, y, cosine * x))
         store(orientation[1, k], fma(-sine, x, cosine * y))
         store(orientation[2, k], load(frame[2, k], size(frame)))
@@ -277,12 +282,18 @@ def _turn_joints(frame: Any, orientation: Any, sine: Lanes, cosine: Lanes) -> No
 @inlined
 def _chain_rotations(orientation: Any) -> None:
     """Turn orientations in the link before into orientations in the base, from the first link on."""
-    x, y, z = _column(orientation[0], 0), _column(orientation[1], 0), _column(orientation[2], 0)
+    x = _column(orientation[0], 0)
+    y = _column(orientation[1], 0)
+    z = _column(orientation[2], 0)
     for i in range(1, size(orientation)):
-        a, b, c = _column(orientation[0], i), _column(orientation[1], i), _column(orientation[2], i)
+        a = _column(orientation[0], i)
+        b = _column(orientation[1], i)
+        c = _column(orientation[2], i)
         x, y, z = _combine(x, y, z, a), _combine(x, y, z, b), _combine(x, y, z, c)
         for k in range(3):
-            orientation[0, k, i], orientation[1, k, i], orientation[2, k, i] = x[k], y[k], z[k]
+            orientation[0, k, i] = x[k]
+            orientation[1, k, i] = y[k]
+            orientation[2, k, i] = z[k]
 
 
 @inlined
@@ -300,7 +311,8 @@ def _combine(x: Vector, y: Vector, z: Vector, a: Vector) -> Vector:
 def _second_moment(constants: Any, x: Vector, y: Vector, z: Vector) -> Symmetric:
     """Return the second moments about the link origins: xx x x^T + yy y y^T + c z^T + z c^T, c = xz x + yz y."""
     n = size(constants)
-    a, b = scale(load(constants[0], n), x), scale(load(constants[1], n), y)
+    a = scale(load(constants[0], n), x)
+    b = scale(load(constants[1], n), y)
     c = add_scaled(scale(load(constants[2], n), x), load(constants[3], n), y)
     xx = fma(a[0], x[0], fma(b[0], y[0], 2.0 * (c[0] * z[0])))
     yy = fma(a[1], x[1], fma(b[1], y[1], 2.0 * (c[1] * z[1])))
@@ -363,7 +375,8 @@ def _angular_momentum(spread: Symmetric, moment: Vector, z: Vector, lever: Vecto
 def _project(rotor: Any, z: Vector, lever: Vector, angular: Vector, linear: Vector, mass_matrix: Any) -> None:
     """Write the mass matrix: the momentum that joint i makes, projected on the axes of the joints before it."""
     # Only joints before i count in row i, so four lanes do for the first four rows.
-    near, near_lever = first_links(z), first_links(lever)
+    near = first_links(z)
+    near_lever = first_links(lever)
     for i in range(size(near[0])):
         row = add_dot(load(rotor[i], size(near[0])), near, of_link(angular, i))
         store(mass_matrix[i], add_dot(row, near_lever, of_link(linear, i)))
@@ -441,7 +454,8 @@ def _base_parameters(*content: bytes) -> BaseParameters:
     first = mass[:, None] * chain.com
     second = _second_moments(chain)
     for i in range(len(mass) - 1, 0, -1):
-        z, origin = chain.axis[i], chain.origin[i]
+        z = chain.axis[i]
+        origin = chain.origin[i]
         along = rotations.dot(z, first[i])
         first[i - 1] += mass[i] * origin + along * z
         second[i - 1] += mass[i] * rotations.outer(origin, origin) + rotations.dot(
@@ -476,7 +490,9 @@ def _link_frames(z: Array, moment: Array) -> Array:
     side = np.cross(np.eye(3)[np.argmin(np.abs(z), axis=1)], z)
     x = side / rotations.length(side)[:, None]
     y = np.cross(z, x)
-    xx, yy, xy = (rotations.dot(a, rotations.rotated(moment, b)) for a, b in ((x, x), (y, y), (x, y)))
+    xx = rotations.dot(x, rotations.rotated(moment, x))
+    yy = rotations.dot(y, rotations.rotated(moment, y))
+    xy = rotations.dot(x, rotations.rotated(moment, y))
     s, c = sines_cosines(0.5 * angles_of(2.0 * xy, xx - yy)[:, None])
     return np.stack([c * x + s * y, c * y - s * x, z], axis=2)
 

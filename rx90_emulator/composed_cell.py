@@ -20,16 +20,13 @@ from rx90_common.exchange.topics import MOTOR_INTERFACE, MOTOR_STATES
 from rx90_controller.node.controller_node import ControllerNode
 from rx90_sim.node.simulation import Simulation
 
-SIMULATION, CONTROLLER = "rx90_sim", "rx90_controller"
+SIMULATION = "rx90_sim"
+CONTROLLER = "rx90_controller"
 _PARAMETER = re.compile(r"(?P<node>[^:]*):(?P<assignment>[^:]+:=.*)", re.DOTALL)
 
 
 def spin(args: Sequence[str]) -> None:
-    """Run both nodes until the simulation ends or they are interrupted.
-
-    Raises:
-        Rx90Error: for parameters that are refused, or what ends the ticks.
-    """
+    """Run both nodes until the simulation ends or they are interrupted."""
     lifecycle.spin(partial(compose, own_parameters(args)), args)
 
 
@@ -37,9 +34,6 @@ def own_parameters(args: Sequence[str]) -> dict[str, list[str]]:
     """Return the arguments for each node alone, from `-p NODE:NAME:=VALUE`.
 
     ROS takes NODE for a node in the root namespace, and says nothing where there is none of that name.
-
-    Raises:
-        ConfigError: for another node's name.
     """
     own: dict[str, list[str]] = {SIMULATION: [], CONTROLLER: []}
     for option, word in pairwise(args):
@@ -52,11 +46,7 @@ def own_parameters(args: Sequence[str]) -> dict[str, list[str]]:
 
 
 def compose(own: Mapping[str, Sequence[str]]) -> list[TickingNode]:
-    """Make both nodes, each with arguments for ROS of its own, and connect them.
-
-    Raises:
-        Rx90Error: for parameters, names and remaps that are refused.
-    """
+    """Make both nodes, each with arguments for ROS of its own, and connect them."""
     link = LocalLink()
     simulation = Simulation(link.end, own[SIMULATION])
     interface = simulation.node.get_parameter("command_interface").value
@@ -69,7 +59,8 @@ def compose(own: Mapping[str, Sequence[str]]) -> list[TickingNode]:
     name = simulation.node.get_fully_qualified_name()
     if name == control.node.get_fully_qualified_name():
         raise ConfigError(f"both nodes are named {name}; accepted: -r {SIMULATION}:__node:=... for one node alone")
-    link.served, link.serve = MOTOR_STATES, control.answer
+    link.served = MOTOR_STATES
+    link.serve = control.answer
     simulation.lead(control.follow, lambda: control.publishers)
     members: list[Managed] = [simulation, control]
     return [*started(members)]

@@ -103,11 +103,13 @@ def add_cogging(plant: Any, state: Any, angle: Array, velocity: Array, torque: A
         torque: Nm, shape (n,).
         step: s.
     """
-    motors, cogging = state.cogging, plant.cogging
+    motors = state.cogging
+    cogging = plant.cogging
     to_motor(plant.gear, angle, motors.angle)
     to_motor(plant.gear, velocity, motors.speed)
     n = size(motors.angle)
-    position, half = load(motors.angle, n), 0.5 * step * load(motors.speed, n)
+    position = load(motors.angle, n)
+    half = 0.5 * step * load(motors.speed, n)
     total = 0.0 * position
     for k in range(cogging.terms):
         harmonic = cogging.harmonic[k]
@@ -138,7 +140,8 @@ def winding_dtype(motors: int) -> np.dtype[np.void]:
 
 def fill_windings(record: Any, windings: Windings, torque_constant: Array) -> None:
     """Write the constants."""
-    record["used"], record["initial"] = windings.used, windings.initial
+    record["used"] = windings.used
+    record["initial"] = windings.initial
     if windings.used:
         record["heat"] = windings.resistance / (windings.heat_capacity * torque_constant * torque_constant)
         record["cooling"] = 1.0 / (windings.heat_capacity * windings.thermal_resistance)
@@ -165,7 +168,8 @@ def relative_resistance(winding: Any, temperature: Lanes) -> Lanes:
 def warm_windings(winding: Any, torque: Array, temperature: Array, duration: float) -> None:
     """Advance the temperatures, degrees Celsius, shape (n,), over a time, s, of constant torques, Nm, shape (n,)."""
     n = size(winding.heat)
-    pushed, before = load(torque, n), load(temperature, n)
+    pushed = load(torque, n)
+    before = load(temperature, n)
     heat = load(winding.heat, n) * pushed * pushed
     cooling = load(winding.cooling, n)
     rate = heat * relative_resistance(winding, before) - cooling * (before - winding.ambient)
@@ -234,7 +238,8 @@ def fill_sensor(record: Any, sensor: CurrentSensor, torque_constant: Array, peri
     """Write the constants for a tick of `period`, s."""
     record["used"] = sensor.used
     if sensor.used:
-        record["seed"], record["torque_constant"] = seed, torque_constant
+        record["seed"] = seed
+        record["torque_constant"] = torque_constant
         record["gain"] = -exponential_less_one_of(-2.0 * math.pi * sensor.bandwidth * period)
         for name in ("offset", "noise", "resolution"):
             record[name] = getattr(sensor, name)

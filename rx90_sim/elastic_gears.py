@@ -128,7 +128,8 @@ def mean_torque(
 @kernel
 def _push(stiffness: float, damping: float, depth: float, way: float, step: float) -> tuple[float, float]:
     """Return the torque of one flank, and its derivative, for a depth of contact that changes by `way`."""
-    damper, drag = damping * way / step, damping / step
+    damper = damping * way / step
+    drag = damping / step
     if way < 0.0:
         # The flank pushes no more as soon as the damper would pull as much as the spring pushes.
         depth += damper / stiffness
@@ -201,7 +202,9 @@ def elastic_reset(plant: Any, state: Any) -> None:
 @kernel
 def elastic_substep(plant: Any, state: Any, step: float) -> None:
     """Evaluate arm and friction at the predicted midpoint and step with the mean accelerations found there."""
-    gears, half, gear = state.transmission, 0.5 * step, ratios(plant.gear)
+    gears = state.transmission
+    half = 0.5 * step
+    gear = ratios(plant.gear)
     n = size(state.q)
     for i in range(n):
         gears.drive[i] = gear[i] * state.motor_torque[i] - gears.friction[i]
@@ -221,7 +224,8 @@ def elastic_substep(plant: Any, state: Any, step: float) -> None:
         gears.link_torque[i] = state.rhs[i] - state.bias[i]
     _balance(plant, state, step)
     for i in range(n):
-        acceleration, turn = state.acceleration[i], gears.acceleration[i]
+        acceleration = state.acceleration[i]
+        turn = gears.acceleration[i]
         state.q[i] += step * (state.v[i] + half * acceleration)
         state.v[i] += step * acceleration
         gears.twist[i] += step * (gears.rate[i] + half * turn)
@@ -278,7 +282,8 @@ def _add_friction(plant: Any, state: Any, step: float) -> None:
 @kernel
 def _balance(plant: Any, state: Any, step: float) -> None:
     """Find the accelerations of links and twists, and the transmitted torques, for the torques on links and motors."""
-    constants, gears = plant.transmission, state.transmission
+    constants = plant.transmission
+    gears = state.transmission
     for _ in range(_MAX_ITERATIONS):
         _linearise(constants, gears, step)
         _accelerate_links(plant, gears, state)
@@ -303,14 +308,17 @@ def _linearise(constants: Any, gears: Any, step: float) -> None:
 @inlined
 def _accelerate_links(plant: Any, gears: Any, state: Any) -> None:
     """Write the mean acceleration of the links, the motors eliminated."""
-    constants, matrix, a = plant.transmission, gears.matrix, state.acceleration
+    constants = plant.transmission
+    matrix = gears.matrix
+    a = state.acceleration
     n = size(gears.matrix)
     for i in range(n):
         for j in range(i + 1):
             matrix[i, j] = state.mass_matrix[i, j]
         a[i] = gears.link_torque[i]
     for i in range(n):
-        inertia, torque = constants.rotor[i], gears.drive[i]
+        inertia = constants.rotor[i]
+        torque = gears.drive[i]
         if constants.elastic[i]:
             share = 1.0 / (inertia + gears.slope[i])
             torque = (inertia * gears.offset[i] + gears.slope[i] * torque) * share
@@ -323,16 +331,19 @@ def _accelerate_links(plant: Any, gears: Any, state: Any) -> None:
 @inlined
 def _accelerate_twists(plant: Any, gears: Any, a: Array, step: float) -> bool:
     """Write accelerations of the twists and transmitted torques; return whether the torques are those of the twists."""
-    found, constants = True, plant.transmission
+    found = True
+    constants = plant.transmission
     for i in range(size(constants.rotor)):
-        inertia, drive = constants.rotor[i], gears.drive[i]
+        inertia = constants.rotor[i]
+        drive = gears.drive[i]
         inertial = inertia * turn_of_drive(plant.gear, a, i)
         if not constants.elastic[i]:
             gears.torque[i] = drive - inertial
             continue
         turn = (drive - gears.offset[i] - inertial) / (inertia + gears.slope[i])
         torque = gears.offset[i] + gears.slope[i] * turn
-        gears.acceleration[i], gears.torque[i] = turn, torque
+        gears.acceleration[i] = turn
+        gears.torque[i] = torque
         if constants.half_play[i] > 0.0:
             way = step * (gears.rate[i] + 0.5 * step * turn)
             true, _ = mean_torque(

@@ -106,7 +106,8 @@ def _advance_brakes(plant: Any, state: Any, velocity: Array, step: float) -> Lan
 def _parted_friction(plant: Any, state: Any, angle: Array, velocity: Array, step: float) -> None:
     """Advance the bristles of elements with parts, and write their torques."""
     n = size(state.z)
-    inputs, angles = element_inputs(plant.gear, velocity), element_inputs(plant.gear, angle)
+    inputs = element_inputs(plant.gear, velocity)
+    angles = element_inputs(plant.gear, angle)
     z, torque = parts_step(plant.friction, plant.parts, state.parts, load(state.z, n), angles, inputs, step, n)
     store(state.z, z)
     if plant.parts.temperature.used:
@@ -121,7 +122,8 @@ def friction_now(plant: Any, state: Any, angle: Array, velocity: Array, torque: 
     The angles, rad, and the velocities, rad/s, are those of the joints, shape (n,).
     """
     n = size(state.z)
-    inputs, z = element_inputs(plant.gear, velocity), load(state.z, n)
+    inputs = element_inputs(plant.gear, velocity)
+    z = load(state.z, n)
     if plant.parts.used:
         angles = element_inputs(plant.gear, angle)
         store(torque, parts_torque(plant.friction, plant.parts, state.parts, z, angles, inputs, n))
@@ -167,7 +169,8 @@ def _warm_joints(plant: Any, state: Any) -> None:
 def add_stops(plant: Any, state: Any) -> None:
     """Add the torques of the stops to `state.rhs`: a spring and damper beyond the limits that only push back."""
     for i in range(size(state.q)):
-        q, push = state.q_mid[i], 0.0
+        q = state.q_mid[i]
+        push = 0.0
         if q > plant.upper[i]:
             push = min(0.0, plant.stop_stiffness[i] * (plant.upper[i] - q) - plant.stop_damping[i] * state.v_mid[i])
         elif q < plant.lower[i]:

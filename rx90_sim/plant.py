@@ -136,9 +136,12 @@ def _plant_record(
     pole = exponential_of(-2.0 * math.pi * drives.velocity_bandwidth * rates.period)
     plant["observer_position"] = 1.0 - pole * pole
     plant["observer_velocity"] = (1.0 - pole) * (1.0 - pole) / rates.period
-    plant["lower"], plant["upper"] = robot.lower, robot.upper
-    plant["stop_stiffness"], plant["stop_damping"] = drives.stop_stiffness, drives.stop_damping
-    plant["period"], plant["substeps"] = rates.period, substeps
+    plant["lower"] = robot.lower
+    plant["upper"] = robot.upper
+    plant["stop_stiffness"] = drives.stop_stiffness
+    plant["stop_damping"] = drives.stop_damping
+    plant["period"] = rates.period
+    plant["substeps"] = substeps
     plant["speed_limit"] = 10.0 * robot.max_velocity
     return record
 
@@ -167,7 +170,8 @@ def _check_relax_times(friction: FrictionSet, step: float) -> None:
 def _fill_transmission(transmission: Any, drives: DriveParameters) -> None:
     elasticity = drives.elasticity
     elastic = elasticity.elastic
-    transmission["flexible"], transmission["elastic"] = elastic.any(), elastic
+    transmission["flexible"] = elastic.any()
+    transmission["elastic"] = elastic
     transmission["link_friction"] = elasticity.friction_side == LINK
     transmission["rotor"] = drives.rotor_inertia
     transmission["stiffness"] = np.where(elastic, elasticity.stiffness, 0.0)
@@ -206,11 +210,6 @@ class Plant:
         substeps: plant steps in a tick; None for as many as the arm needs (rx90_sim.plant_steps).
         seed: of all that is random in the plant.
 
-    Raises:
-        ConfigError: if `substeps` is not at least 1 or less than the arm needs, the observer is faster than the tick
-            allows, the friction follows the load faster than the step, or the seed is not a whole number from 0 to
-            LARGEST_SEED.
-
     Attributes:
         joint_names: names of the joints.
         friction_names: names of the friction elements.
@@ -234,7 +233,8 @@ class Plant:
         self.constants = _plant_record(robot, drives, friction, rates, substeps, seed)
         self.state: np.ndarray[Any, Any] = (state := np.zeros(1, state_dtype(drives.turning.size)))
         self.tick = 0
-        self._lower, self._upper = robot.lower, robot.upper
+        self._lower = robot.lower
+        self._upper = robot.upper
         sensed = self.constants["sensor"]["used"][0]
         torque = state["sensor"]["torque"][0] if sensed else state["motor_torque"][0]
         self._motor_states = state["motor_position"][0], state["motor_velocity"][0], torque
@@ -248,9 +248,6 @@ class Plant:
         """Put the arm at rest at `position`, rad, shape (n,), brakes closed, tick 0.
 
         It is the position by the encoders; where gears are elastic, the links hang a little off it.
-
-        Raises:
-            ConfigError: if the position is not a finite number for each joint within the joint limits.
         """
         target = np.array(position, dtype=np.float64)
         if target.shape != self._lower.shape:
@@ -279,12 +276,14 @@ class Plant:
 
     def warm_up(self) -> None:
         """Compile, or load, every kernel that a run calls, and come back to the state before."""
-        before, tick = self.state.copy(), self.tick
+        before = self.state.copy()
+        tick = self.tick
         self.reset(before["q"][0])
         self.step(self._no_command)
         self.step(None)
         self.friction_states()
-        self.state[:], self.tick = before, tick
+        self.state[:] = before
+        self.tick = tick
 
     def step(self, command: Array | None) -> None:
         """Hold motor torques for one tick; None switches the torque off and closes the brakes.
@@ -396,14 +395,12 @@ class JointInterface:
 
     Attributes:
         ticks: base ticks that a command is held for.
-
-    Raises:
-        ConfigError: if `command_hz` does not divide the base rate.
     """
 
     def __init__(self, plant: Plant, rates: Rates, command_hz: int) -> None:
         self.ticks = ticks_per("command_rate", rates.base_hz, command_hz)
-        self._plant, joints = plant.constants, len(plant.joint_names)
+        self._plant = plant.constants
+        joints = len(plant.joint_names)
         self._motor_states = plant.motor_states()
         self._measured = np.zeros(joints), np.zeros(joints), np.zeros(joints)
         self._torques = np.zeros(joints)

@@ -51,7 +51,8 @@ def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -
         states: state, shape (1,), `state_dtype`, overwritten.
         position: rad, shape (n,). Links that hang in elastic gears are a little off it.
     """
-    plant, state = plants[0], states[0]
+    plant = plants[0]
+    state = states[0]
     for i in range(size(state.q)):
         state.q[i] = position[i]
         state.v[i] = state.acceleration[i] = state.drive_torque[i] = state.motor_torque[i] = 0.0
@@ -101,7 +102,8 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
     Returns:
         -1, or the index of the joint that exceeds its speed limit most, or whose command is NaN.
     """
-    plant, state = plants[0], states[0]
+    plant = plants[0]
+    state = states[0]
     _actuate(plant, state, command, powered)
     step = plant.period / plant.substeps
     flexible = plant.transmission.flexible
@@ -125,7 +127,8 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
 @kernel
 def sample_drives(plants: Record, states: Record) -> None:
     """Sample the resolvers at the present position, once in a tick: counts, and the converters' velocity."""
-    plant, state = plants[0], states[0]
+    plant = plants[0]
+    state = states[0]
     to_motor(plant.gear, state.q, state.motor_position)
     if plant.transmission.flexible:
         add_twists(plant, state, state.motor_position)
@@ -147,7 +150,8 @@ def sample_drives(plants: Record, states: Record) -> None:
 @kernel
 def _worst_joint(plant: Any, state: Any) -> int:
     """Return the joint that exceeds its speed limit most: those next to a diverging joint exceed theirs, too."""
-    worst, most = 0, -1.0
+    worst = 0
+    most = -1.0
     for i in range(size(state.v)):
         if math.isnan(state.motor_torque[i]):
             return i
@@ -155,15 +159,18 @@ def _worst_joint(plant: Any, state: Any) -> int:
         if math.isnan(excess):
             excess = math.inf
         if excess > most:
-            worst, most = i, excess
+            worst = i
+            most = excess
     return worst
 
 
 @kernel
 def friction_states(plants: Record, states: Record, velocity: NDArray[np.float64], torque: NDArray[np.float64]) -> None:
     """Write input velocity, rad/s, and friction torque, Nm, of the elements, shape (e,)."""
-    plant, state = plants[0], states[0]
-    angle, speed = state.q, state.v
+    plant = plants[0]
+    state = states[0]
+    angle = state.q
+    speed = state.v
     if plant.transmission.flexible and not plant.transmission.link_friction:
         angle, speed = on_motor_side(plant, state)
     store(velocity, element_inputs(plant.gear, speed))

@@ -130,16 +130,12 @@ def plant_steps(
         period: of a tick, s.
         requested: steps in a tick, None for as many as it needs.
         braked: whether there are brakes and end stops.
-
-    Raises:
-        ConfigError: if torques of two directions are too far apart; for fewer steps than the arm needs; for more than
-            MAX_AUTOMATIC_STEPS without a request. The message names the cause, its value, accepted values and the
-            sufficient number of steps.
     """
     _check_directions(friction)
     rows = _rows(drives, friction, robot.max_velocity)
     numbers = robot.lower, robot.upper, drives.rotor_inertia, drives.turning.turns, drives.turning.element_matrix
-    elastic, link_friction = drives.elasticity.elastic.tobytes(), drives.elasticity.friction_side == LINK
+    elastic = drives.elasticity.elastic.tobytes()
+    link_friction = drives.elasticity.friction_side == LINK
     gram = _compliance(arm.tobytes(), *(one.astype(np.float64).tobytes() for one in numbers), elastic, link_friction)
     most = MAX_AUTOMATIC_STEPS if requested is None else requested
 
@@ -171,7 +167,8 @@ def _first(bear: Any) -> int | None:
     """Return the least number of steps in a tick that will do, None if there is none: all bounds ease with the step."""
     if not bear(MAX_STEPS):
         return None
-    low, high = 1, MAX_STEPS
+    low = 1
+    high = MAX_STEPS
     while low < high:
         middle = (low + high) // 2
         low, high = (low, middle) if bear(middle) else (middle + 1, high)
@@ -183,7 +180,8 @@ def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -
     slopes = [e.viscous_slopes(speed) for e, speed in zip(friction.elements, speeds, strict=True)]
     c1 = np.array([element.c1 for element in friction.elements])
     least, cold, fast = np.array(slopes).T
-    at_rest, most = c1 + least, np.maximum(c1 + cold, fast)
+    at_rest = c1 + least
+    most = np.maximum(c1 + cold, fast)
     elasticity = drives.elasticity
     gears = np.where(elasticity.elastic, elasticity.stiffness, 0.0)
     others = np.concatenate([drives.brake_damping, drives.stop_damping, elasticity.damping])
@@ -205,7 +203,8 @@ def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -
 
 def _loads(rows: _Rows, gram: Array, step: float, braked: bool) -> Iterator[_Load]:
     """Yield the quantities with their bounds for a step, s."""
-    k, d = step * step * rows.stiffness, step * rows.damping
+    k = step * step * rows.stiffness
+    d = step * rows.damping
     still = math.sqrt(8.0 * GROWTH * step)  # k whose undamped vibration grows by GROWTH
     for part, most_k, most_d in ((slice(rows.elements), 0.05, 0.5), (slice(rows.held), 0.25, 0.8))[: 1 + braked]:
         stiff = _load(k, part, gram, most_k, None)
@@ -221,7 +220,8 @@ def _loads(rows: _Rows, gram: Array, step: float, braked: bool) -> Iterator[_Loa
 def _load(values: Array, part: slice, gram: Array, most: float, cover: float | None) -> _Load:
     """Return the largest eigenvalue of k or d, with its bound."""
     values = np.maximum(values[part], 0.0)
-    largest, row = float(values.max()), int(values.argmax())
+    largest = float(values.max())
+    row = int(values.argmax())
     if largest > 0.0:
         root = np.sqrt(np.minimum(values, _LARGE))
         form = root[:, None] * gram[part, part] * root
@@ -249,11 +249,15 @@ def _compliance(
 
     The inertia that a row feels alone is the inverse of its entry on the diagonal.
     """
-    low, high, inertia = np.frombuffer(lower), np.frombuffer(upper), np.diag(np.frombuffer(rotor))
+    low = np.frombuffer(lower)
+    high = np.frombuffer(upper)
+    inertia = np.diag(np.frombuffer(rotor))
     soft = np.frombuffer(elastic, np.bool_)
     n = len(soft)
-    coupling, inputs = np.frombuffer(turns).reshape(n, n), np.frombuffer(elements).reshape(-1, n)
-    count, e = int(soft.sum()), len(inputs)
+    coupling = np.frombuffer(turns).reshape(n, n)
+    inputs = np.frombuffer(elements).reshape(-1, n)
+    count = int(soft.sum())
+    e = len(inputs)
     whole = np.zeros((n + count, n + count))
     if count:  # the motors run ahead of the links by twists
         whole[:n, n:] = (coupling.T @ inertia)[:, soft]
@@ -263,13 +267,15 @@ def _compliance(
     w[:e, :n] = inputs
     if not link_friction:  # of the joints as the motors have them, for those of the motors
         w[:e, n:] = (inputs @ np.linalg.inv(coupling))[:, soft]
-    w[e : e + n, :n], w[e : e + n, n:] = coupling, np.eye(n)[:, soft]
+    w[e : e + n, :n] = coupling
+    w[e : e + n, n:] = np.eye(n)[:, soft]
     w[e + n : e + 2 * n, :n] = np.eye(n)
     w[e + 2 * n :, n:] = np.eye(n)[:, soft]
     largest = np.zeros((len(w), len(w)))
     # 128 points that fill a cube evenly: multiples of powers of a root, modulo 1 (Kronecker's sequence).
     shares = (0.5 + np.arange(1.0, 129.0)[:, None] * _ROOTS[n - 1] ** -np.arange(1.0, n + 1.0)) % 1.0
-    arms, bodies = np.frombuffer(arm, manipulator_dtype(n)), np.zeros(1, body_dtype(n))
+    arms = np.frombuffer(arm, manipulator_dtype(n))
+    bodies = np.zeros(1, body_dtype(n))
     _raise_to_largest(arms, bodies, low + shares * (high - low), whole, w, largest)
     return largest
 
@@ -279,8 +285,11 @@ def _raise_to_largest(arms: Record, bodies: Record, poses: Array, whole: Array, 
     """Raise `largest` to the entries of W M^-1 W^T, by size; M's block of the joints in `whole` is overwritten."""
     rows, size = w.shape
     n = poses.shape[1]
-    mass, bias, still = np.empty((n, n)), np.empty(n), np.zeros(n)
-    factor, solved = np.empty((size, size)), np.empty((rows, size))
+    mass = np.empty((n, n))
+    bias = np.empty(n)
+    still = np.zeros(n)
+    factor = np.empty((size, size))
+    solved = np.empty((rows, size))
     for pose in range(len(poses)):
         mass_and_bias(arms[0], bodies[0], poses[pose], still, mass, bias)
         whole[:n, :n] = mass
@@ -308,7 +317,8 @@ def _refusal(
 ) -> str:
     """Return the message for a need of more than `most` steps in a tick: the worst load and accepted values."""
     load = loads[-1]
-    over, row = load.largest / load.most, load.row
+    over = load.largest / load.most
+    row = load.row
     damping = load.cover == 0.0
     name = rows.names[row][damping]
     size, unit = (rows.named_damping, "Nm s/rad") if damping else (rows.stiffness, "Nm/rad")

@@ -68,7 +68,6 @@ def fit_asymptote(record: RampRecord, time_constant: float | None = None) -> Ram
 
     Raises:
         ShortRampError: too few readings after the transient.
-        IdentificationError: no break-away, saturation, no straight asymptote.
     """
     time, angle, first = first_motion(record)
     T, a, b = _rough(record, time, angle, float(time[first]) - record.tick)
@@ -88,7 +87,8 @@ def fit_asymptote(record: RampRecord, time_constant: float | None = None) -> Ram
         final = (record.torque - record.slope * (time + record.tick / 2)) * a / record.slope
         angle = angle - respond(time, np.where(time >= break_away, final, 0.0), 0.0, T)[0]
     use = _settled(record, time, break_away, T)
-    time, angle = time[use], angle[use]
+    time = time[use]
+    angle = angle[use]
     a, b, covariance = _solve(time, angle, record.angle_step, break_away, T)
     half = time.size // 2
     if half >= MIN_POINTS // 2:
@@ -96,7 +96,8 @@ def fit_asymptote(record: RampRecord, time_constant: float | None = None) -> Ram
             _solve(time[part], angle[part], record.angle_step, break_away, T, ROUGH_POINTS)
             for part in (slice(half), slice(half, None))
         )
-        difference, error = abs(late[0] - early[0]), math.sqrt(early[2][0, 0] + late[2][0, 0])
+        difference = abs(late[0] - early[0])
+        error = math.sqrt(early[2][0, 0] + late[2][0, 0])
         if difference > 5 * error and difference > CURVATURE_LIMIT * a:
             raise IdentificationError(
                 f"{record.label}: the velocity follows no straight asymptote, its slope goes from "
@@ -127,7 +128,8 @@ def _settled(record: RampRecord, time: Array, break_away: float, T: float) -> Ma
     """Return at which times the transient is over; refuse a ramp that shows too little then."""
     start = break_away + SETTLED * T
     use = time >= start
-    points, length = int(use.sum()), float(time[-1]) - start
+    points = int(use.sum())
+    length = float(time[-1]) - start
     if points < MIN_POINTS or length < MIN_WINDOW * T:
         raise ShortRampError(
             f"{record.label}: the ramp is too short, {points} readings in {length:.2g} s after a transient with a time "
@@ -142,7 +144,8 @@ def _solve(
 ) -> tuple[float, float, Array]:
     """Return a, b and their covariance by generalised least squares; q by restricted maximum likelihood."""
     every = -(-time.size // most)  # decimation costs next to nothing: neighbouring angles are strongly correlated
-    time, angle = time[::every], angle[::every]
+    time = time[::every]
+    angle = angle[::every]
     # A reading of zeros at break-away, where the noise begins, adds nothing.
     times = np.append(break_away, time)
     columns = np.pad([np.ones_like(time), -time, time * time / 2, angle], ((0, 0), (1, 0)))

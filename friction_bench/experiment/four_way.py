@@ -25,7 +25,10 @@ from friction_bench.experiment.record import RampModel, RampRecord
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.kernels.compiled import kernel
 
-EXPERIMENT, BLOCK, MULTIBODY, CLOSED = "experiment", "block diagram", "multibody", "closed form"
+EXPERIMENT = "experiment"
+BLOCK = "block diagram"
+MULTIBODY = "multibody"
+CLOSED = "closed form"
 SOURCE_BANDS = {
     frozenset((BLOCK, MULTIBODY)): 2.0,
     frozenset((EXPERIMENT, MULTIBODY)): 7.0,
@@ -120,7 +123,10 @@ def _fixed_steps(
         t = k * step - begin
         drive = slope * max(t, 0.0)
         net = _net(drive, speed, coulomb, viscous)
-        found[0, k], found[1, k], found[2, k], found[3, k] = angle, speed, net / inertia, net
+        found[0, k] = angle
+        found[1, k] = speed
+        found[2, k] = net / inertia
+        found[3, k] = net
         a1 = net / inertia
         v2 = speed + step / 2.0 * a1
         a2 = _net(slope * max(t + step / 2.0, 0.0), v2, coulomb, viscous) / inertia
@@ -208,11 +214,14 @@ def measured_velocity(record: RampRecord) -> tuple[Array, Array]:
 
 def _pairs(velocities: dict[str, Array], slides: Mask) -> list[Pair]:
     """Return the differences of all pairs; `slides` marks the times at which the shaft slides."""
-    final, pairs = float(velocities[CLOSED][-1]), []
+    final = float(velocities[CLOSED][-1])
+    pairs = []
     for first, second in combinations(velocities, 2):
         difference = 100.0 * np.abs(velocities[first] - velocities[second]) / final
-        worst, sliding = float(difference.max()), float(difference[slides].max(initial=0.0))
-        rms, band = float(np.sqrt(np.mean(difference**2))), SOURCE_BANDS.get(frozenset((first, second)))
+        worst = float(difference.max())
+        sliding = float(difference[slides].max(initial=0.0))
+        rms = float(np.sqrt(np.mean(difference**2)))
+        band = SOURCE_BANDS.get(frozenset((first, second)))
         pairs.append(Pair(first, second, worst, rms, sliding, band))
     return pairs
 

@@ -70,7 +70,8 @@ class RampFriction:
     @classmethod
     def of(cls, values: Array, covariance: Array, scale: float, freedom: ArrayLike = math.inf) -> RampFriction:
         """Return the friction with intervals, for a relative uncertainty of the torque scale."""
-        errors, freedoms = np.sqrt(np.diag(covariance)), np.broadcast_to(np.asarray(freedom, float), values.shape)
+        errors = np.sqrt(np.diag(covariance))
+        freedoms = np.broadcast_to(np.asarray(freedom, float), values.shape)
         coulomb, viscous, *inertia = (
             interval(float(v), float(e), float(f), scale) for v, e, f in zip(values, errors, freedoms, strict=True)
         )
@@ -163,7 +164,9 @@ def _usable(
     items: Iterable[_Item], evaluate: Callable[[_Item], _Result]
 ) -> tuple[list[_Item], list[_Result], list[IdentificationError]]:
     """Return the items that can be evaluated, their results, and why the others cannot."""
-    used, results, reasons = [], [], []
+    used = []
+    results = []
+    reasons = []
     for item in items:
         try:
             results.append(evaluate(item))
@@ -179,9 +182,6 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
     Args:
         records: at least one ramp.
         scale_uncertainty: relative standard uncertainty of the torque scale, common to all ramps.
-
-    Raises:
-        IdentificationError: if there is no ramp, none can be used, or the result is not physical.
     """
     records, windows, unused = _usable(records, sliding_window)
     if len(slopes_of(records)) == 1:
@@ -194,7 +194,8 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
         unused += unfitted
         if not unfitted:
             break
-        windows, records = straight, [window.record for window in straight]
+        windows = straight
+        records = [window.record for window in straight]
     else:
         raise _no_ramp_left(unused)
     if not (viscous > 0.0 and inertia > 0.0):
@@ -374,8 +375,10 @@ def evaluate_as_source(loads: Mapping[str, Sequence[RampRecord]]) -> SourceEvalu
         rows = []
         for window in _usable(records, sliding_window)[1]:
             record = window.record
-            time, angle = record.time - record.origin, np.degrees(record.angle)
-            middle, velocity = (time[1:] + time[:-1]) / 2, np.diff(angle) / np.diff(time)
+            time = record.time - record.origin
+            angle = np.degrees(record.angle)
+            middle = (time[1:] + time[:-1]) / 2
+            velocity = np.diff(angle) / np.diff(time)
             sliding = middle > window.time[0]
             a, minus_b = np.polyfit(middle[sliding], velocity[sliding], 1)
             rows.append((a, -minus_b, *source_formulas(a, -minus_b, record.slope)))
@@ -438,9 +441,6 @@ def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -
         records: all ramps.
         rig: on which they were run.
         as_source: also evaluate them as the source does.
-
-    Raises:
-        IdentificationError: if no load carries an estimate.
     """
     loads = {"no-load": [r for r in records if not r.loaded], "loaded": [r for r in records if r.loaded]}
     names, parts, refusals = _usable(
@@ -460,7 +460,8 @@ def _compare_models(part: RampIdentification, rig: Rig) -> FourWay | None:
 
     With one slope the inertia is unknown, and the models use that of an emulated rig's file.
     """
-    best, ramp = part.best, min(part.ramps, key=lambda ramp: ramp.slope)
+    best = part.best
+    ramp = min(part.ramps, key=lambda ramp: ramp.slope)
     if best.inertia is not None:
         inertia = best.inertia.value
     elif rig.plant is not None:

@@ -124,9 +124,6 @@ def run_planned(
         plan: for the first ramp.
         loaded: for the labels.
         choose: the plan for the rest, from the first ramp; the first ramp counts where it has one of its slopes.
-
-    Raises:
-        IdentificationError: of `choose`; RigError: of `run`.
     """
     slowest = min(plan.slopes)
     chosen = choose(run(slowest, f"{LOADS[loaded]} {slowest:g} Nm/s #1"))
@@ -143,9 +140,6 @@ def plan_from(first: RampRecord, plan: RampPlan, rig: Rig) -> RampPlan:
         first: a ramp of the plan's slowest slope.
         plan: initial slopes and end torques; the end torques do not change.
         rig: for the limits of travel and speed.
-
-    Raises:
-        IdentificationError: if the first ramp cannot be used, for then the others cannot either.
     """
     fit = fit_sliding([sliding_window(first)])
     coulomb, viscous, inertia = fit.values.tolist()
@@ -179,9 +173,6 @@ def run(options: argparse.Namespace) -> int:
 
     Returns:
         The exit code: 1 if a requested load has no estimate.
-
-    Raises:
-        Rx90Error: for bad options or files; everything measured until then is in the folder.
     """
     rig = load_rig(resolve_config(SOURCE_RIG if options.source and options.rig == SHIPPED_RIG else options.rig))
     out: Path = options.output

@@ -201,11 +201,7 @@ def _number(path: Path, line: int, name: str, field: list[str]) -> float:
 
 
 def write_csv(record: RampRecord, path: Path) -> None:
-    """Write a record so that `read_csv` gives it back.
-
-    Raises:
-        Rx90Error: if the file cannot be written.
-    """
+    """Write a record so that `read_csv` gives it back."""
     counts = np.rint(record.angle / record.angle_step).astype(int)
     columns = record.time, counts, record.torque, record.measured_torque
     known = {name: column.tolist() for name, column in zip(CSV_COLUMNS, columns, strict=True) if column is not None}
@@ -274,11 +270,7 @@ class SlidingWindow(NamedTuple):
 
 
 def sliding_window(record: RampRecord) -> SlidingWindow:
-    """Return where the shaft slides.
-
-    Raises:
-        IdentificationError: no break-away, saturation, or too few readings.
-    """
+    """Return where the shaft slides."""
     time, angle, _ = first_motion(record)
     slides = max(SLIDING_COUNTS * record.angle_step, SLIDING_ANGLE)
     first = _stays_beyond(angle, max(slides, MOVED_SHARE * angle[-1]))
@@ -329,12 +321,10 @@ def first_motion(record: RampRecord) -> tuple[Array, Array, int]:
     """Return time since the torque's zero, s, angle since the start, rad, and the reading from which the shaft moves.
 
     After that reading the shaft never is back at its start.
-
-    Raises:
-        IdentificationError: if the commanded torque leaves its line or the measured one falls behind it, if the shaft
-            never leaves its start, or does so before the first reading; saying where and by how much.
     """
-    time, angle, torque = record.time - record.origin, record.angle - record.angle[0], record.torque
+    time = record.time - record.origin
+    angle = record.angle - record.angle[0]
+    torque = record.torque
 
     def refuse(reason: str) -> NoReturn:
         raise IdentificationError(f"{record.label}: {reason}")
@@ -357,7 +347,8 @@ def first_motion(record: RampRecord) -> tuple[Array, Array, int]:
     n = time.size // 5
     if torque is not None and record.measured_torque is not None and n > 0:
         # A reading is made just before the tick at which the command changes: it belongs to the previous one.
-        command, measured = torque[:-1], record.measured_torque[1:]
+        command = torque[:-1]
+        measured = record.measured_torque[1:]
         scale = float(np.sum(measured[n : 3 * n]) / np.sum(command[n : 3 * n]))
         shortfall = 1.0 - float(np.mean(measured[-n:]) / np.mean(command[-n:])) / scale
         if shortfall > SATURATION_LIMIT:

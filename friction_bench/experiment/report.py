@@ -84,7 +84,8 @@ def _load_plot(result: RampTestResult) -> Plot:
 
 def _comparison_plot(comparison: FourWay) -> Plot:
     """Show the four velocities and their differences from the closed form (figures 7 and 8)."""
-    upper, lower = [], []
+    upper = []
+    lower = []
     *_, closed = comparison.velocities.values()
     for k, (name, velocity) in enumerate(comparison.velocities.items()):
         style = COLOURS[k], 0.8 if name == EXPERIMENT else 1.4, _DASHES[k]
@@ -143,9 +144,6 @@ def write_result(out: Path, found: RampTestResult, rig: Rig, origin: str) -> Non
         found: the result of the measurement.
         rig: on which it was made.
         origin: of the data, in one line.
-
-    Raises:
-        Rx90Error: if a file cannot be written.
     """
     rows: list[tuple[str, str, RampFriction]] = [
         (name, text, friction)
@@ -229,10 +227,6 @@ def write_friction(path: Path, found: RampTestResult, element: str, base: Fricti
         found: the result of the measurement.
         element: name of the friction element of the measured joint.
         base: the friction file that gets this element.
-
-    Raises:
-        ConfigError: if the Coulomb friction is not positive.
-        Rx90Error: if the file cannot be written.
     """
     coulomb, viscous = found.written
     # Assumed are c0 and c1, a presliding of 0.1 mrad with critical-like damping, and tau_s, as much above tau_c as in
@@ -240,9 +234,11 @@ def write_friction(path: Path, found: RampTestResult, element: str, base: Fricti
     assumed = base.elements[element]
     stiffness = coulomb.value / STIFFNESS_SHARE
     rise = assumed.tau_s_positive / assumed.tau_c_positive
-    tau_c, c2 = _rounded(coulomb.value), _rounded(max(viscous.value, 0.0))
+    tau_c = _rounded(coulomb.value)
+    c2 = _rounded(max(viscous.value, 0.0))
     tau_s = max(_rounded(rise * coulomb.value), tau_c)
-    c0, c1 = _rounded(stiffness), _rounded(1e-3 * stiffness)
+    c0 = _rounded(stiffness)
+    c1 = _rounded(1e-3 * stiffness)
     measured = FrictionElement(tau_c, tau_c, tau_s, tau_s, 0.05, 1.0, c0, c1, c2, 1.0)
     assumption: dict[str, Any] = {"provenance": "assumed", "identifiable": False}
     identified = "tau_c and c2"

@@ -47,7 +47,8 @@ def _idle(client: RigClient) -> list[Check]:
     client.request(Command.LIMITS, *client.rig.limit_codes())
     client.end_code(client.rig.ramps.end_torque)
     client.end_code(client.rig.ramps.end_torque_loaded)
-    lost, bad = client.lost_reports, client.bad_frames
+    lost = client.lost_reports
+    bad = client.bad_frames
     samples: list[Sample] = []
     while len(samples) < LISTENED_TICKS:
         samples += client.pump()
@@ -98,11 +99,13 @@ def _watchdog(client: RigClient) -> list[Check]:
 
     The last frame arrived within the tick before the first report that answers it.
     """
-    name, ticks = "ticks to torque off, without a host", client.greeting.watchdog_ticks
+    name = "ticks to torque off, without a host"
+    ticks = client.greeting.watchdog_ticks
     with armed(client):
         client.request(Command.TORQUE, SMALL_CODE)
         assert client.last is not None
-        before, end = client.last.report.ack_sequence, client.last.tick + 3 * ticks
+        before = client.last.report.ack_sequence
+        end = client.last.tick + 3 * ticks
         answered: int | None = None
         client.beating = False
         try:
@@ -149,9 +152,6 @@ def run(options: argparse.Namespace) -> int:
 
     Returns:
         The exit code: 1 if a check fails.
-
-    Raises:
-        Rx90Error: for bad options or files, or a rig that does not answer.
     """
     rig = load_rig(resolve_config(options.rig))
     check_line(options.port, options.baud)

@@ -44,11 +44,7 @@ _BAR = "{desc} {bar} {n:.0f}/{total:.0f} s [{elapsed}<{remaining}{postfix}]"
 
 
 def check_line(port: str, baud: int | None) -> None:
-    """Refuse a line rate for an emulated rig.
-
-    Raises:
-        ConfigError: naming the option.
-    """
+    """Refuse a line rate for an emulated rig."""
     if port == EMULATED and baud is not None:
         raise ConfigError(f"--baud {baud} with the emulated rig; accepted: with --port of a serial line")
 
@@ -95,9 +91,6 @@ def measuring(options: argparse.Namespace, rig: Rig, seconds: float) -> Iterator
         options: of the command.
         rig: the rig.
         seconds: expected duration.
-
-    Raises:
-        Rx90Error: for a folder that cannot be made, a rig that cannot be reached, a bag that cannot be written.
     """
     out: Path = options.output
     new_measurement(out)

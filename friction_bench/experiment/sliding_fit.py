@@ -82,7 +82,8 @@ def respond(time: Array, final: Array, speed: float, T: float) -> tuple[Array, A
         speed: velocity at the first reading, rad/s.
         T: time constant, s.
     """
-    angles, speeds = np.zeros(time.size), np.full(time.size, speed)
+    angles = np.zeros(time.size)
+    speeds = np.full(time.size, speed)
     for k in range(1, time.size):
         step = time[k] - time[k - 1]
         decay = math.exp(-step / T)
@@ -110,7 +111,8 @@ def whiten(time: Array, columns: Array, T: float, q: float, r: float) -> tuple[A
     """
     white = np.empty(columns.shape)
     count = columns.shape[0]
-    angle, speed = np.zeros(count), np.zeros(count)
+    angle = np.zeros(count)
+    speed = np.zeros(count)
     aa = ab = bb = 0.0  # covariance of angle and velocity
     determinant = 0.0
     for k in range(time.size):
@@ -143,13 +145,18 @@ def _derivatives(time: Array, angle: Array, torque: Array, shares: Array, shared
     `shares` are the remainder of a Stribeck effect and its derivatives to ln w_s and ln e, shape (3, n); `shared` are
     alpha, beta, T, kappa and the changes of ln w_s and ln e; `start` is the initial angle and velocity.
     """
-    alpha, beta, T, kappa = shared[0], shared[1], shared[2], shared[3]
-    final, h = alpha * torque - beta - kappa * shares[0], 1e-3 * T
+    alpha = shared[0]
+    beta = shared[1]
+    T = shared[2]
+    kappa = shared[3]
+    final = alpha * torque - beta - kappa * shares[0]
+    h = 1e-3 * T
     columns = np.empty((9, time.size))
     columns[0] = angle - start[0] - respond(time, final, start[1], T)[0]
     columns[1] = respond(time, torque, 0.0, T)[0]
     columns[2] = respond(time, np.full(time.size, -1.0), 0.0, T)[0]
-    later, earlier = respond(time, final, start[1], T + h)[0], respond(time, final, start[1], T - h)[0]
+    later = respond(time, final, start[1], T + h)[0]
+    earlier = respond(time, final, start[1], T - h)[0]
     columns[3] = (later - earlier) / (2 * h)
     columns[4] = respond(time, -shares[0], 0.0, T)[0]
     columns[5] = respond(time, -kappa * shares[1], 0.0, T)[0]
@@ -250,9 +257,12 @@ def _reduced(time: Array, columns: Array, T: float, noise: float, variance: floa
     second = white[_SPEED] - along * first
     height = math.sqrt(np.sum(second**2))
     second = second / height
-    free, starts, gram = np.empty((_ANGLE, time.size)), np.empty((2, _ANGLE)), np.empty((_ANGLE, _ANGLE))
+    free = np.empty((_ANGLE, time.size))
+    starts = np.empty((2, _ANGLE))
+    gram = np.empty((_ANGLE, _ANGLE))
     for i in range(_ANGLE):
-        a, b = np.sum(white[i] * first), np.sum(white[i] * second)
+        a = np.sum(white[i] * first)
+        b = np.sum(white[i] * second)
         free[i] = white[i] - a * first - b * second
         starts[1, i] = b / height
         starts[0, i] = (a - along * starts[1, i]) / length
@@ -292,7 +302,8 @@ class _Ramps:
 
     def __init__(self, windows: Sequence[SlidingWindow]) -> None:
         self.windows = windows
-        self.step, self.tick = windows[0].record.angle_step, windows[0].record.tick
+        self.step = windows[0].record.angle_step
+        self.tick = windows[0].record.tick
         self.variance = self.step**2 / 12
         slopes = np.array([window.record.slope for window in windows])
         self.repeats = [slopes == slope for slope in np.unique(slopes)]
@@ -307,7 +318,8 @@ class _Ramps:
         if fastest <= slowest:
             return []
         velocities = np.geomspace(slowest, fastest, VELOCITIES)
-        by_velocity, by_exponent = (math.log(ends[-1] / ends[0]) / (len(ends) - 1) for ends in (velocities, EXPONENTS))
+        by_velocity = math.log(velocities[-1] / velocities[0]) / (len(velocities) - 1)
+        by_exponent = math.log(EXPONENTS[-1] / EXPONENTS[0]) / (len(EXPONENTS) - 1)
         widths = by_velocity, by_exponent
         return [Stribeck(float(velocity), exponent, widths) for exponent in EXPONENTS for velocity in velocities]
 
@@ -346,7 +358,8 @@ class _Ramps:
         halves = []
         for window, whole in zip(self.windows, self._columns(replace(point, stribeck=Stribeck())), strict=True):
             half = slice(window.time.size // 2, None)  # the faster one
-            time, columns = window.time[half], whole[:, half].copy()
+            time = window.time[half]
+            columns = whole[:, half].copy()
             columns[_SPEED] = -T * np.expm1(-(time - time[0]) / T)  # of a velocity that is free at its start
             halves.append((time, columns))
 
@@ -402,7 +415,8 @@ class _Ramps:
         """Take one Gauss-Newton step in the parameters `used`; T changes at most by a factor of two."""
         parts = self.parts(point, noise)
         indices = np.array(used) - 1
-        prior, widths = np.zeros(6), np.array(point.stribeck.widths)
+        prior = np.zeros(6)
+        widths = np.array(point.stribeck.widths)
         if point.stribeck.velocity:
             prior[4:] = 1.0 / (CELL * widths) ** 2
             prior[3] = 1.0 / (RISE_PRIOR_SD * max(abs(float(point.shared[1])), 1e-9)) ** 2
@@ -410,7 +424,8 @@ class _Ramps:
         loose, determinants = _loosened(grams, self.spread)
         change, covariance, evidence, gain = _solve(loose.sum(axis=0), used, prior[indices], point.shared[indices])
         evidence -= gain + (sum(part[2] for part in parts) + float(determinants.sum())) / 2
-        shared, T = point.shared.copy(), point.shared[2]
+        shared = point.shared.copy()
+        T = point.shared[2]
         shared[indices] += change
         shared[2] = np.clip(shared[2], max(T / 2, SHORTEST * self.tick), 2 * T)
         shared[4:] = np.clip(shared[4:], -FARTHEST * widths, FARTHEST * widths)
@@ -419,7 +434,8 @@ class _Ramps:
         root = np.sqrt(self.spread)
         inner = np.eye(2) + root[:, None] * grams[:, 1:3, 1:3] * root
         own = root * np.linalg.solve(inner, (root * projected)[:, :, None])[:, :, 0]
-        starts, speeds = np.empty_like(point.starts), []
+        starts = np.empty_like(point.starts)
+        speeds = []
         for k, (window, shares) in enumerate(zip(self.windows, self._shares(point), strict=True)):
             by_row = parts[k][1]
             starts[k] = point.starts[k] + by_row[:, 0] - by_row[:, used] @ change - by_row[:, 1:3] @ own[k]
@@ -496,5 +512,6 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
     share = np.clip(1.0 - np.diag(within) / np.diag(total), 1e-9, 1.0)
     freedom = max(ramps.freedom, 1) / share**2
     likely = 1.0 - float(weights[0])
-    values, covariance = np.asarray(values), np.asarray(covariance)
+    values = np.asarray(values)
+    covariance = np.asarray(covariance)
     return RampsFit(values, covariance, freedom, spread, likely, best.speeds, best.shared[:3], grams)

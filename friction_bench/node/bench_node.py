@@ -36,11 +36,7 @@ _THREADS = 3
 
 
 def declare_bench_parameters(node: Node) -> tuple[Rig, str, int, int]:
-    """Declare the node's parameters; return the rig, its port or link, the line's rate, and an emulated rig's seed.
-
-    Raises:
-        ConfigError: naming parameter or file, key, value and accepted range.
-    """
+    """Declare the node's parameters; return the rig, its port or link, the line's rate, and an emulated rig's seed."""
     port = declare(node, "port", EMULATED, "serial device, pyserial URL, or 'emulated'")
     rig = load_rig(resolve_config(declare(node, "rig", SHIPPED_RIG, "rig file: own path or a shipped file's name")))
     baud = declare(node, "baud", rig.baud, "line rate", low=1200, high=1_000_000)
@@ -98,7 +94,8 @@ class BenchNode:
         ]
 
     def _publish(self, sample: Sample) -> None:
-        previous, self._previous = self._previous, sample
+        previous = self._previous
+        self._previous = sample
         if previous is None or sample.tick <= previous.tick:
             self._epoch_ns = self.node.get_clock().now().nanoseconds - round(sample.time * NANOSECONDS)
             previous = sample
@@ -164,9 +161,11 @@ def _answer(job: Callable[[], None], done: str, _: Trigger.Request, response: Tr
     """Do a service's job, and answer `done`, or with the job's error."""
     try:
         job()
-        response.success, response.message = True, done
+        response.success = True
+        response.message = done
     except Rx90Error as error:
-        response.success, response.message = False, str(error)
+        response.success = False
+        response.message = str(error)
     return response
 
 

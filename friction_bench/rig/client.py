@@ -175,7 +175,8 @@ class RigClient:
     def _frames(self) -> list[Frame]:
         """Return the frames that came within a heartbeat's time; raise RigLostError after a silence."""
         frames = self._decoder.feed(self.port.read(HEARTBEAT))
-        before, self._read_at = self._read_at, self.port.now()
+        before = self._read_at
+        self._read_at = self.port.now()
         self._listened += min(self._read_at - before, _LONGEST_LISTENING)
         if frames:
             self._last_report_at = self._listened
@@ -189,7 +190,6 @@ class RigClient:
         Raises:
             RigLostError: if it does not answer.
             RigRefusedError: if it speaks another protocol version.
-            RigInputError: if it was built for other figures than the rig file's.
         """
         self.hello = self.last = None
         self.stopping = False  # HELLO takes the torque away too, and is repeated until it is answered
@@ -287,19 +287,12 @@ class RigClient:
 
         Returns:
             The readings up to the ramp's first report.
-
-        Raises:
-            RigInputError: if the firmware cannot run that slope or torque; else as `request`.
         """
         end = self.end_code(end_torque)
         return self.request(Command.RAMP, self.rig.ramp_step(slope), end)
 
     def end_code(self, torque: float) -> int:
-        """Return the DAC code of a ramp's end.
-
-        Raises:
-            RigInputError: if the firmware does not go there.
-        """
+        """Return the DAC code of a ramp's end."""
         limit = self.hello.torque_limit_code if self.hello is not None else CODES
         if not self.rig.torque(0.5) <= torque < self.rig.torque(limit + 0.5):
             accepted = f"{self.rig.torque(1):.2g} to {self.rig.torque(limit):.3g} Nm"

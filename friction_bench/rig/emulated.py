@@ -136,7 +136,6 @@ class EmulatedRig:
         board: where the firmware runs; by default this computer.
 
     Raises:
-        RigInputError: if the rig file describes no plant.
         RigError: if the firmware cannot be built.
     """
 
@@ -154,7 +153,8 @@ class EmulatedRig:
         """Let whole slices of virtual time pass, at least one."""
         for _ in range(max(1, round(seconds * 1e6 / SLICE_US))):
             self.board.run(SLICE_US, self._edges, self._adc)
-            was_on, self._on = self._on, self.board.stage_on
+            was_on = self._on
+            self._on = self.board.stage_on
             if self._on and not was_on:
                 self.plant.new_ramp()
             command = self.rig.torque(self.board.dac) if self._on else 0.0

@@ -51,7 +51,9 @@ class RigLink:
         self.rig = rig
         self.client: RigClient | None = None
         self._open_port = open_port
-        self._on_sample, self._on_trouble, self._on_good = on_sample, on_trouble, on_good
+        self._on_sample = on_sample
+        self._on_trouble = on_trouble
+        self._on_good = on_good
         self._reported: set[str] = set()
         self._troubled_at = 0.0
         self._last_fault = Fault.NONE
@@ -144,11 +146,14 @@ class RigLink:
             self._on_trouble(text)
 
     def _drop(self) -> None:
-        client, damage = self.client, self.damage
+        client = self.client
+        damage = self.damage
         with self._jobs_lock:
-            self.client, self._past = None, damage
+            self.client = None
+            self._past = damage
             self._refuse_jobs("the connection to the rig was lost")
-        port, self._port = self._port, None
+        port = self._port
+        self._port = None
         if client is not None:
             with contextlib.suppress(RigError):
                 client.urgent_stop()
@@ -174,7 +179,8 @@ class RigLink:
             try:
                 for sample in client.pump():
                     self._on_sample(sample)
-                    fault, before = sample.report.fault, self._last_fault
+                    fault = sample.report.fault
+                    before = self._last_fault
                     self._last_fault = fault
                     if fault and fault != before:
                         self._on_trouble(f"the rig switched itself off: {fault_text(fault)}; clear and arm it")
@@ -207,9 +213,11 @@ class RigLink:
         client.known_stops = client.stops
 
     def _watch_damage(self, client: RigClient) -> None:
-        now, times = time.monotonic(), self._damage_times
+        now = time.monotonic()
+        times = self._damage_times
         damage = client.bad_frames + client.lost_reports
-        fresh, self._seen_damage = damage - self._seen_damage, damage
+        fresh = damage - self._seen_damage
+        self._seen_damage = damage
         times.extend([now] * min(fresh, DAMAGE_LIMIT))
         while times and now - times[0] > DAMAGE_WINDOW:
             times.popleft()

@@ -69,7 +69,8 @@ def cobs_encode(data: bytes) -> bytes:
 
 def cobs_decode(data: bytes) -> bytes | None:
     """Invert `cobs_encode`; None where `data`, which holds no zero, cannot come from it."""
-    blocks, at = [], 0
+    blocks = []
+    at = 0
     while at < len(data):
         blocks.append(data[at + 1 : at + data[at]])
         at += data[at]
@@ -173,7 +174,8 @@ class CommandResult(IntEnum):
     def __new__(cls, number: int, text: str) -> CommandResult:
         """Return the result of a number, with its words."""
         member = int.__new__(cls, number)
-        member._value_, member.text = number, text
+        member._value_ = number
+        member.text = text
         return member
 
 

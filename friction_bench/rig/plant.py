@@ -41,11 +41,7 @@ class Shaft(NamedTuple):
 
 
 def shaft_of(rig: Rig, loaded: bool) -> Shaft:
-    """Return the inertia and friction at the motor of an emulated rig, without the friction of a LuGre joint.
-
-    Raises:
-        RigInputError: if the rig file describes no plant.
-    """
+    """Return the inertia and friction at the motor of an emulated rig, without the friction of a LuGre joint."""
     p = rig.plant
     if p is None:
         raise RigInputError(f"{rig.file}: has no section 'emulation', so this rig cannot be emulated")
@@ -140,12 +136,16 @@ def turn_with_joint(
     """
     angle, speed, z = motion
     ratio, efficiency, load_inertia = gear
-    step, element, parts, state = dt / BRISTLE_STEPS, joint.element[0], joint.parts[0], joint.state[0]
+    step = dt / BRISTLE_STEPS
+    element = joint.element[0]
+    parts = joint.parts[0]
+    state = joint.state[0]
     still = 0.0 * load(state.transmitted, 1)
     for _ in range(BRISTLE_STEPS):
         of_joint = still + angle / ratio, still + speed / ratio
         deflections, friction = parts_step(element, parts, state, still + z, of_joint[0], of_joint[1], step, 1)
-        z, before = lane(deflections, 0), speed
+        z = lane(deflections, 0)
+        before = speed
         angle, speed = turn(angle, speed, torque - lane(friction, 0) / (ratio * efficiency), shaft, step)
         state.transmitted[0] = load_inertia * (speed - before) / (ratio * step)
         advance_load(parts.load, state, load(state.transmitted, 1), step, 1)
@@ -159,9 +159,6 @@ class RigPlant:
     Args:
         rig: whose file describes a plant.
         seed: of amplifier, converter, encoder phase and the joint's scatter.
-
-    Raises:
-        RigInputError: if it describes none.
     """
 
     def __init__(self, rig: Rig, seed: int) -> None:

@@ -228,7 +228,8 @@ class Rig(Declared):
     @property
     def joint_side_reason(self) -> str:
         """Return in words why intervals are wider on the joint's side of the gear."""
-        efficiency, error = self.gear_efficiency, self.efficiency_uncertainty
+        efficiency = self.gear_efficiency
+        error = self.efficiency_uncertainty
         share = 100.0 * NORMAL_95 * error / efficiency
         return (
             f"torques are carried over by the gear's efficiency, {efficiency:g} ± {error:g} (standard uncertainty, of "
@@ -248,11 +249,7 @@ class Rig(Declared):
         return round(torque / self.dac_full_scale * CODES)
 
     def ramp_step(self, slope: float) -> int:
-        """Return the firmware's ramp step nearest to `slope`, Nm/s.
-
-        Raises:
-            RigInputError: if the firmware cannot run that slope.
-        """
+        """Return the firmware's ramp step nearest to `slope`, Nm/s."""
         unit = self.slope_of_step(1)
         step = round(slope / unit) if math.isfinite(slope) else 0
         if not 1 <= step <= MAX_RAMP_STEP:
@@ -270,11 +267,7 @@ class Rig(Declared):
         return int(travel // TRAVEL_UNIT), int(speed)
 
     def check(self, hello: HelloReply) -> None:
-        """Refuse a rig whose firmware was built for other figures than this file.
-
-        Raises:
-            RigInputError: naming the figure that differs.
-        """
+        """Refuse a rig whose firmware was built for other figures than this file."""
         pairs: list[tuple[str, float, float]] = [
             ("counts_per_revolution", self.counts_per_revolution, hello.counts_per_revolution),
             ("tick_us", self.tick_us, hello.tick_us),
@@ -294,13 +287,10 @@ RIG = Rig.group()
 
 
 def load_rig(path: Path) -> Rig:
-    """Read a rig file.
-
-    Raises:
-        ConfigError: naming file, key, value and what is accepted.
-    """
+    """Read a rig file."""
     root = load_yaml(path)
-    content, plant = RIG.read(root), None
+    content = RIG.read(root)
+    plant = None
     for name in ("dac_full_scale", "adc_full_scale"):
         if content["torque"]["limit_lifted"] and content["torque"][name] > LARGEST_SCALE:
             found = f"{root.where('')}torque.{name} is {content['torque'][name]:g}"

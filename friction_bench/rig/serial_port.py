@@ -34,7 +34,6 @@ class SerialPort:
 
     Raises:
         RigLostError: if the port is not there or another program has it.
-        RigInputError: if the URL is none.
     """
 
     def __init__(self, url: str, baud: int) -> None:

@@ -25,7 +25,9 @@ class MessageBatch:
     """
 
     def __init__(self, data: Bytes, start: Int64Array, size: Int64Array) -> None:
-        self.data, self.start, self.size = data, start, size
+        self.data = data
+        self.start = start
+        self.size = size
 
     @classmethod
     def of(cls, messages: Sequence[bytes]) -> MessageBatch:
@@ -41,7 +43,8 @@ class MessageBatch:
         batches = [cls.of([]), *batches]
         before = np.cumsum([len(batch.data) for batch in batches])
         starts = [batch.start + end - len(batch.data) for batch, end in zip(batches, before, strict=True)]
-        data, sizes = ([getattr(batch, name) for batch in batches] for name in ("data", "size"))
+        data = [batch.data for batch in batches]
+        sizes = [batch.size for batch in batches]
         return cls(np.concatenate(data), np.concatenate(starts), np.concatenate(sizes))
 
     def __len__(self) -> int:

@@ -172,7 +172,8 @@ class Scope:
 
     def cut(self, series: JointSeries) -> JointSeries:
         """Return the part of a series that is compared."""
-        stamps, no_bounds = series.stamp_ns, np.iinfo(np.int64)
+        stamps = series.stamp_ns
+        no_bounds = np.iinfo(np.int64)
         inside = (stamps >= (no_bounds.min if self.start_ns is None else self.start_ns)) & (
             stamps <= (no_bounds.max if self.end_ns is None else self.end_ns)
         )
@@ -195,7 +196,8 @@ def compare_bags(
     Raises:
         BagError: if a bag cannot be read, nothing can be compared, or a tolerance matches no value.
     """
-    tolerances, scope = tolerances or Tolerances(), scope or Scope()
+    tolerances = tolerances or Tolerances()
+    scope = scope or Scope()
     check_type(tolerances=(tolerances, Tolerances), scope=(scope, Scope))
     chosen = None if scope.topics is None else [absolute(topic) for topic in scope.topics]
     bags = bag_a, bag_b = read_joint_bag(path_a, chosen), read_joint_bag(path_b, chosen)
@@ -212,7 +214,8 @@ def compare_bags(
         if topic not in there:
             raise BagError(f"topic {plain(topic)} is in neither bag; {series_topics_text(every)}")
     shift = time_shift(scope.align, bag_a, bag_b)
-    found_a, found_b = bag_a.series, bag_b.moved(shift).series
+    found_a = bag_a.series
+    found_b = bag_b.moved(shift).series
     series = [one for found in (found_a, found_b) for some in found.values() for one in some]
     joints = {topic: {name for one in series if one.topic == topic for name in one.names} for topic in wanted}
     tolerances.check(there, joints)
@@ -243,7 +246,8 @@ def _compare_topic(
     if not unpaired_a and not unpaired_b:
         return [] if scope.topics is None else [_incomparable(topic, "no message of it is in either bag")]
     if not unpaired_a or not unpaired_b:
-        lacking, some = _BAGS[bool(unpaired_a)], found[bool(unpaired_a)]
+        lacking = _BAGS[bool(unpaired_a)]
+        some = found[bool(unpaired_a)]
         what = "the topic is not" if some is None else "no message of it is"
         return [_incomparable(topic, f"{what} in the {lacking} bag{' within the time window' * bool(some)}")]
     pairs: list[tuple[JointSeries | None, JointSeries | None]] = []
@@ -251,7 +255,8 @@ def _compare_topic(
         same = [b for b in unpaired_b if set(b.names) == set(a.names)]
         if same:
             pairs.append((a, same[0]))
-            unpaired_a, unpaired_b = ([s for s in some if s not in pairs[-1]] for some in (unpaired_a, unpaired_b))
+            unpaired_a = [s for s in unpaired_a if s not in pairs[-1]]
+            unpaired_b = [s for s in unpaired_b if s not in pairs[-1]]
     results = []
     for first, second in [
         *pairs,
@@ -270,9 +275,11 @@ def compare_series(
     a: JointSeries, b: JointSeries, tolerances: Tolerances | None = None, scope: Scope | None = None
 ) -> TopicComparison:
     """Compare two series as `compare_bags` does, aligned on stamps and joint names."""
-    tolerances, scope = tolerances or Tolerances(), scope or Scope()
+    tolerances = tolerances or Tolerances()
+    scope = scope or Scope()
     check_type(a=(a, JointSeries), b=(b, JointSeries), tolerances=(tolerances, Tolerances), scope=(scope, Scope))
-    a, b = scope.cut(a), scope.cut(b)
+    a = scope.cut(a)
+    b = scope.cut(b)
     joints = tuple(name for name in a.names if name in b.names)
     if not joints:
         return _incomparable(a.topic, f"no joint in common: {listed(a.names)} against {listed(b.names)}")
@@ -304,7 +311,8 @@ def compare_series(
     values: list[ValueDifference] = []
     for field in FIELDS:
         if field in a.fields and field in b.fields and a.units[field] == b.units[field]:
-            columns_a, columns_b = a.fields[field][alignment.rows_a], b.fields[field][alignment.rows_b]
+            columns_a = a.fields[field][alignment.rows_a]
+            columns_b = b.fields[field][alignment.rows_b]
             for joint in joints:
                 pair = columns_a[:, a.names.index(joint)], columns_b[:, b.names.index(joint)]
                 tolerance = tolerances.of(a.topic, joint, field)
@@ -319,7 +327,8 @@ def compare_series(
 def _difference(
     joint: str, field: str, unit: str, a: Array, b: Array, stamp_ns: Int64Array, tolerance: float
 ) -> ValueDifference:
-    a, b = np.ascontiguousarray(a), np.ascontiguousarray(b)
+    a = np.ascontiguousarray(a)
+    b = np.ascontiguousarray(b)
     finite = np.isfinite(a) & np.isfinite(b)
     equal_bits = a.view(np.int64) == b.view(np.int64)
     # Without a tolerance, two NaN with other bits are not the same.
@@ -331,7 +340,8 @@ def _difference(
     beyond = distance > tolerance if tolerance > 0.0 else finite & ~equal_bits
     largest = int(np.argmax(distance))
     maximum = float(distance[largest])
-    at_ns, rms = None, 0.0
+    at_ns = None
+    rms = 0.0
     if maximum > 0.0:  # scaled by it, so that the squares neither under- nor overflow
         at_ns = int(stamp_ns[largest])
         rms = maximum * float(np.sqrt(np.sum((distance / maximum) ** 2) / finite.sum()))
@@ -360,7 +370,8 @@ def align(a: JointSeries, b: JointSeries) -> Alignment:
     Several messages with one stamp: exact repetitions count once; different ones are paired in their order,
     the first with the first and so on.
     """
-    (rows_a, keys_a), (rows_b, keys_b) = _keys(a), _keys(b)
+    (rows_a, keys_a) = _keys(a)
+    (rows_b, keys_b) = _keys(b)
     stamps = keys_a["stamp"], keys_b["stamp"]
     alone = not (keys_a["occurrence"].any() or keys_b["occurrence"].any())  # stamps alone are sorted faster
     left, right = stamps if alone else (keys_a, keys_b)
@@ -371,7 +382,8 @@ def align(a: JointSeries, b: JointSeries) -> Alignment:
         inside = (keys["stamp"] >= low) & (keys["stamp"] <= high)
         missing = np.setdiff1d(np.flatnonzero(inside), rows)
         first = int(keys["stamp"][missing[0]]) if len(missing) else None
-        repeats, ambiguous = len(series.stamp_ns) - len(keys), int((keys["occurrence"] > 0).sum())
+        repeats = len(series.stamp_ns) - len(keys)
+        ambiguous = int((keys["occurrence"] > 0).sum())
         sides.append(Side(len(missing), first, int((~inside).sum()), repeats, ambiguous))
     common = (low, high) if low <= high else None
     return Alignment(rows_a[matched[0]], rows_b[matched[1]], stamps[0][matched[0]], common, *sides)
@@ -381,7 +393,8 @@ def _keys(series: JointSeries) -> tuple[NDArray[np.intp], NDArray[np.void]]:
     """Return the rows that are no repetitions, by stamp, and their stamps and numbers among those with the same."""
     rows = np.argsort(series.stamp_ns, kind="stable")
     stamp = series.stamp_ns[rows]
-    keys, keep = np.zeros(len(rows), dtype=_KEY), np.ones(len(rows), dtype=np.bool_)
+    keys = np.zeros(len(rows), dtype=_KEY)
+    keep = np.ones(len(rows), dtype=np.bool_)
     keys["stamp"] = stamp
     occurrences: dict[bytes, int] = {}
     again = np.append(False, stamp[1:] == stamp[:-1])

@@ -45,18 +45,22 @@ class _MessagePattern:
 
     def __init__(self, sample: bytes, layout: _Layout, frame_id: str) -> None:
         codec = JointStateCodec(layout.names, frame_id)
-        low, high = np.zeros(len(layout.names)), np.frombuffer(b"\x01" * 8 * len(layout.names))
-        bytes_low, bytes_high = (
-            np.frombuffer(
-                codec.encode(stamp_ns, *(row if field in layout.fields else None for field in FIELDS)), np.uint8
-            )
-            for stamp_ns, row in ((0, low), (0x01010101 * (NANOSECONDS + 1), high))
+        low = np.zeros(len(layout.names))
+        high = np.frombuffer(b"\x01" * 8 * len(layout.names))
+        bytes_low = np.frombuffer(
+            codec.encode(0, *(low if field in layout.fields else None for field in FIELDS)), np.uint8
+        )
+        bytes_high = np.frombuffer(
+            codec.encode(16843009 * (NANOSECONDS + 1), *(high if field in layout.fields else None for field in FIELDS)),
+            np.uint8,
         )
         variable = bytes_low != bytes_high
         if sample[:ENCAPSULATION] != LITTLE_ENDIAN or not 0 <= len(sample) - len(variable) <= _MAX_SLACK:
             raise ExchangeError("a pattern that the codec does not write")
-        self.layout, self.length = layout, len(sample)
-        self._variable, self._constant = np.flatnonzero(variable)[STAMP_BYTES:], np.flatnonzero(~variable)
+        self.layout = layout
+        self.length = len(sample)
+        self._variable = np.flatnonzero(variable)[STAMP_BYTES:]
+        self._constant = np.flatnonzero(~variable)
         self._expected = np.frombuffer(sample, dtype=np.uint8)[self._constant]
 
     def matches(self, block: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -83,8 +87,11 @@ class SeriesBuilder:
     def __init__(
         self, topic: str, deserialize: Deserialize, *, cdr: bool, effort_unit: str = "", fields: Sequence[str] = FIELDS
     ) -> None:
-        self._topic, self._effort_unit, self._fields = topic, effort_unit, fields
-        self._deserialize, self._cdr = deserialize, cdr
+        self._topic = topic
+        self._effort_unit = effort_unit
+        self._fields = fields
+        self._deserialize = deserialize
+        self._cdr = cdr
         self._pending: list[bytes] = []
         self._times: list[int] = []
         self._patterns: list[_MessagePattern] = []
@@ -98,9 +105,6 @@ class SeriesBuilder:
         Args:
             message: as in the bag.
             stamp_ns: time to use as its stamp; None in all messages for the stamps of their headers.
-
-        Raises:
-            BagError: if a message is no JointState with names and arrays of equal length or none.
         """
         self._pending.append(message)
         if stamp_ns is not None:
@@ -109,11 +113,7 @@ class SeriesBuilder:
             self._decode_pending()
 
     def build(self) -> list[JointSeries]:
-        """Return one series per set of joints; joints that changed their order come in the first one's.
-
-        Raises:
-            BagError: as `add`, or if an array is there in some messages of a set of joints and not in others.
-        """
+        """Return one series per set of joints; joints that changed their order come in the first one's."""
         self._decode_pending()
         groups: dict[frozenset[str], list[_Layout]] = {}
         for layout in sorted(self._rows, key=lambda layout: min(place[0] for place, _, _ in self._rows[layout])):
@@ -142,8 +142,10 @@ class SeriesBuilder:
         return JointSeries(self._topic, names, stamp[order], **arrays, effort_unit=self._effort_unit)
 
     def _decode_pending(self) -> None:
-        messages, self._pending = self._pending, []
-        start, self._decoded = self._decoded, self._decoded + len(messages)
+        messages = self._pending
+        self._pending = []
+        start = self._decoded
+        self._decoded = self._decoded + len(messages)
         lengths = np.array([len(message) for message in messages])
         for length in np.unique(lengths):
             remaining = np.flatnonzero(lengths == length)
@@ -154,14 +156,16 @@ class SeriesBuilder:
             while len(remaining):
                 if tried == len(self._patterns):  # a new one may be learnt of this message
                     self._decode_one(messages[remaining[0]], remaining[:1] + start)
-                    remaining, block = remaining[1:], block[1:]
+                    remaining = remaining[1:]
+                    block = block[1:]
                     continue
                 pattern = self._patterns[tried]
                 tried += 1
                 if pattern.length == length and (fits := pattern.matches(block)).any():
                     fitting = block[fits]
                     self._keep(pattern.layout, remaining[fits] + start, cdr_stamps_ns(fitting), pattern.values(fitting))
-                    remaining, block = remaining[~fits], block[~fits]
+                    remaining = remaining[~fits]
+                    block = block[~fits]
 
     def _keep(self, layout: _Layout, place: NDArray[np.intp], stamps: Int64Array, values: Array) -> None:
         kept = [k for k, field in enumerate(layout.fields) if field in self._fields]

@@ -24,7 +24,8 @@ from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
 
-_TIME, _STAMP = "time [s]", "stamp [ns]"
+_TIME = "time [s]"
+_STAMP = "stamp [ns]"
 _ROWS_AT_ONCE = 8192  # of a CSV file
 _UNSUPPORTED = (".mat", ".xls", ".xlsx", ".txt", ".tsv", ".json", ".gz", ".zip", ".h5", ".feather")  # no folder's name
 _ONE_TOPIC = (".csv", ".parquet")
@@ -59,7 +60,6 @@ def export_bag(
         progress: called with the number of messages read and written so far, and the total.
 
     Raises:
-        BagError: if the bag cannot be read, has no such topic, or a topic that no table can contain.
         BagWriteError: if the disk is full.
     """
     single = output.suffix.lower() in FORMATS

@@ -76,7 +76,8 @@ class ReadLog:
         """Return it as lines for the terminal."""
         good = self.rows - len(self.corrupt)
         steps = np.diff(self.series[0].stamp_ns)
-        seconds, gap = int(steps.sum()) / NANOSECONDS, int(steps.max(initial=0)) / NANOSECONDS
+        seconds = int(steps.sum()) / NANOSECONDS
+        gap = int(steps.max(initial=0)) / NANOSECONDS
         rate = f", {(good - 1) / seconds:.6g} Hz, longest gap {gap:.6g} s" if seconds else ""
         lines = [
             *(f"{plain(path)}: {dialect}" for path, dialect in zip(self.paths, self.dialects, strict=True)),
@@ -106,9 +107,6 @@ def read_logs(
         mapping: of their columns; by default the file beside the first log.
         more: called now and then with the number of bytes read since the last call.
         skip_corrupt: whether damaged rows are skipped; otherwise they are refused.
-
-    Raises:
-        BagError: if a log cannot be read, does not fit its mapping or contains damaged rows.
     """
     mapping = mapping_of(paths[0], mapping)
     if len(paths) != mapping.files:
@@ -131,9 +129,11 @@ def read_logs(
     rows = _good_rows(stamps, mapping, faults)
     corrupt = tuple((int(logs[0].lines[row]), faults[row]) for row in sorted(faults))
     if corrupt and not (skip_corrupt and len(rows)):
-        what, accepted = "every row is corrupt: ", "columns as the mapping says"
+        what = "every row is corrupt: "
+        accepted = "columns as the mapping says"
         if len(rows):
-            what, accepted = "", "whole rows, or rx90_bag import --skip-corrupt, to leave these out"
+            what = ""
+            accepted = "whole rows, or rx90_bag import --skip-corrupt, to leave these out"
         raise BagError(f"{plain(paths[0])}: {what}{corrupt_text(corrupt)}; accepted: {accepted}")
     found = []
     for topic, mapped in mapping.topics.items():
@@ -212,7 +212,8 @@ def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int]
     time, used = _places(path, source, mapping, number)
     places = [*{*used.values()}, *([] if time is None else [time])]
     parts: dict[int, list[Array]] = {place: [] for place in used.values()}
-    lines, stamps = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    lines = [np.zeros(0, dtype=np.int64)]
+    stamps = [np.zeros(0, dtype=np.int64)]
     faults: dict[int, str] = {}
     factors = [(column, factor) for topic in mapping.topics.values() for one in topic.fields.values()
                if one.file == number for column, factor in zip(one.columns, one.factor, strict=True)]  # fmt: skip
@@ -221,7 +222,8 @@ def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int]
         faults |= {first + row: reason for row, reason in torn.items()}
         values = {place: _numbers(columns[place], source.decimal) for place in parts}
         for column, factor in factors:
-            scaled, texts = values[used[column]] * factor, columns[used[column]]
+            scaled = values[used[column]] * factor
+            texts = columns[used[column]]
             # A NaN is neither; in an exact log the text for it, or for an infinity, is a number.
             for row in np.flatnonzero(~(np.abs(scaled) <= (_MOST if mapping.exact else _LARGEST))).tolist():
                 if not mapping.exact or str(texts[row]).strip("' ").lower().lstrip("+-") not in _NOT_FINITE:
@@ -269,7 +271,8 @@ def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tu
                 "accepted: the same unit in both"
             )
 
-    time, used = None, dict[Column, int]()
+    time = None
+    used = dict[Column, int]()
     if mapping.time is not None and mapping.time[0] == number:
         time = place_of(mapping.time[1])
         compare_unit(time, SECONDS, next(name for name, size in SECONDS.items() if size == mapping.seconds))
@@ -443,7 +446,8 @@ def _stamps_ns(column: Any, decimal: str, unit_ns: int) -> Int64Array:
             stamps.append(stamp if 0 <= stamp < _LAST_NS else -1)
         return np.array(stamps, dtype=np.int64)
     if column.dtype.kind == "M":  # it has a unit of its own
-        column, unit_ns = column.astype("datetime64[ns]").astype(np.int64), 1
+        column = column.astype("datetime64[ns]").astype(np.int64)
+        unit_ns = 1
     inside = (column >= 0) & (column < _LAST_NS / unit_ns)  # a NaN is not
     found = np.full(len(column), -1, dtype=np.int64)
     whole = np.issubdtype(column.dtype, np.integer)
@@ -477,10 +481,6 @@ class TableFile(StorageFile):
 
     Attributes:
         effort_units: of topics whose efforts are not in the usual unit of their names.
-
-    Raises:
-        BagError: if it cannot be read, does not fit its mapping or contains damaged rows.
-        ConfigError: if its mapping is not acceptable.
     """
 
     def __init__(self, path: Path, mapping: LogMapping | None) -> None:
@@ -504,12 +504,7 @@ class TableFile(StorageFile):
 
 
 def exported_logs(folder: Path) -> list[tuple[list[Path], LogMapping]]:
-    """Return the CSV files of a folder with the mapping files of the same names, as an export writes them.
-
-    Raises:
-        BagError: if there is none, or one without a mapping.
-        ConfigError: for a mapping that is not acceptable.
-    """
+    """Return the CSV files of a folder with the mapping files of the same names, as an export writes them."""
     pairs = [([log], mapping_of(log)) for log in sorted(folder.glob("*.csv"))]
     if not pairs:
         accepted = "a folder that rx90_bag export has written, as CSV"
@@ -540,7 +535,6 @@ def import_logs(
         progress: called with the number of bytes read so far, and the total.
 
     Raises:
-        BagError: if a log cannot be read, does not fit its mapping or contains damaged rows, or a topic occurs twice.
         BagWriteError: if the bag cannot be written.
     """
     total = sum(path.stat().st_size for paths, _ in logs for path in paths if path.is_file())

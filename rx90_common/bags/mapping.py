@@ -189,7 +189,9 @@ class TopicMapping:
         given = [name for name in FIELDS if name in content]
         fields: dict[str, FieldMapping] = {}
         for name in given:
-            part, columns, unit = section.section(name), content[name]["columns"], content[name]["unit"]
+            part = section.section(name)
+            columns = content[name]["columns"]
+            unit = content[name]["unit"]
             if len(columns) != len(names):
                 part.refuse("columns", list(columns), f"a list of {len(names)}, one for each name")
             if not unit.startswith(COUNTS) and "counts_per_turn" in part:
@@ -250,11 +252,7 @@ class LogMapping:
 
     @classmethod
     def load(cls, path: Path) -> LogMapping:
-        """Read a mapping file.
-
-        Raises:
-            ConfigError: for a key or value that is not acceptable.
-        """
+        """Read a mapping file."""
         root = load_yaml(path)
         content = MAPPING.read(root)
         topics = {
@@ -296,12 +294,7 @@ def is_table(path: Path) -> bool:
 
 
 def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
-    """Return the mapping of a log: the given one, or the file beside the log with the same name and the suffix .yaml.
-
-    Raises:
-        BagError: if there is none, or it names no columns.
-        ConfigError: if the file is not acceptable.
-    """
+    """Return the mapping of a log: the given one, or that of the file beside the log, named as the log, with .yaml."""
     default_file = path.with_suffix(".yaml")
     if mapping is None and not default_file.is_file():
         raise BagError(

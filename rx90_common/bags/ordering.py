@@ -151,7 +151,8 @@ class LogOrder:
         held = Dated(np.concatenate(log_ns), np.concatenate(topic), MessageBatch.join(messages))
         order = np.lexsort((held.topic, held.log_ns))  # stable: the rest is in order of arrival
         end = len(order) if last is None else int(np.searchsorted(held.log_ns[order], last, side="right"))
-        released, rest = order[:end], order[end:]
+        released = order[:end]
+        rest = order[end:]
         # A copy, because otherwise the released messages would stay in memory with the rest.
         kept = Dated(held.log_ns[rest], held.topic[rest], MessageBatch.of([*held.messages.take(rest)]))
         self._held = [kept] if len(rest) else []
@@ -166,7 +167,9 @@ class LogOrder:
 
     def _date_by_stamps(self, arrived: Arrived) -> bool:
         """Date messages that give the time, and go on by them; return False if they are of another clock."""
-        topic, stamps, newest = arrived.topic, arrived.messages.stamps_ns(), self.newest_ns
+        topic = arrived.topic
+        stamps = arrived.messages.stamps_ns()
+        newest = self.newest_ns
         if topic not in self._stamps and newest is not None and abs(int(stamps[0]) - newest) >= OTHER_CLOCK_NS:
             return False
         if newest is None:
@@ -175,7 +178,8 @@ class LogOrder:
         offsets = np.empty_like(stamps)
         ends = [*(np.flatnonzero(np.diff(stamps) < 0) + 1).tolist(), len(stamps)]
         for begin, end in zip([0, *ends[:-1]], ends, strict=True):  # from one set-back to the next
-            first, last = int(stamps[begin]), int(stamps[end - 1])
+            first = int(stamps[begin])
+            last = int(stamps[end - 1])
             # Topics go back one after the other, each with its own next message.
             epoch = self._epochs.setdefault(topic, len(self._offsets) - 1)
             if first < self._stamps.get(topic, first):
@@ -193,7 +197,8 @@ class LogOrder:
 
     def _date_others(self) -> None:
         """Assign log times: from the stamps, if they are of the clock of this log, else from the reception."""
-        undated, self._undated = self._undated, []
+        undated = self._undated
+        self._undated = []
         for each in undated:
             stamps = _stamps_ns(each.messages, each.source)
             if self._newest is not None:
@@ -208,7 +213,8 @@ class LogOrder:
             else:
                 if self._ahead is None:
                     self._ahead = int(stamps[0] - each.received_ns[0]) if stamps[0] else 0
-                now, ahead = each.received_ns + self._ahead, np.zeros_like(stamps)
+                now = each.received_ns + self._ahead
+                ahead = np.zeros_like(stamps)
             stamped = stamps > 0
             other = stamped & (np.abs(stamps + ahead - now) >= OTHER_CLOCK_NS)
             if other.any():

@@ -74,10 +74,6 @@ def plot_bags(
         most: topics by default.
         progress: called with the part of the bags read so far, and the total; no unit.
         mapping: of the columns of tables; by default the files beside them.
-
-    Raises:
-        BagError: if a bag cannot be read; if a topic or joint is missing, with the existing ones; or if two bags have
-            no common stamp.
     """
     there = []
     for path in paths:
@@ -107,11 +103,7 @@ def plot_bags(
 
 
 def write_plots(paths: Sequence[Path], plots: Sequence[TopicPlot], output: Path) -> str:
-    """Write the plots of bags to a page or picture, by its suffix; return the remark on different robots.
-
-    Raises:
-        Rx90Error: if it cannot be written.
-    """
+    """Write the plots of bags to a page or picture, by its suffix; return the remark on different robots."""
     names = _names(paths)
     robots = next((one.robots for one in plots if one.robots), ())
     each = " and ".join(f"{plain(name)} of {plain(robot)}" for name, robot in zip(names, robots, strict=False))
@@ -127,11 +119,7 @@ def write_plots(paths: Sequence[Path], plots: Sequence[TopicPlot], output: Path)
 
 
 def is_page(path: Path) -> bool:
-    """Return whether a file is a page, and not a picture, by its suffix.
-
-    Raises:
-        BagError: for another suffix.
-    """
+    """Return whether a file is a page, and not a picture, by its suffix."""
     kinds = (".html", *PICTURES)
     if path.suffix.lower() not in kinds:
         raise BagError(f"{plain(path)}: the suffix says what it is; accepted: {', '.join(kinds)}")
@@ -146,12 +134,15 @@ def _names(paths: Sequence[Path]) -> list[str]:
 
 def _topic_plot(words: Sequence[str], series: Sequence[JointSeries], robots: tuple[str, ...]) -> TopicPlot:
     """Return the plot of a topic of one bag, or of two, which have these words for names."""
-    first, second = series[0], series[-1]
+    first = series[0]
+    second = series[-1]
     start = min(int(one.stamp_ns[0]) for one in series)
-    zero, label = 0, "time, s"
+    zero = 0
+    label = "time, s"
     if start > _WALL_CLOCK:
         date = datetime.fromtimestamp(start // NANOSECONDS, timezone.utc)
-        zero, label = start, f"time since {date:%Y-%m-%d %H:%M:%S} and {start % NANOSECONDS} ns UTC, s"
+        zero = start
+        label = f"time since {date:%Y-%m-%d %H:%M:%S} and {start % NANOSECONDS} ns UTC, s"
     names = [name for name in first.names if name in second.names]
     fields = [f for f in first.fields if f in second.fields and first.units[f] == second.units[f]]
     if not names or not fields:
@@ -159,7 +150,8 @@ def _topic_plot(words: Sequence[str], series: Sequence[JointSeries], robots: tup
             f"{plain(first.topic)}: nothing is in both bags: joints {listed(first.names)} and {listed(second.names)}; "
             f"arrays {listed(first.fields) or 'none'} and {listed(second.fields) or 'none'}"
         )
-    first, second = first.select(names), second.select(names)
+    first = first.select(names)
+    second = second.select(names)
     apart = None
     if len(series) > 1 and not robots:  # second less first, at the stamps that both have
         alignment = align_series(first, second)
@@ -175,7 +167,8 @@ def _topic_plot(words: Sequence[str], series: Sequence[JointSeries], robots: tup
     panels: list[Panel] = []
     differences: list[tuple[str, str, float, float, float, int]] = []
     for field in fields:
-        title, last = first.topic if field == fields[0] else "", label if field == fields[-1] else ""
+        title = first.topic if field == fields[0] else ""
+        last = label if field == fields[-1] else ""
         axis = first.quantities[field].replace(" [", ", ").removesuffix("]")
         over = _curves(first, field, zero, f", {words[0]}" if len(series) > 1 else "")
         if len(series) > 1:
@@ -195,7 +188,8 @@ def _topic_plot(words: Sequence[str], series: Sequence[JointSeries], robots: tup
 
 
 def _curves(series: JointSeries, field: str, zero: int, suffix: str = "", *, second: bool = False) -> list[Curve]:
-    time, values = (series.stamp_ns - zero) / NANOSECONDS, series.fields[field]
+    time = (series.stamp_ns - zero) / NANOSECONDS
+    values = series.fields[field]
     curves = []
     for k, name in enumerate(series.names):
         colour = INK if second and len(series.names) == 1 else COLOURS[k % len(COLOURS)]

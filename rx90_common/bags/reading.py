@@ -61,9 +61,6 @@ class BagReader:
         files: the storage files.
         notes: remarks for the user about the reading of the bag.
         effort_units: of topics whose efforts are not in the usual unit of their names, by its metadata.
-
-    Raises:
-        BagError: if the bag is missing, foreign, damaged, or its metadata contradict its content.
     """
 
     def __init__(self, path: Path | str, mapping: LogMapping | None = None) -> None:
@@ -82,7 +79,9 @@ class BagReader:
             from rx90_common.bags.logs import TableFile  # pyarrow takes a while
 
             table = TableFile(self.path, self._mapping)
-            self.files, self._storages, self.effort_units = [self.path], [table], table.effort_units
+            self.files = [self.path]
+            self._storages = [table]
+            self.effort_units = table.effort_units
             return self
         with ExitStack() as stack:
             counts = self._read_metadata() if (self.path / FILE).exists() else None
@@ -127,21 +126,13 @@ class BagReader:
         return [BagTopic(name, kind, count, encoding) for (name, kind, encoding), count in sorted(counts.items())]
 
     def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
-        """Yield (topic, log time in ns, serialised message) in the order of log time.
-
-        Raises:
-            BagError: if the bag is damaged.
-        """
+        """Yield (topic, log time in ns, serialised message) in the order of log time."""
         wanted = {topic.identity: topic for topic in topics}
         parts = [self._messages(file, one, wanted) for file, one in zip(self.files, self._storages, strict=True)]
         yield from parts[0] if len(parts) == 1 else heapq.merge(*parts, key=itemgetter(1))
 
     def deserialize(self, topic: BagTopic, data: bytes) -> Any:
-        """Return the message as rosbags builds it.
-
-        Raises:
-            BagError: if the type is none of ROS's common interfaces, or the bytes are no message of it.
-        """
+        """Return the message as rosbags builds it."""
         store = _typestore(Stores.ROS1_NOETIC if topic.is_ros1 else Stores.ROS2_JAZZY)
         if topic.msgtype not in store.fielddefs or not topic.is_known:
             raise BagError(f"{plain(self.path)}: {plain(topic.name)} is {topic.description}, which is not known here")
@@ -163,9 +154,6 @@ class BagReader:
         Args:
             topics: names.
             filled: whether those with these names must have messages.
-
-        Raises:
-            BagError: if one is not there as JointState, or has no messages; or if there are none.
         """
         there = self.topics
         by_name = {topic.name: topic for topic in there if topic.is_joint_state}
@@ -244,7 +232,8 @@ class BagReader:
         self, file: Path, storage: StorageFile, wanted: dict[tuple[str, str, str], BagTopic]
     ) -> Iterator[tuple[BagTopic, int, bytes]]:
         topics = {key: topic for key, one in storage.topics.items() if (topic := wanted.get(one.identity))}
-        read, expected = 0, sum(storage.topics[key].count for key in topics)
+        read = 0
+        expected = sum(storage.topics[key].count for key in topics)
         with self._damage(file):
             for key, log_ns, data in storage.messages(topics):
                 read += 1
@@ -284,22 +273,14 @@ class JointBag:
 
     @property
     def begin_ns(self) -> int:
-        """Return the first stamp, ns.
-
-        Raises:
-            BagError: if it holds no message of joint states.
-        """
+        """Return the first stamp, ns."""
         stamps = [int(one.stamp_ns.min()) for found in self.series.values() for one in found if len(one.stamp_ns)]
         if not stamps:
             raise BagError(f"{plain(self.path)}: holds no JointState message, so it has no start to be aligned")
         return min(stamps)
 
     def one(self, topic: str, names: Sequence[str] | None = None, remedy: str = "say which joints") -> JointSeries:
-        """Return the series of a topic that has these joints, in this order; by default its only one.
-
-        Raises:
-            BagError: if there is none; or several sets of joints, without names, with the remedy.
-        """
+        """Return the series of a topic that has these joints, in this order; by default its only one."""
         found = self.series[topic]
         if not found:
             raise BagError(f"{plain(self.path)}: no messages in {plain(topic)}")
@@ -336,9 +317,6 @@ def read_joint_bag(
         mapping: as `read_joint_states`.
         record_time: as `read_joint_states`.
         all_there: whether topics that are not there are refused.
-
-    Raises:
-        BagError: if the bag cannot be read.
     """
     with BagReader(path, mapping) as bag:
         held = bag.topics
@@ -357,7 +335,8 @@ def read_joint_bag(
                 progress(total, total)
             series = {topic.name: builders[id(topic)].build() for topic in wanted}
         except BagError as error:
-            text, where = str(error), plain(bag.path)
+            text = str(error)
+            where = plain(bag.path)
             raise error if text.startswith(where) else BagError(f"{where}: {text}") from error
         return JointBag(bag.path, held, series, bag.notes)
 

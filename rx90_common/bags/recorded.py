@@ -35,11 +35,7 @@ _VALUES = (
 
 
 def robot_of(path: Path | str) -> str | None:
-    """Return the name in the first description of a robot in a bag; None if it has none.
-
-    Raises:
-        BagError: if the bag cannot be read.
-    """
+    """Return the name in the first description of a robot in a bag; None if it has none."""
     if is_table(Path(path)):
         return None
     found = None
@@ -51,11 +47,7 @@ def robot_of(path: Path | str) -> str | None:
 
 
 def check_robot(path: Path | str, robot: str) -> None:
-    """Check that a bag is of a robot: that the first description in it, if there is one, bears its name.
-
-    Raises:
-        BagError: if the bag cannot be read, or is another robot's.
-    """
+    """Check that a bag is of a robot: that the first description in it, if there is one, bears its name."""
     found = robot_of(path)
     if found not in (None, robot):
         raise BagError(
@@ -81,20 +73,12 @@ def changes_of(event: Any) -> list[ParameterChange]:
 
 
 def read_changes(path: Path | str) -> list[ParameterChange]:
-    """Return the changes of parameters in a bag, in the order of its messages.
-
-    Raises:
-        BagError: if the bag cannot be read.
-    """
+    """Return the changes of parameters in a bag, in the order of its messages."""
     return [change for event in _events(path) for change in changes_of(event)]
 
 
 def read_values(path: Path | str) -> dict[str, Any]:
-    """Return the parameters in a bag at the start of its nodes, by their names: numbers, lists of these, ...
-
-    Raises:
-        BagError: if the bag cannot be read.
-    """
+    """Return the parameters in a bag at the start of its nodes, by their names: numbers, lists of these, ..."""
     return {each.name: json.loads(_value(each.value)) for event in _events(path) for each in event.new_parameters}
 
 
@@ -160,9 +144,6 @@ def read_trajectories(path: Path | str) -> list[RecordedTrajectory]:
     """Return the trajectories of a bag in the order of their start.
 
     They are those of the controller's topic `trajectory_accepted`, whose stamps are start times.
-
-    Raises:
-        BagError: if the bag cannot be read, has no such topic, or two controllers' ones.
     """
     with BagReader(path) as bag:
         kind = [topic for topic in bag.topics if topic.msgtype == JOINT_TRAJECTORY]
@@ -193,11 +174,7 @@ class Begins(Protocol):
 
 
 def time_shift(align: int | str, first: Begins, second: Begins) -> int:
-    """Return the offset to add to the stamps of the second of two bags, ns; `align` as in `Scope`.
-
-    Raises:
-        BagError: if a bag has no trajectory, for TRAJECTORY, or no message, for START.
-    """
+    """Return the offset to add to the stamps of the second of two bags, ns; `align` as in `Scope`."""
     if isinstance(align, int):
         return align
     if align == TRAJECTORY:

@@ -52,7 +52,8 @@ _MESSAGE_HEAD: Final = 22  # channel, sequence number, log time, time of publica
 _INDEX = struct.Struct("<HI")  # channel, bytes of the entries
 _ENTRY_BYTES = 16
 _FOOTER = struct.Struct("<QQI")  # places of summary and offsets, checksum
-_CDR, _ROS1 = "cdr", "ros1"
+_CDR = "cdr"
+_ROS1 = "ros1"
 _CHECKS = (
     "PRAGMA integrity_check(1)",  # tables against indexes, page by page
     "SELECT count(*) FROM messages WHERE typeof(id) != 'integer' OR typeof(timestamp) != 'integer' "
@@ -162,9 +163,7 @@ def open_storage(path: Path, stack: ExitStack) -> StorageFile:
         stack: closes it.
 
     Raises:
-        BagError: if it is no storage file, or was not closed.
         DamagedError: if it contradicts itself.
-        Rx90Error: if there is no room to decompress it.
     """
     for suffix in ("-journal", "-wal"):  # reading a database with one alone would show a torn state
         with suppress(OSError):  # there is none, or its name would be too long to be one
@@ -245,7 +244,11 @@ class _McapFile(StorageFile):
 
     def _summary(self) -> Summary:
         """Find the chunks; return the summary, once it fits them."""
-        summary, held, crc, start, found = Summary(), Summary(), 0, 0, -1
+        summary = Summary()
+        held = Summary()
+        crc = 0
+        start = 0
+        found = -1
         part = held
         for code, _, _, begin, end in self._rows[self._rows[:, 0] != Opcode.MESSAGE].tolist():
             if code == Opcode.CHUNK:
@@ -255,7 +258,8 @@ class _McapFile(StorageFile):
                 chunk.message_index_offsets[_INDEX.unpack_from(self._data, begin)[0]] = begin - _RECORD_HEAD
                 chunk.message_index_length = end - chunk.chunk_start_offset - chunk.chunk_length
             elif code == Opcode.DATA_END:
-                part, start = summary, end
+                part = summary
+                start = end
             elif code == Opcode.FOOTER:
                 found, _, crc = _FOOTER.unpack_from(self._data, begin)
             else:
@@ -268,7 +272,8 @@ class _McapFile(StorageFile):
         if listed and listed != self._chunks:
             raise DamagedError("its index is not that of its chunks")
         if not summary.channels:
-            summary.schemas, summary.channels = held.schemas, held.channels
+            summary.schemas = held.schemas
+            summary.channels = held.channels
         return summary
 
     def _topics(self, summary: Summary) -> dict[int, BagTopic]:
@@ -301,7 +306,8 @@ class _McapFile(StorageFile):
 
     def _content(self, chunk: ChunkIndex) -> bytes:
         """Return the content of a chunk, checked against its checksum; no more is decompressed than its head states."""
-        size, end = chunk.uncompressed_size, chunk.chunk_start_offset + chunk.chunk_length
+        size = chunk.uncompressed_size
+        end = chunk.chunk_start_offset + chunk.chunk_length
         crc = _CHUNK.unpack_from(self._data, chunk.chunk_start_offset + _RECORD_HEAD)[3]
         data = self._data[end - chunk.compressed_size : end].tobytes()
         if chunk.compression == "zstd":
@@ -319,7 +325,8 @@ class _McapFile(StorageFile):
 
     def _read_chunk(self, chunk: ChunkIndex, keys: Collection[int]) -> list[LoggedMessage]:
         """Return messages of a chunk, all of which are checked against its head and the indexes after it."""
-        content, where = self._content(chunk), f"the chunk at byte {chunk.chunk_start_offset}"
+        content = self._content(chunk)
+        where = f"the chunk at byte {chunk.chunk_start_offset}"
         rows = _records(content)
         rows = rows[rows[:, 0] == Opcode.MESSAGE]
         times = chunk.message_start_time, chunk.message_end_time
@@ -348,23 +355,29 @@ class _McapFile(StorageFile):
 @c_function(types.int64(types.voidptr, types.int64, types.voidptr, types.int64))
 def _find_records(data_at, size, rows_at, room):  # type: ignore[no-untyped-def]  # addresses
     """Write rows as `_records` gives them, as far as there is room; return how many whole records there are."""
-    data, rows = carray(data_at, (size,), np.uint8), carray(rows_at, (room, 5), np.int64)
+    data = carray(data_at, (size,), np.uint8)
+    rows = carray(rows_at, (room, 5), np.int64)
     count = at = 0
     while size - at >= _RECORD_HEAD:
-        begin, length = at + _RECORD_HEAD, np.int64(0)
+        begin = at + _RECORD_HEAD
+        length = np.int64(0)
         for k in range(8):
             length |= np.int64(data[at + 1 + k]) << (8 * k)
         is_message = data[at] == _MESSAGE
         if length < 0 or length > size - begin or (is_message and length < _MESSAGE_HEAD):
             break
         if count < room:
-            channel, log_ns = np.int64(0), np.int64(0)
+            channel = np.int64(0)
+            log_ns = np.int64(0)
             if is_message:
                 channel = np.int64(data[begin]) | np.int64(data[begin + 1]) << 8
                 for k in range(8):
                     log_ns |= np.int64(data[begin + 6 + k]) << (8 * k)
-            rows[count, 0], rows[count, 1], rows[count, 2] = data[at], channel, log_ns
-            rows[count, 3], rows[count, 4] = begin, begin + length
+            rows[count, 0] = data[at]
+            rows[count, 1] = channel
+            rows[count, 2] = log_ns
+            rows[count, 3] = begin
+            rows[count, 4] = begin + length
         count += 1
         at = int(begin + length)
     return count
@@ -390,7 +403,8 @@ def _chunk_at(data: memoryview, begin: int, end: int) -> ChunkIndex:
     first_ns, last_ns, size, _, length = _CHUNK.unpack_from(data, begin)
     name = begin + _CHUNK.size
     (compressed,) = struct.unpack_from("<Q", data, name + length)
-    begin, compression = begin - _RECORD_HEAD, data[name : name + length].tobytes().decode()
+    begin = begin - _RECORD_HEAD
+    compression = data[name : name + length].tobytes().decode()
     return ChunkIndex(end - begin, begin, compression, compressed, last_ns, 0, {}, first_ns, size)
 
 

@@ -92,11 +92,7 @@ class BagSummary:
 
 
 def summarise(path: Path | str) -> BagSummary:
-    """Read a bag through and summarise it.
-
-    Raises:
-        BagError: if the bag cannot be read or holds no topics.
-    """
+    """Read a bag through and summarise it."""
     with BagReader(path) as bag:
         topics = bag.topics
         if not topics:

@@ -70,7 +70,8 @@ def _topic_text(topic: TopicComparison) -> str:
     for _, group in groupby(topic.values, lambda value: value.field):
         values = list(group)
         if len(values) > 1 and all(v.maximum == 0.0 and not v.beyond for v in values):  # one row for all
-            first, tolerances = values[0], {v.tolerance for v in values}
+            first = values[0]
+            tolerances = {v.tolerance for v in values}
             tolerance = f"{first.tolerance:g}" if len(tolerances) == 1 else "various"
             rows.append((first.field, f"all {len(values)}", "0", "", "0", first.unit, tolerance, ""))
         else:

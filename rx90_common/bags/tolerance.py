@@ -98,11 +98,7 @@ class Tolerances:
 
 
 def parse_rule(text: str) -> ToleranceRule:
-    """Read `[TOPIC:[JOINT:]]FIELD=VALUE`; TOPIC may be * for any.
-
-    Raises:
-        BagError: if the text is not of that form.
-    """
+    """Read `[TOPIC:[JOINT:]]FIELD=VALUE`; TOPIC may be * for any."""
     key, equals, value = text.rpartition("=")
     parts = key.split(":")
     try:
@@ -126,9 +122,6 @@ def load_rules(path: Path) -> list[ToleranceRule]:
       joints:
         joint_1: {position: 1.0e-8}
     ```
-
-    Raises:
-        ConfigError: if the file cannot be read or holds anything else.
     """
     return [
         ToleranceRule(None if name == ANY else absolute(name), joint, field, limits[field])

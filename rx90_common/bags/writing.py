@@ -57,19 +57,25 @@ _INFINITE = QosTime(9_223_372_036, 854_775_807)
 _INTEGER = 2  # of rcl_interfaces/ParameterType
 _VALUE_ARRAYS = {"byte": np.uint8, "bool": np.bool_, "integer": np.int64, "double": np.float64}
 # Of mcap: op codes, and bytes.
-_CHUNK, _MESSAGE, _MESSAGE_INDEX = 0x06, 0x05, 0x07
+_CHUNK = 0x06
+_MESSAGE = 0x05
+_MESSAGE_INDEX = 0x07
 _CHUNK_BYTES: Final = 1 << 20  # a chunk that is larger is closed, as rosbags does
 _RECORD_HEAD: Final = 9  # op code and length
 _MESSAGE_HEAD: Final = 22  # channel, sequence number, log time, time of publication
-_FOOTER_BYTES, _MAGIC_BYTES = 20, 8  # at the end of a file; a checksum of 4 bytes ends the footer
+# at the end of a file; a checksum of 4 bytes ends the footer
+_FOOTER_BYTES = 20
+_MAGIC_BYTES = 8
 _NONE_YET = 2**63 - 1  # rosbags' value for the start of an empty chunk
 
 
 @c_function(types.int64(*[types.voidptr] * 5, types.int64, types.voidptr))
 def _write_records(data_at, start_at, size_at, channel_at, log_at, count, to_at):  # type: ignore[no-untyped-def]
     """Write messages as MCAP records, one behind the other; the sequence number is 0, as in rosbags."""
-    start, size = carray(start_at, (count,), np.int64), carray(size_at, (count,), np.int64)
-    channel, log_ns = carray(channel_at, (count,), np.int64), carray(log_at, (count,), np.int64)
+    start = carray(start_at, (count,), np.int64)
+    size = carray(size_at, (count,), np.int64)
+    channel = carray(channel_at, (count,), np.int64)
+    log_ns = carray(log_at, (count,), np.int64)
     end = 0
     for i in range(count):
         length = size[i]
@@ -79,7 +85,8 @@ def _write_records(data_at, start_at, size_at, channel_at, log_at, count, to_at)
         for k in range(8):
             record[1 + k] = (_MESSAGE_HEAD + length) >> (8 * k) & 255
             record[15 + k] = record[23 + k] = log_ns[i] >> (8 * k) & 255
-        record[9], record[10] = channel[i] & 255, channel[i] >> 8
+        record[9] = channel[i] & 255
+        record[10] = channel[i] >> 8
         record[11] = record[12] = record[13] = record[14] = 0
         for k in range(length):
             record[_RECORD_HEAD + _MESSAGE_HEAD + k] = message[k]
@@ -97,7 +104,8 @@ class _McapBatches(McapWriter):
     def write_many(self, channel: Int64Array, log_ns: Int64Array, messages: MessageBatch) -> None:
         """Write messages, in this order, of the channels with these numbers, int64 (n,)."""
         size = messages.size + (_RECORD_HEAD + _MESSAGE_HEAD)
-        ends, begin = np.cumsum(size), 0
+        ends = np.cumsum(size)
+        begin = 0
         while begin < len(size):
             place = self.chunk.bio.tell() + ends - size - (ends[begin] - size[begin])
             end = min(int(np.searchsorted(place + size, _CHUNK_BYTES, side="right")) + 1, len(size))
@@ -130,13 +138,15 @@ class _McapBatches(McapWriter):
 
     def close_chunk(self) -> None:
         """Write the pending chunk with its index, and note it for the summary."""
-        chunk, compression = self.chunk, self.compression.encode()
+        chunk = self.chunk
+        compression = self.compression.encode()
         content = chunk.bio.getvalue()
         records = self.compressor(content)
         times = struct.pack("<QQ", chunk.message_start_time, chunk.message_end_time)
         name = struct.pack("<I", len(compression)) + compression
         head = times + struct.pack("<QI", len(content), crc32(content)) + name + struct.pack("<Q", len(records))
-        start, end = self._write(_CHUNK, head, records), self.bio.tell()
+        start = self._write(_CHUNK, head, records)
+        end = self.bio.tell()
         places = b""
         for number, entries in self._index.items():
             at = self._write(_MESSAGE_INDEX, struct.pack("<HI", number, sum(map(len, entries))), *entries)
@@ -216,7 +226,6 @@ class BagWriter:
         named: final name of a bag that is renamed when it is complete; an incomplete one is removed.
 
     Raises:
-        BagError: if the folder exists, its name is too long or its place does not take one.
         BagWriteError: if the disk is full.
     """
 
@@ -268,7 +277,6 @@ class BagWriter:
             definition: the text of its .msg file, and behind it of those that it uses, as bags have it.
 
         Raises:
-            BagError: if the type is none of ROS 2's common interfaces and has no definition.
             BagWriteError: if the disk is full.
         """
         types = typestore()
@@ -296,7 +304,8 @@ class BagWriter:
         Raises:
             BagWriteError: if the disk is full or nearly so, or writing fails otherwise.
         """
-        begin, writer = 0, self._writer
+        begin = 0
+        writer = self._writer
         storage: Any = writer.storage
         self._has_messages = self._has_messages or len(messages) > 0
         while begin < len(messages):
@@ -306,7 +315,8 @@ class BagWriter:
             stops = full | due
             end = begin + int(np.argmax(stops)) + 1 if stops.any() else len(messages)
             rows = slice(begin, end)
-            batch, last = messages.take(rows), int(log_ns[end - 1])
+            batch = messages.take(rows)
+            last = int(log_ns[end - 1])
             with self._failures():
                 storage.write_many(number[rows], log_ns[rows], batch)
                 writer.min_timestamp = min(writer.min_timestamp, int(log_ns[rows].min()))
@@ -420,7 +430,6 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
     """Yield a new folder for a file or folder of this name and its companions; then these are moved to their places.
 
     Raises:
-        BagError: if something has that name, or its place does not take it.
         BagWriteError: if the disk is full.
     """
     missing_folders = [folder for folder in path.parents if not folder.exists()]
@@ -478,7 +487,8 @@ def write_joint_states(
         BagWriteError: if it cannot be written.
         ExchangeError: for a joint name or a stamp that a message cannot contain.
     """
-    path, topics = Path(path), [absolute(one.topic) for one in series]
+    path = Path(path)
+    topics = [absolute(one.topic) for one in series]
     if len(set(topics)) != len(topics):
         raise BagError(f"{path}: topics {', '.join(topics)}; accepted: each topic once")
     check_bag_name(path)
@@ -496,8 +506,10 @@ def write_joint_states(
         encoders = [series_encoder(one) for one in series]
         stamps.append(np.array([message.log_ns for message in messages], dtype=np.int64))
         encoders.append(MessageBatch.of([message.cdr for message in messages]).take)
-        log_ns, counts = np.concatenate(stamps), [len(stamp) for stamp in stamps]
-        source, row = np.repeat(np.arange(len(counts)), counts), np.concatenate([np.arange(count) for count in counts])
+        log_ns = np.concatenate(stamps)
+        counts = [len(stamp) for stamp in stamps]
+        source = np.repeat(np.arange(len(counts)), counts)
+        row = np.concatenate([np.arange(count) for count in counts])
         number = np.repeat([*numbers, 0], counts)
         number[len(number) - len(messages) :] = [others[message.topic] for message in messages]
         order = np.argsort(log_ns, kind="stable")

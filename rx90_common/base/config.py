@@ -141,9 +141,6 @@ def load_yaml(
         accepted: expected content, for messages.
         first: whether to read the first of several documents; otherwise there must be one.
         faults: collects refusals, see `Section`.
-
-    Raises:
-        ConfigError: if the file is missing, unreadable, too large, not YAML or not a mapping.
     """
     text = StringIO(_read(path))
     try:
@@ -159,11 +156,7 @@ def load_yaml(
 
 
 def yaml_value(text: str) -> Any:
-    """Return the value of a text in YAML, as in a file.
-
-    Raises:
-        ConfigError: if it is not YAML.
-    """
+    """Return the value of a text in YAML, as in a file."""
     try:
         return yaml.load(text, _Loader)
     except (yaml.YAMLError, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
@@ -171,11 +164,7 @@ def yaml_value(text: str) -> Any:
 
 
 def yaml_lines(path: Path) -> dict[str, int]:
-    """Return the line numbers, from 1 on, of the keys and items of a YAML file, by path such as `a.b[2].c`.
-
-    Raises:
-        ConfigError: as `load_yaml`.
-    """
+    """Return the line numbers, from 1 on, of the keys and items of a YAML file, by path such as `a.b[2].c`."""
     load_yaml(path, first=True)
     lines: dict[str, int] = {}
     _note_lines(next(yaml.compose_all(_read(path), _Loader)), "", lines)
@@ -223,9 +212,6 @@ def check_numbers(content: object, most: float = math.inf, where: str = "") -> N
         content: mappings, lists and scalars.
         most: largest magnitude of a floating-point number.
         where: its place, for the message.
-
-    Raises:
-        ConfigError: naming place and value.
     """
     if isinstance(content, Mapping):
         for key, value in content.items():
@@ -242,9 +228,6 @@ def yaml_text(content: Mapping[str, Any]) -> str:
     """Return plain data as YAML; `load_yaml` and readers of YAML 1.1 return the same bits.
 
     Lists and mappings without others inside are written on one line each.
-
-    Raises:
-        ConfigError: for a NaN or an infinity.
     """
     check_numbers(content)
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=118)

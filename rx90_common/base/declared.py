@@ -82,9 +82,6 @@ class Declared:
         name: prefix of the names of fields in messages.
         about: description of the group in a file.
         blocks: the groups of keys with dots, by name, with their descriptions.
-
-    Raises:
-        ConfigError: for a value that its entry does not accept, naming owner, field, value and the accepted values.
     """
 
     name: ClassVar[str] = ""
@@ -108,9 +105,6 @@ class Declared:
         """Return a copy in which every array by joint has a value for each of so many joints.
 
         A single value applies to all of them, as defaults do; `first` is the array that determines the number.
-
-        Raises:
-            ConfigError: for another number of values.
         """
         fitting = copy(self)
         for one in declarations(type(self)).values():
@@ -138,9 +132,6 @@ class Declared:
         Args:
             content: by the file's keys.
             fields: additional fields, by their names.
-
-        Raises:
-            ConfigError: as the class itself.
         """
         return cls(**fields) if content is None else cls(**_values(cls, content), **fields)
 
@@ -161,7 +152,8 @@ def declarations(owner: type[Any]) -> dict[str, Declaration]:
 
 
 def _declared_by(owner: type[Any]) -> dict[str, Declaration]:
-    hints, found = get_type_hints(owner, include_extras=True), {}
+    hints = get_type_hints(owner, include_extras=True)
+    found = {}
     for own_field in fields(owner):
         hint = hints[own_field.name]
         kind, *annotations = get_args(hint) if get_origin(hint) is Annotated else (hint,)

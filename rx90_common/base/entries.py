@@ -28,7 +28,9 @@ class NotAccepted(Exception):  # noqa: N818 - caught by whoever knows the value'
 
     def __init__(self, value: object, accepted: str, place: str = "") -> None:
         super().__init__(value, accepted, place)
-        self.value, self.accepted, self.place = value, accepted, place
+        self.value = value
+        self.accepted = accepted
+        self.place = place
 
 
 @dataclass(frozen=True)
@@ -59,11 +61,7 @@ class Entry:
         raise NotImplementedError
 
     def take(self, section: Section, key: str) -> Any:
-        """Return the value under `key`, checked.
-
-        Raises:
-            ConfigError: naming file, key, value and the accepted values.
-        """
+        """Return the value under `key`, checked."""
         value = section.get(key, self.acceptance())
         try:
             return self.check(value)

@@ -61,9 +61,11 @@ class Rx90Warning(UserWarning):
 def warn_caller(lines: Iterable[str]) -> None:
     """Give each line as an Rx90Warning of the place from which this project was called."""
     for line in lines:
-        depth, frame = 1, sys._getframe()
+        depth = 1
+        frame = sys._getframe()
         while frame.f_back is not None and str(frame.f_globals.get("__name__")).startswith("rx90_"):
-            depth, frame = depth + 1, frame.f_back
+            depth = depth + 1
+            frame = frame.f_back
         warnings.warn(line, Rx90Warning, stacklevel=depth)
 
 
@@ -120,9 +122,6 @@ def check_place(path: Path) -> None:
 
     The file is created as a test: permissions do not reveal read-only, full and virtual file systems, nor limit root.
     Devices and pipes accept data.
-
-    Raises:
-        Rx90Error: as from `write_error`.
     """
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
@@ -141,11 +140,7 @@ def check_replaced(path: Path, *, force: bool, kind: type[Rx90Error] | None = No
 
 
 def check_bag_name(path: Path) -> None:
-    """Refuse a bag's name to which its file, which is named after it, cannot add its suffix and that of a journal.
-
-    Raises:
-        BagError: with the longest name that is accepted.
-    """
+    """Refuse a bag's name to which its file, which is named after it, cannot add its suffix and that of a journal."""
     size = len(os.fsencode(path.name))
     if size > _LONGEST_BAG_NAME:
         raise BagError(f"{plain(path)}: its name has {size} bytes; accepted: up to {_LONGEST_BAG_NAME}")

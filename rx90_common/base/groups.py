@@ -52,12 +52,7 @@ class Group(Entry):
         return self.read(section.section(key, self.accepted))
 
     def read(self, section: Section) -> dict[str, Any]:
-        """Return the values by their keys; keys with a default are always there.
-
-        Raises:
-            ConfigError: naming file, key, value and the accepted values; if a section collects faults, after all were
-                checked.
-        """
+        """Return the values by their keys; keys with a default are always there."""
         found: dict[str, Any] = {}
         section.attempt(self._check_keys, section)
         for key, entry in self.keys.items():
@@ -144,11 +139,7 @@ class Entries(Entry):
         return self.read(inner)
 
     def read(self, section: Section) -> dict[str, Any]:
-        """Return the values by their names.
-
-        Raises:
-            ConfigError: as `Group.read`.
-        """
+        """Return the values by their names."""
         found: dict[str, Any] = {}
         pattern, accepted = self.names
         for name in section:

@@ -16,11 +16,7 @@ def message_time_ns(time: Any) -> int:
 
 
 def ticks_per(name: str, base_hz: int, rate_hz: int) -> int:
-    """Return how many base ticks make one period of `rate_hz`.
-
-    Raises:
-        ConfigError: if the ratio is not a whole number; nothing is rounded silently.
-    """
+    """Return how many base ticks make one period of `rate_hz`."""
     if rate_hz <= 0 or base_hz % rate_hz:
         divisors = [d for d in range(1, base_hz + 1) if base_hz % d == 0 and d * 40 >= base_hz]
         raise ConfigError(

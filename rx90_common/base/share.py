@@ -97,9 +97,6 @@ def share_directory() -> Path:
 
     Order: the source tree (an editable install or a checkout), the ament index (colcon), then
     `share/rx90_emulator` under the environment's prefix (pip), which no ament index knows of.
-
-    Raises:
-        ConfigError: if none of them exists.
     """
     if (ROOT / "package.xml").is_file() and (ROOT / "config").is_dir():
         return ROOT
@@ -131,9 +128,6 @@ def resolve_config(name: str, folder: Path | None = None) -> Path:
     Args:
         name: the entry.
         folder: base of a relative path, the present one for None.
-
-    Raises:
-        ConfigError: if neither exists.
     """
     try:
         own = (folder or Path()) / Path(name).expanduser()

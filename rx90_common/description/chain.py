@@ -67,14 +67,17 @@ def rigid_chain(file: UrdfFile, tcp_link: str) -> RigidChain:
     """Return the chain of a checked URDF; its tool centre point is the frame of the link `tcp_link`."""
     frames = {file.base_link: _Frame(np.zeros(3), np.eye(3), 0)}
     joints = len(file.limits)
-    position, axis = np.zeros((joints, 3)), np.zeros((joints, 3))
+    position = np.zeros((joints, 3))
+    axis = np.zeros((joints, 3))
     for joint in file.placements():
         before = frames[joint.parent]
         place = before.position + rotated(before.rotation, np.array(joint.xyz))
-        turn, index = product(before.rotation, rpy_rotation(joint.rpy)), before.joints
+        turn = product(before.rotation, rpy_rotation(joint.rpy))
+        index = before.joints
         if joint.name in file.limits:
             direction = rotated(turn, np.array(joint.axis))
-            position[index], axis[index] = place, direction / length(direction)
+            position[index] = place
+            axis[index] = direction / length(direction)
             index += 1
         frames[joint.child] = _Frame(place, turn, index)
     bodies = [_body(frames[body.link], body.mass, body.xyz, body.rpy, body.inertia) for body in file.bodies()]
@@ -95,7 +98,6 @@ def rigid_chain(file: UrdfFile, tcp_link: str) -> RigidChain:
 def _body(
     frame: _Frame, mass: float, xyz: tuple[float, ...], rpy: tuple[float, ...], inertia: tuple[float, ...]
 ) -> _Body:
-    """Return the body of a link from its <inertial>."""
     xx, yy, zz, xy, xz, yz = inertia
     turn = product(frame.rotation, rpy_rotation(rpy))
     tensor = product(product(turn, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])), transposed(turn))
@@ -104,11 +106,13 @@ def _body(
 
 def _together(bodies: list[_Body]) -> _Body:
     """Return bodies fixed to each other as one (parallel axes: Huygens and Steiner)."""
-    mass, moment = 0.0, np.zeros(3)
+    mass = 0.0
+    moment = np.zeros(3)
     for body in bodies:
         mass += body.mass
         moment = moment + body.mass * body.center
-    center, inertia = moment / mass, np.zeros((3, 3))
+    center = moment / mass
+    inertia = np.zeros((3, 3))
     if len(bodies) == 1:
         center = bodies[0].center
     for body in bodies:

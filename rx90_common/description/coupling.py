@@ -59,10 +59,6 @@ class Coupling:
 
     Attributes:
         turns: motor turns for joint turns without the gears, shape (n, n).
-
-    Raises:
-        ConfigError: for a matrix that is not square, or singular; for a motor that turns with one joint, but not its
-            own, or not as often; for more than MAX_ELEMENTS elements.
     """
 
     turns: Array
@@ -141,11 +137,7 @@ class Coupling:
         return np.asarray(self.turns.T @ np.diag(motors) @ self.turns)
 
     def element_names(self, joint_names: Sequence[str]) -> tuple[str, ...]:
-        """Return the names of the friction elements: the joints' own, `joint_5_6` for the RX family's wrist, else sums.
-
-        Raises:
-            ConfigError: for names that are not as many as the joints.
-        """
+        """Return the names of the friction elements: the joints' own, `joint_5_6` for an RX's wrist, else sums."""
         if len(joint_names) != len(self.turns):
             raise ConfigError(f"joints {listed(joint_names)}; accepted: {len(self.turns)} names, as the coupling has")
         if self.size.wrist:
@@ -157,17 +149,25 @@ class Coupling:
         if self.size.wrist:
             record[name] = gear
             return
-        turns, back, sums = self.turns, self.joint_turns, list(self.sums)
-        belongs, passed = np.zeros((self.size.elements, len(turns))), back.T.copy()
+        turns = self.turns
+        back = self.joint_turns
+        sums = list(self.sums)
+        belongs = np.zeros((self.size.elements, len(turns)))
+        passed = back.T.copy()
         belongs[self.element_of_motor, np.arange(len(turns))] = 1.0
         belongs[sums, sums] = 1.0
         passed[sums] = np.eye(len(turns))[sums]
         gears = record[name]
-        gears["ratio"], gears["motor"], gears["joint"] = gear, turns, back
-        gears["motor_columns"], gears["joint_columns"] = turns.T, back.T
-        gears["element"], gears["element_columns"] = self.element_matrix, self.element_matrix.T
+        gears["ratio"] = gear
+        gears["motor"] = turns
+        gears["joint"] = back
+        gears["motor_columns"] = turns.T
+        gears["joint_columns"] = back.T
+        gears["element"] = self.element_matrix
+        gears["element_columns"] = self.element_matrix.T
         gears["element_of_motor"] = self.element_of_motor
-        gears["belongs"], gears["passed"] = belongs.T, np.vstack([passed, back.T[sums]]).T
+        gears["belongs"] = belongs.T
+        gears["passed"] = np.vstack([passed, back.T[sums]]).T
 
 
 RX_WRIST = Coupling.usual(6)

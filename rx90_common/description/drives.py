@@ -38,9 +38,6 @@ class Cogging(Declared):
 
     It is the slope of an energy, so a turn neither gives nor takes any. The harmonics have shape (n,), none for no
     cogging; amplitudes and phases (n, motors).
-
-    Raises:
-        ConfigError: for values that are not finite and series of other lengths.
     """
 
     name = "cogging"
@@ -88,11 +85,7 @@ _amperes = partial(Numbers, unit="A", count=PER_JOINT)
 
 @dataclass(frozen=True)
 class CurrentSensor(Declared):
-    """Errors of the current sensors; every array has a value for each.
-
-    Raises:
-        ConfigError: for values out of range.
-    """
+    """Errors of the current sensors; every array has a value for each."""
 
     name = "current_sensor"
     about = "Errors of the amplifiers' current sensors; left out: none."
@@ -122,7 +115,8 @@ COPPER = 0.00393
 """Temperature coefficient of copper's resistance at 20 degrees, 1/K (IEC 60028)."""
 _ABSOLUTE_ZERO = -273.15
 _above_0 = partial(Numbers, count=PER_JOINT, low=0.0, above=True)
-_cold, _isolated = Numbers("", count=PER_JOINT, low=0.0), _above_0("", infinite=True)
+_cold = Numbers("", count=PER_JOINT, low=0.0)
+_isolated = _above_0("", infinite=True)
 _degrees = partial(Number, unit="°C", low=_ABSOLUTE_ZERO, high=1000.0)
 _never = Number("", low=_ABSOLUTE_ZERO, infinite=True)  # also warmer than any winding: no limit
 
@@ -137,9 +131,6 @@ class Windings(Declared):
 
     A resistance of 0 means windings at constant temperature. Between `derating` and `limit` the peak current
     falls linearly.
-
-    Raises:
-        ConfigError: for values out of range.
     """
 
     name = "winding"
@@ -189,7 +180,8 @@ class Windings(Declared):
         return super().of_file(content and {"initial": content["ambient"], **content}, **fields)
 
 
-MOTOR, LINK = "motor", "link"
+MOTOR = "motor"
+LINK = "link"
 SIDES = (MOTOR, LINK)
 """Of the elasticity, on which the friction of the joints may act."""
 
@@ -213,9 +205,6 @@ class Elasticity(Declared):
 
     A motor that turns with several joints has its elasticity between it and their sum: motor 6 of the RX family's wrist
     between it and q5 + q6. With play the damping acts only where the flanks touch.
-
-    Raises:
-        ConfigError: for values out of range, and damping or play of a rigid drive.
     """
 
     name = "elasticity"
@@ -347,11 +336,7 @@ DRIVES = DriveParameters.group()
 
 
 def load_drives(path: Path) -> DriveParameters:
-    """Read a drives file.
-
-    Raises:
-        ConfigError: naming file, key, value and accepted range.
-    """
+    """Read a drives file."""
     root = load_yaml(path)
     content = DRIVES.read(root)
     with located(plain(root.file)):

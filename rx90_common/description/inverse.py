@@ -27,7 +27,8 @@ from rx90_common.description.rotations import (
 )
 from rx90_common.kernels.elementary import angles_of, sines_cosines
 
-_Y, _Z = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+_Y = np.array([0.0, 1.0, 0.0])
+_Z = np.array([0.0, 0.0, 1.0])
 # Geometry read from a URDF counts as exact within this many metres or sines.
 _GEOMETRY_TOLERANCE = 1e-9
 _NEWTON_STEPS = 60
@@ -113,10 +114,12 @@ class SphericalWristArm:
         forward_reach = facing * np.sqrt(x * x + y * y - self.lateral * self.lateral)
         angle_1 = angles_of(y, x) - angles_of(self.lateral, forward_reach)
         d = np.stack([forward_reach, wrist[:, 2]], axis=-1) - self.shoulder
-        upper, fore = _plane_length(self.upper), _plane_length(self.fore)
+        upper = _plane_length(self.upper)
+        fore = _plane_length(self.fore)
         squared = d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1]
         # Half-angle form of the law of cosines: exact to rounding also near the stretched arm.
-        far, near = (upper + fore) * (upper + fore), (upper - fore) * (upper - fore)
+        far = (upper + fore) * (upper + fore)
+        near = (upper - fore) * (upper - fore)
         elbow = 2.0 * angles_of(np.sqrt(far - squared), np.sqrt(squared - near))
         elbow *= 1.0 if branch.elbow == "positive" else -1.0
         sine, cosine = sines_cosines(elbow)
@@ -140,7 +143,8 @@ class SphericalWristArm:
         rotation = product(pose.rotation, transposed(chain.tcp_rotation))
         wrist = pose.position + rotated(rotation, self.wrist - chain.tcp_position)
         sine, cosine = sines_cosines(self.signs[0] * np.asarray(q)[..., 0])
-        x, y = wrist[..., 0] - self.axis_1[0], wrist[..., 1] - self.axis_1[1]
+        x = wrist[..., 0] - self.axis_1[0]
+        y = wrist[..., 1] - self.axis_1[1]
         return np.asarray(x * cosine + y * sine)
 
     def elbow_angle(self, q: Array) -> Array:

@@ -118,7 +118,8 @@ def path_error(positions: Array, start: Array, end: Array) -> PathError:
     direction = np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64)
     if not direction.any():
         raise ValueError("a line needs two different points")
-    unit, off = direction / length(direction), np.asarray(positions) - np.asarray(start)
+    unit = direction / length(direction)
+    off = np.asarray(positions) - np.asarray(start)
     along = dot(off, unit)
     return PathError(along, length(off - np.multiply.outer(unit, along).T))
 
@@ -136,7 +137,9 @@ def nearest_corner(points: Array, corners: Array, near: Index | None = None) -> 
         from scipy.spatial import cKDTree  # here, because it takes its time to import
 
         return np.asarray(cKDTree(corners).query(points)[1])
-    found, rows, around = np.array(near), np.arange(len(points)), np.array([0, -1, 1])
+    found = np.array(near)
+    rows = np.arange(len(points))
+    around = np.array([0, -1, 1])
     while len(rows):
         neighbours = np.clip(found[rows, None] + around, 0, len(corners) - 1)
         off = np.sum((corners[neighbours] - points[rows, None]) ** 2, axis=2)
@@ -153,18 +156,21 @@ def polyline_error(points: Array, corners: Array, near: Index | None = None) -> 
     Of the lines those count that meet in the nearest corner: corners lie closer than a path bends or comes back. Beyond
     both ends the first and the last line go on. `near` is that of `nearest_corner`.
     """
-    lines, last = np.diff(corners, axis=0), len(corners) - 2
+    lines = np.diff(corners, axis=0)
+    last = len(corners) - 2
     ways = length(lines)
     distance = np.concatenate([[0.0], np.cumsum(ways)])
     nearest = nearest_corner(points, corners, near)
-    along, across = np.empty(len(points)), np.full(len(points), np.inf)
+    along = np.empty(len(points))
+    across = np.full(len(points), np.inf)
     for line in (np.clip(nearest - 1, 0, last), np.clip(nearest, 0, last)):
         off = points - corners[line]
         at = np.sum(off * lines[line], axis=1) / ways[line]
         at = np.clip(at, np.where(line == 0, -np.inf, 0.0), np.where(line == last, np.inf, ways[line]))
         gap = length(off - (at / ways[line])[:, None] * lines[line])
         closer = gap < across
-        along[closer], across[closer] = (distance[line] + at)[closer], gap[closer]
+        along[closer] = (distance[line] + at)[closer]
+        across[closer] = gap[closer]
     return PathError(along, across)
 
 
@@ -179,7 +185,8 @@ def tip_position(chain: RigidChain, q: Array) -> Array:
     point = np.broadcast_to(chain.tcp_position[:, None], (3, len(q)))
     for i in range(len(chain.axis) - 1, -1, -1):
         cross = cross_matrix(chain.axis[i])
-        turned, twice = cross @ point, cross @ cross @ point
+        turned = cross @ point
+        twice = cross @ cross @ point
         turned *= sine[i]
         twice *= 1.0 - cosine[i]
         point = point + turned

@@ -76,11 +76,7 @@ TOOL = Tool.group()
 
 
 def load_tool(file: Path) -> Tool:
-    """Read a tool file.
-
-    Raises:
-        ConfigError: naming file, key, value and the accepted values.
-    """
+    """Read a tool file."""
     root = load_yaml(file)
     content = TOOL.read(root)
     shapes: dict[str, list[Cylinder]] = {"visual": [], "collision": []}
@@ -120,11 +116,7 @@ def _shape(link: ET.Element, kind: str, cylinder: Cylinder) -> ET.Element:
 
 
 def attach(root: ET.Element, tool: Tool, urdf: Path) -> None:
-    """Add the links `tool` (inertia, shape) and `tcp` (frame) below `tool0` to the root of a URDF, in place.
-
-    Raises:
-        ConfigError: naming the file, if it has no link `tool0`, or already has a `tool` or `tcp`.
-    """
+    """Add the links `tool` (inertia, shape) and `tcp` (frame) below `tool0` to the root of a URDF, in place."""
     links = [link.get("name") for link in root.findall("link")]
     if MOUNT_LINK not in links:
         raise ConfigError(f"{urdf}: link '{MOUNT_LINK}' is None; accepted: a link of that name to carry the tool")
@@ -179,11 +171,7 @@ class RobotModel:
     placements: tuple[Placement, ...]
 
     def check_count(self, file: Path, name: str, values: Array) -> None:
-        """Check that the lists of a file with one value for each joint have as many values as the arm has joints.
-
-        Raises:
-            ConfigError: naming file, list, its length and the accepted length.
-        """
+        """Check that the lists of a file with one value for each joint have as many values as the arm has joints."""
         joints = len(self.joint_names)
         if len(values) != joints:
             accepted = f"accepted: {joints}, one for each joint of {plain(self.model.name)}"
@@ -195,9 +183,6 @@ def load_robot(urdf: Path, tool: Path | None = None, held: Collection[str] = (),
 
     Without a tool the tool centre point is link `tool0`, or the last link if there is none. `held` joints
     are fixed, at the URDF's zero position. Inertias that are to be `replaced` may have any values.
-
-    Raises:
-        ConfigError: naming file, element, value and what is accepted.
     """
     file = UrdfFile(urdf, held, replaced)
     if tool is not None:
@@ -211,7 +196,8 @@ def load_robot(urdf: Path, tool: Path | None = None, held: Collection[str] = (),
     limits = np.array([(lim.lower, lim.upper, lim.velocity, lim.effort) for lim in file.limits.values()])
     lower, upper, velocity, effort = (np.ascontiguousarray(column) for column in limits.T)
     frame = _tcp_frame(file, model, tool is not None)
-    chain, placements = rigid_chain(file, frame), tuple(file.placements())
+    chain = rigid_chain(file, frame)
+    placements = tuple(file.placements())
     return RobotModel(names, text, model, lower, upper, velocity, effort, chain, frame, placements)
 
 

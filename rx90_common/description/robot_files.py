@@ -52,11 +52,7 @@ def shipped_robots() -> tuple[str, ...]:
 
 
 def robot_folder(name: str) -> Path:
-    """Return the folder of a robot: of a shipped one by its name, or the user's own by its path.
-
-    Raises:
-        ConfigError: if there is none; with the shipped robots.
-    """
+    """Return the folder of a robot: of a shipped one by its name, or the user's own by its path."""
     shipped = shipped_robots()
     if name in shipped:
         return config_path(ROBOTS) / name
@@ -116,7 +112,8 @@ class RobotFiles:
         variant = (above / FILES["urdf"]).is_file() and not (folder / FILES["urdf"]).is_file()
         files: dict[str, Path | None] = {}
         for role, name in FILES.items():
-            given, own = names.get(role), folder / name
+            given = names.get(role)
+            own = folder / name
             if variant and not own.is_file():
                 own = above / name
             if role == "tool" and given == NO_TOOL:
@@ -148,11 +145,7 @@ class RobotFiles:
 
 
 def provenance_of(files: RobotFiles) -> dict[str, list[str]]:
-    """Return the provenance of each file's blocks, such as `motor assumed`, by role; a URDF has it in comments.
-
-    Raises:
-        ConfigError: if a file cannot be read.
-    """
+    """Return the provenance of each file's blocks, such as `motor assumed`, by role; a URDF has it in comments."""
     found: dict[str, list[str]] = {}
     for role in MODEL_FILES:
         path: Path | None = getattr(files, role)

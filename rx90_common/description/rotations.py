@@ -66,7 +66,9 @@ def axis_rotation_by_component(axis: Array, angle: ArrayLike) -> Array:
     """
     cross = cross_matrix(axis)
     sine, cosine = sines_cosines(angle)
-    unit, once, twice = (each.reshape(3, 3, *(1,) * sine.ndim) for each in (np.eye(3), cross, product(cross, cross)))
+    unit = np.eye(3).reshape(3, 3, *(1,) * sine.ndim)
+    once = cross.reshape(3, 3, *(1,) * sine.ndim)
+    twice = product(cross, cross).reshape(3, 3, *(1,) * sine.ndim)
     rotation: Array = unit + sine * once + (1.0 - cosine) * twice
     return np.moveaxis(rotation, (0, 1), (-2, -1))
 
@@ -86,7 +88,8 @@ def rpy_quaternion(rpy: ArrayLike) -> Array:
 
 def quaternion_product(a: Array, b: Array) -> Array:
     """Return the products (..., 4) of quaternions a and b, scalar last: the rotation by b, then by a."""
-    (ax, ay, az, aw), (bx, by, bz, bw) = (np.moveaxis(factor, -1, 0) for factor in (a, b))
+    (ax, ay, az, aw) = np.moveaxis(a, -1, 0)
+    (bx, by, bz, bw) = np.moveaxis(b, -1, 0)
     parts = (
         aw * bx + ax * bw + ay * bz - az * by,
         aw * by - ax * bz + ay * bw + az * bx,
@@ -110,7 +113,8 @@ def turn_between(first_rpy: ArrayLike, last_rpy: ArrayLike) -> Array:
     """
     *a, v = rpy_quaternion(first_rpy)
     *b, w = rpy_quaternion(last_rpy)
-    first, last = np.array(a), np.array(b)
+    first = np.array(a)
+    last = np.array(b)
     # The quaternion of last · first⁻¹.
     vector = v * last - w * first - np.cross(last, first)
     scalar = w * v + dot(last, first)
@@ -145,7 +149,8 @@ def solved(matrix: Array, right: Array) -> Array:
 def _eliminate(matrices: Array, rights: Array) -> None:
     """Solve in place by Gauss's elimination with the largest pivot of each column."""
     for n in range(matrices.shape[0]):
-        a, x = matrices[n], rights[n]
+        a = matrices[n]
+        x = rights[n]
         for k in range(6):
             pivot = k
             for i in range(k + 1, 6):

@@ -12,8 +12,11 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot import RobotModel
 
 _SOLIDS = ("Box", "Cylinder", "Sphere")
-_ROD, _BALL = 0.02, 1.6  # radius of rods as a share of the arm's length, of the joints' spheres in that of the rods
-_ROD_COLOR, _BALL_COLOR = np.array([0.75, 0.6, 0.2]), np.array([0.2, 0.3, 0.45])
+# radius of rods as a share of the arm's length, of the joints' spheres in that of the rods
+_ROD = 0.02
+_BALL = 1.6
+_ROD_COLOR = np.array([0.75, 0.6, 0.2])
+_BALL_COLOR = np.array([0.2, 0.3, 0.45])
 
 
 class VisualShape(NamedTuple):
@@ -37,11 +40,7 @@ class VisualShape(NamedTuple):
 
 
 def visual_shapes(robot: RobotModel) -> list[VisualShape]:
-    """Return the visual geometry of an arm with its tool.
-
-    Raises:
-        ConfigError: where it has other shapes than boxes, cylinders and spheres.
-    """
+    """Return the visual geometry of an arm with its tool."""
     found = []
     for shape in pin.buildGeomFromUrdfString(robot.model, robot.urdf, pin.VISUAL).geometryObjects:
         kind, half = _extent(shape.geometry)

@@ -78,13 +78,11 @@ class UrdfFile:
         root: the XML element `robot`.
         links: the elements of the links by name.
         limits: limits of the revolute joints by name, in chain order from the base.
-
-    Raises:
-        ConfigError: for a file that is no such URDF.
     """
 
     def __init__(self, file: Path, held: Collection[str] = (), replaced: bool = False) -> None:
-        self.file, self._replaced = file, replaced
+        self.file = file
+        self._replaced = replaced
         self.root = self._parse()
         for joint in self.root.findall("joint"):
             if joint.get("name") in held:
@@ -140,9 +138,9 @@ class UrdfFile:
         return values
 
     def _origin(self, parent: ET.Element, where: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return xyz and rpy."""
         origin = parent.find("origin")
-        xyz, rpy = (self._numbers(origin, f"{where} origin", key, "0 0 0") for key in ("xyz", "rpy"))
+        xyz = self._numbers(origin, f"{where} origin", "xyz", "0 0 0")
+        rpy = self._numbers(origin, f"{where} origin", "rpy", "0 0 0")
         return tuple(xyz), tuple(rpy)
 
     def _body(self, name: str, link: ET.Element) -> LinkBody | None:
@@ -170,9 +168,10 @@ class UrdfFile:
         element = joint.find("limit")
         if element is None:
             self.refuse(f"{where} limit", None, "lower, upper, velocity and effort")
-        lower, upper, velocity, effort = (
-            self._numbers(element, f"{where} limit", key, None)[0] for key in ("lower", "upper", "velocity", "effort")
-        )
+        lower = self._numbers(element, f"{where} limit", "lower", None)[0]
+        upper = self._numbers(element, f"{where} limit", "upper", None)[0]
+        velocity = self._numbers(element, f"{where} limit", "velocity", None)[0]
+        effort = self._numbers(element, f"{where} limit", "effort", None)[0]
         if not lower < upper:
             self.refuse(f"{where} limit lower", lower, f"a number < upper = {upper:g} rad")
         for key, value, unit in (("velocity", velocity, "rad/s"), ("effort", effort, "Nm")):
@@ -182,7 +181,9 @@ class UrdfFile:
 
     def placements(self) -> list[Placement]:
         """Return the frames of all joints, a tool's that was attached too, each after those before it in the tree."""
-        left, known, found = self._named("joint"), {self.base_link}, []
+        left = self._named("joint")
+        known = {self.base_link}
+        found = []
         while left:
             for name, joint in list(left.items()):
                 if (parent := self._end(joint, "parent")) in known:

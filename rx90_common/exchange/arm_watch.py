@@ -39,7 +39,9 @@ class _Newest:
             reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
-        self._kind, self._depth, self._raw = kind, depth, kind is JointState
+        self._kind = kind
+        self._depth = depth
+        self._raw = kind is JointState
         self.subscription = node.create_subscription(
             kind, topic, never_called, profile, raw=self._raw, callback_group=ManualCallbackGroup()
         )
@@ -103,9 +105,6 @@ class ArmWatch:
         robot: name of the simulation's robot; None until it is known.
         trajectory: the newest accepted one, as of the last call of `joints`; None if there is none.
         diagnostics: of the nodes in this namespace, by their names without it.
-
-    Raises:
-        ConfigError: if that cannot be a node's name.
     """
 
     def __init__(self, node: Node, controller: str, joints: Sequence[str]) -> None:

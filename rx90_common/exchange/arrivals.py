@@ -30,7 +30,10 @@ _SLOTS: Final = 2
 _SLOT_LENGTH: Final = 21
 _MAX_THREADS: Final = 16  # further ones do not pause
 _BATCH_LENGTH: Final = _SLOTS + _SLOT_LENGTH * _MAX_THREADS
-_SWITCHES, _LAST, _ANSWER = 1, 2, 3  # in a slot
+# in a slot
+_SWITCHES = 1
+_LAST = 2
+_ANSWER = 3
 _USAGE_SWITCHES: Final = 16  # in struct rusage
 _CLOCK_MONOTONIC: Final = 1
 _RUSAGE_THREAD: Final = 1

@@ -29,9 +29,11 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.kernels.compiled import c_function
 
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # the encapsulation
-ENCAPSULATION, STAMP_BYTES = 4, 8
+ENCAPSULATION = 4
+STAMP_BYTES = 8
 HEAD = ENCAPSULATION + STAMP_BYTES
-_LITTLE, _BIG = struct.Struct("<iI"), struct.Struct(">iI")
+_LITTLE = struct.Struct("<iI")
+_BIG = struct.Struct(">iI")
 
 
 def cdr_stamp(cdr: bytes) -> tuple[int, int]:
@@ -55,8 +57,10 @@ def cdr_stamps_ns(messages: NDArray[np.uint8]) -> NDArray[np.int64]:
     return np.asarray(seconds * NANOSECONDS + nanoseconds)
 
 
-_COUNT, _STAMP = struct.Struct("<I"), struct.Struct("<iI")
-_TRANSLATION, _ROTATION = struct.Struct("<3d"), struct.Struct("<4d")
+_COUNT = struct.Struct("<I")
+_STAMP = struct.Struct("<iI")
+_TRANSLATION = struct.Struct("<3d")
+_ROTATION = struct.Struct("<4d")
 _BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}  # the two plain encodings of CDR
 _MAX_SLACK = 15  # serialisers reserve alignment and counts that they then do not need
 _MAX_STAMP_NS = (1 << 31) * NANOSECONDS - 1
@@ -131,7 +135,9 @@ class CdrReader:
         if order is None:
             found = bytes(raw[:2]).hex()
             raise ExchangeError(f"message has the encapsulation 0x{found}; accepted: plain CDR, 0x0000 or 0x0001")
-        self._order, self._raw, self._body = order, raw, raw[ENCAPSULATION:]
+        self._order = order
+        self._raw = raw
+        self._body = raw[ENCAPSULATION:]
         self._at = 0
 
     def _take(self, size: int, alignment: int, what: str) -> bytes:
@@ -193,7 +199,8 @@ class TransformCodec:
     def __init__(self, links: Sequence[tuple[str, str]], translation: Array) -> None:
         body = CdrBody()
         body.count(len(links))
-        self._stamps, self._rotations = [], []
+        self._stamps = []
+        self._rotations = []
         for (parent, child), shift in zip(links, translation, strict=True):
             body.align(4)
             self._stamps.append(ENCAPSULATION + body.zeros(_STAMP.size))
@@ -233,7 +240,8 @@ def _read_frame(raw_at, expected_at, mask_at, memory_at, shape_at):  # type: ign
     shape = carray(shape_at, (_SHAPE_LENGTH,), np.int64)
     size = shape[0]
     raw = carray(raw_at, (size,), np.uint8)
-    expected, mask = carray(expected_at, (size,), np.uint8), carray(mask_at, (size,), np.uint8)
+    expected = carray(expected_at, (size,), np.uint8)
+    mask = carray(mask_at, (size,), np.uint8)
     memory = carray(memory_at, (_MARGIN + size,), np.uint8)
     different = np.uint8(0)
     for i in range(size):
@@ -242,7 +250,8 @@ def _read_frame(raw_at, expected_at, mask_at, memory_at, shape_at):  # type: ign
     if different != 0:
         return _NO_MATCH
     stamp = carray(memory_at, (_BODY // 4 + 2,), np.uint32)
-    seconds, nanoseconds = np.int64(stamp[_BODY // 4]), np.int64(stamp[_BODY // 4 + 1])
+    seconds = np.int64(stamp[_BODY // 4])
+    nanoseconds = np.int64(stamp[_BODY // 4 + 1])
     if seconds > 0x7FFFFFFF or nanoseconds >= NANOSECONDS:
         return _NO_MATCH
     numbers = carray(memory_at, ((_MARGIN + size) // 8,), np.float64)
@@ -259,7 +268,8 @@ def _read_frame(raw_at, expected_at, mask_at, memory_at, shape_at):  # type: ign
 def _write_frame(stamp_ns, memory_at, first_at, second_at, third_at, shape_at):  # type: ignore[no-untyped-def]
     """Write stamp, ns, and numbers into a frame in `memory`; the address of an absent block is not looked at."""
     shape = carray(shape_at, (_SHAPE_LENGTH,), np.int64)
-    size, count = shape[0], shape[1]
+    size = shape[0]
+    count = shape[1]
     stamp = carray(memory_at, (_BODY // 4 + 2,), np.uint32)
     stamp[_BODY // 4] = stamp_ns // NANOSECONDS
     stamp[_BODY // 4 + 1] = stamp_ns % NANOSECONDS
@@ -312,7 +322,8 @@ class _Layout:
         first, second, third = (None if at < 0 else incoming[at : at + numbers].view(np.float64) for at in blocks)
         self.views: Arrays = (first, second, third)
         # Looked up once: asking an array for its address takes longer than to read a message.
-        self.shape_at, self.outgoing_at = self._shape.ctypes.data, self.outgoing.ctypes.data
+        self.shape_at = self._shape.ctypes.data
+        self.outgoing_at = self.outgoing.ctypes.data
         self.reading = (self.expected.ctypes.data, self._mask.ctypes.data, incoming.ctypes.data, self.shape_at)
 
 
@@ -330,7 +341,8 @@ class JointStateCodec:
     """
 
     def __init__(self, names: Sequence[str], frame_id: str = "") -> None:
-        self.names, self.frame_id = tuple(names), frame_id
+        self.names = tuple(names)
+        self.frame_id = frame_id
         if not self.names:
             raise ExchangeError("no joint names given; accepted: one or more")
         for name in self.names:
@@ -370,7 +382,8 @@ class JointStateCodec:
             ExchangeError: if an array is not contiguous float64 of shape (n,); from the function, if the stamp is
                 out of range.
         """
-        arrays, shape = (position, velocity, effort), (len(self.names),)
+        arrays = (position, velocity, effort)
+        shape = (len(self.names),)
         for array in arrays:
             if array is not None and not (
                 array.shape == shape and array.dtype == np.float64 and array.flags.c_contiguous
@@ -380,7 +393,8 @@ class JointStateCodec:
         layout = self._layout(arrays)
         first, second, third = (0 if array is None else array.ctypes.data for array in arrays)
         message = layout.outgoing[_MARGIN:]
-        outgoing_at, shape_at = layout.outgoing_at, layout.shape_at
+        outgoing_at = layout.outgoing_at
+        shape_at = layout.shape_at
 
         # A default argument, so that the owners of the addresses live as long as these are used, also without this
         # codec.
@@ -453,7 +467,8 @@ class JointStateCodec:
 
 def _parse_joint_state(raw: bytes, names: Sequence[str]) -> tuple[int, Arrays]:
     """Return stamp, ns, and (position, velocity, effort) in the order of `names`, None for an empty array."""
-    reader, accepted = CdrReader(raw), ", ".join(names)
+    reader = CdrReader(raw)
+    accepted = ", ".join(names)
     stamp_ns = reader.stamp_ns()
     reader.string("header.frame_id")
     found = [reader.string(f"name[{i}]") for i in range(reader.count("name", least_bytes=4))]

@@ -158,7 +158,9 @@ class Channel(TickChannel):
         if self._blocking_waits > 0:
             self._blocking_waits -= 1
             return None
-        counter, clock, give_way = self._counter, _clock, os.sched_yield
+        counter = self._counter
+        clock = _clock
+        give_way = os.sched_yield
         deadline = clock() + _BUSY_WAIT_NS
         while clock() < deadline:
             if counter.value != self._count or not self._counted:
@@ -192,7 +194,8 @@ class LocalChannel(TickChannel):
 
     def __init__(self, link: LocalLink, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> None:
         super().__init__(node, publish_topic, subscribe_topic, qos)
-        self._link, self._node = link, node
+        self._link = link
+        self._node = node
         self._listeners = self.publisher.handle.get_subscription_count
         self._inbox: deque[bytes] = deque(maxlen=qos.depth)
         self._arrived = threading.Event()
@@ -276,7 +279,6 @@ class LocalLink:
 
         Raises:
             ExchangeError: if another process on this machine publishes `publish_topic`.
-            ConfigError: if the two ends do not have the same topics.
         """
         channel = LocalChannel(self, node, publish_topic, subscribe_topic, qos)
         self.ends.append(channel)

@@ -65,13 +65,15 @@ class ClientNode:
         Raises:
             ExchangeError: after the timeout.
         """
-        allowed, extended = self.timeout, False
+        allowed = self.timeout
+        extended = False
         begin = time.monotonic()
         if not ready():
             self.say(f"waiting for {what}")
         while not ready():
             if not extended and time.monotonic() >= begin + allowed:
-                allowed, extended = allowed + more(), True
+                allowed = allowed + more()
+                extended = True
             if time.monotonic() >= begin + allowed:
                 raise ExchangeError(f"found no {what.removeprefix('a ')} within {allowed:g} s")
             self.spin()
@@ -96,11 +98,7 @@ class ClientNode:
 def client_node(
     name: str, timeout: float, say: Callable[[str], None], ros_args: Sequence[str] = ()
 ) -> Iterator[ClientNode]:
-    """Start ROS in a context of its own, with a node in it; Ctrl-C within the block is raised by `ClientNode.spin`.
-
-    Raises:
-        ConfigError: if the timeout is no time, or ROS refuses the arguments or the environment.
-    """
+    """Start ROS in a context of its own, with a node in it; Ctrl-C within the block is raised by `ClientNode.spin`."""
     if not (math.isfinite(timeout) and timeout > 0.0):
         raise ConfigError(f"the timeout is {timeout:g} s; accepted: a number > 0")
     context = Context()
@@ -164,7 +162,9 @@ class ServiceCalls:
 
     def look(self) -> None:
         """Deliver the answers that have arrived, and report calls that have timed out."""
-        now, calls, self._open = time.monotonic(), self._open, []
+        now = time.monotonic()
+        calls = self._open
+        self._open = []
         for call in calls:
             request, answer, deadline, then = call
             outcome: str | ExchangeError

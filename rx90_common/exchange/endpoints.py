@@ -91,11 +91,7 @@ def overridable_topics(node: Node) -> str:
 
 
 def publish(node: Node, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
-    """Make a publisher whose quality of service the node's parameters may change.
-
-    Raises:
-        ConfigError: naming parameter, value and what is accepted.
-    """
+    """Make a publisher whose quality of service the node's parameters may change."""
     return node.create_publisher(kind, topic, qos, qos_overriding_options=_overridable(node, topic, "publisher"))
 
 
@@ -119,9 +115,6 @@ def subscribe(
         qos: of the subscription, which the node's parameters may change.
         check: reads the bytes before the middleware does and raises ExchangeError if they are invalid. For
             types with sequences, about whose lengths the middleware itself prints to standard error.
-
-    Raises:
-        ConfigError: as `publish`.
     """
 
     def take(raw: bytes) -> None:
@@ -162,7 +155,8 @@ def never_called(_message: object) -> None:
 
 def fitting_subscriptions(node: Node, publisher: Publisher) -> int:
     """Return how many subscriptions the graph knows of that a publisher's quality of service suits."""
-    offered, fitting = publisher.qos_profile, 0
+    offered = publisher.qos_profile
+    fitting = 0
     for info in node.get_subscriptions_info_by_topic(publisher.topic_name):
         requested = info.qos_profile
         # If no times are required, the graph reports infinite ones, which the check would compare.
@@ -188,7 +182,9 @@ def wait_until_matched(
         attempts: number of checks, 50 ms apart.
         stop: returns whether to stop waiting.
     """
-    pause, before, quiet = threading.Event(), list[int](), 0
+    pause = threading.Event()
+    before = list[int]()
+    quiet = 0
     for _ in range(attempts):
         if stop():
             break
@@ -235,7 +231,8 @@ class Listeners:
         interrupted: Callable[[], bool],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._interrupted, self._clock = interrupted, clock
+        self._interrupted = interrupted
+        self._clock = clock
         self._watched: list[tuple[Publisher, int]] = []
         self.others: Callable[[], Sequence[Publisher]] = tuple
         self.add(publishers)

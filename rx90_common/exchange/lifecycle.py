@@ -64,7 +64,8 @@ class Diagnostics:
     """
 
     def __init__(self, node: Node, collect: Callable[[], tuple[bytes, str, dict[str, str]]]) -> None:
-        self._node, self._collect = node, collect
+        self._node = node
+        self._collect = collect
         self._publisher = publish(node, DiagnosticArray, "/diagnostics", CLOCK_QOS)
         # Without the leading slash, as diagnostic_aggregator writes names.
         namespace = node.get_namespace().strip("/")
@@ -104,9 +105,6 @@ def spin(make: Callable[[], Sequence[TickingNode]], args: Sequence[str], service
 
     All nodes end with the first one. An executor of several nodes has a thread for each, and more if a node has
     `services` that wait, so that one does not keep the others waiting.
-
-    Raises:
-        Rx90Error: from the nodes' constructors or their ticks.
     """
     cut_off = threading.Timer(_SHUTDOWN_S, _cut_off)
     cut_off.daemon = True
@@ -226,7 +224,8 @@ class ManagedNode(LifecycleNode):
 
     def __init__(self, name: str, own_args: Sequence[str], managed: Managed, make_channel: MakeChannel) -> None:
         super().__init__(name, cli_args=list(own_args))
-        self._managed, self._make_channel = managed, make_channel
+        self._managed = managed
+        self._make_channel = make_channel
         self._channel: TickChannel | None = None
         self.changes = ParameterChanges(self, lambda: not self.configured)
         self.ticking = TickThread()
@@ -252,11 +251,7 @@ class ManagedNode(LifecycleNode):
         return channel
 
     def declare_robot_files(self, *names: str) -> RobotFiles:
-        """Declare the parameters of `declare_robot_files`; another robot brings its files, except for named ones.
-
-        Raises:
-            ConfigError: for a robot or a file that does not exist.
-        """
+        """Declare the parameters of `declare_robot_files`; another robot brings its files, except for named ones."""
         chosen = declare_robot_files(self, *names)
         self.changes.follow_robot(*names)
         return chosen
@@ -330,18 +325,15 @@ class ManagedNode(LifecycleNode):
         if requested.label in known.values() or (not requested.label and requested.id in known):
             return change(request, response)
         name = plain(requested.label) if requested.label else f"transition {requested.id}"
-        state, accepted = self._state_machine.current_state[1], ", ".join(known.values())
+        state = self._state_machine.current_state[1]
+        accepted = ", ".join(known.values())
         self.get_logger().error(f"{name} is not possible in state {state}; accepted: {accepted}")
         response.success = False
         return response
 
 
 def started(members: Iterable[_Member]) -> list[_Member]:
-    """Configure all nodes that start by themselves, in this order, then activate them; return all.
-
-    Raises:
-        Rx90Error: from `configure`.
-    """
+    """Configure all nodes that start by themselves, in this order, then activate them; return all."""
     members = list(members)
     own = [member.node for member in members if member.node.autostart]
     for node in own:
@@ -390,13 +382,16 @@ class TickThread:
     def begin(self, run: Callable[[], None], end: Callable[[], None]) -> None:
         """Have `run` run; `end`, callable from every thread, makes it return soon."""
         with self._changed:
-            self._run, self._end = run, end
+            self._run = run
+            self._end = end
             self._changed.notify_all()
 
     def finish(self) -> None:
         """End the run, and wait until it has ended."""
         with self._changed:
-            end, self._run, self._end = self._end, None, lambda: None
+            end = self._end
+            self._run = None
+            self._end = lambda: None
         end()
         with self._changed:
             self._changed.wait_for(lambda: not self._busy)

@@ -37,7 +37,8 @@ class Wait:
     """Announces a wait once, whatever it waits for in between, and its end once, by `over` and the time."""
 
     def __init__(self, announce: Callable[[str], None], over: str) -> None:
-        self._announce, self._over = announce, over
+        self._announce = announce
+        self._over = over
         self._announced = False
 
     def begin(self, text: str) -> None:
@@ -77,7 +78,9 @@ class LockstepSimulation:
         complain: Callable[[str], None] | None = None,
         usable: Callable[[bytes], bool] = lambda _raw: True,
     ) -> None:
-        self._channel, self._complain, self._usable = channel, complain or announce, usable
+        self._channel = channel
+        self._complain = complain or announce
+        self._usable = usable
         self._wait = Wait(announce, "the controller answers: time runs on from")
         self._accepted = b""
         self._conflicts = 0
@@ -125,12 +128,16 @@ class LockstepSimulation:
         channel = self._channel
         matches = channel.matches()
         began = sent = looked = time.monotonic()
-        foreign, wrong_ns, complained = 0, 0, False  # commands with other stamps; whether that was reported
+        # commands with other stamps; whether that was reported
+        foreign = 0
+        wrong_ns = 0
+        complained = False
         unusable = False  # whether there were commands that `usable` has reported
         while True:
             if raw is not None and not self._two_controllers:
                 if cdr_stamp_ns(raw) != stamp_ns:
-                    foreign, wrong_ns = foreign + 1, cdr_stamp_ns(raw)
+                    foreign = foreign + 1
+                    wrong_ns = cdr_stamp_ns(raw)
                 else:
                     unusable = True
             now = time.monotonic()
@@ -168,7 +175,8 @@ class LockstepSimulation:
         # Not at the first: where a usable one follows at once, in each tick, each would end in a line.
         if unusable:
             self._wait.explained()
-        topic, still = self._channel.subscribe_topic, f"time stands still at {stamp_ns / NANOSECONDS:.6g} s"
+        topic = self._channel.subscribe_topic
+        still = f"time stands still at {stamp_ns / NANOSECONDS:.6g} s"
         if there:
             self._wait.begin(f"the controller on {topic} is silent: {still}")
         elif stamp_ns == 0:

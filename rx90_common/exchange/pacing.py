@@ -17,11 +17,7 @@ _NUMBER = re.compile(r"[-+]?\d[\d.e+-]*|\bnan\b|[-+]?\binf\b")
 
 
 def check_factor(factor: float) -> float:
-    """Return a real-time factor, checked.
-
-    Raises:
-        ConfigError: with the accepted values.
-    """
+    """Return a real-time factor, checked."""
     # Not slower, because a sleep cannot be interrupted and a tick would take seconds.
     if not (factor == 0.0 or 0.001 <= factor <= 1000.0):
         raise ConfigError(f"real_time_factor is {factor}; accepted: a number in [0.001, 1000], or 0 for no pacing")
@@ -58,9 +54,6 @@ class Pacer:
 
     Attributes:
         factor: the one of the last tick.
-
-    Raises:
-        ConfigError: as `check_factor`.
     """
 
     def __init__(
@@ -70,10 +63,13 @@ class Pacer:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._period, self._clock, self._sleep = period, clock, sleep
+        self._period = period
+        self._clock = clock
+        self._sleep = sleep
         self._next_factor = check_factor(factor)
         self._use_factor()
-        self._counts, self._counted_since = PaceCounts(), clock()
+        self._counts = PaceCounts()
+        self._counted_since = clock()
 
     def _use_factor(self) -> None:
         self.factor = self._next_factor
@@ -86,11 +82,7 @@ class Pacer:
         self._ticks = 0
 
     def change(self, factor: float) -> None:
-        """Keep another pace from the next tick on; callable from every thread.
-
-        Raises:
-            ConfigError: as `check_factor`.
-        """
+        """Keep another pace from the next tick on; callable from every thread."""
         self._next_factor = check_factor(factor)
 
     def shift(self, seconds: float) -> None:
@@ -112,7 +104,8 @@ class Pacer:
                 counts.late += 1
             if now - due > _FORGIVEN:
                 counts.dropped += round((now - due) / self._step)
-                self._anchor, self._ticks = now, 0
+                self._anchor = now
+                self._ticks = 0
             self._ticks += 1
         counts.ticks += 1
         counts.worst = max(counts.worst, now - self._last)
@@ -120,9 +113,11 @@ class Pacer:
 
     def take(self) -> PaceCounts:
         """Return the counts since the last call and begin new ones."""
-        counts, self._counts = self._counts, PaceCounts()
+        counts = self._counts
+        self._counts = PaceCounts()
         now = self._clock()
-        counts.seconds, self._counted_since = now - self._counted_since, now
+        counts.seconds = now - self._counted_since
+        self._counted_since = now
         return counts
 
 
@@ -138,7 +133,8 @@ class ThrottledLog:
     """
 
     def __init__(self, announce: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
-        self._announce, self._clock = announce, clock
+        self._announce = announce
+        self._clock = clock
         self._due: dict[str, float] = {}
         self._suppressed: dict[str, int] = {}
 
@@ -164,12 +160,14 @@ class OnceLog:
     """
 
     def __init__(self, announce: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
-        self._announce, self._clock = announce, clock
+        self._announce = announce
+        self._clock = clock
         self._last: dict[str, float] = {}
 
     def say(self, text: str) -> None:
         """Print `text`, unless this fault is known."""
-        now, fault = self._clock(), _NUMBER.sub("#", text)
+        now = self._clock()
+        fault = _NUMBER.sub("#", text)
         known = now - self._last.get(fault, -_FORGOTTEN) < _FORGOTTEN
         self._last[fault] = now
         if not known:

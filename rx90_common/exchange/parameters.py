@@ -58,9 +58,6 @@ def declare(
         low: the least accepted value.
         high: the largest one.
         read_only: whether it can never be set; None: it can be set on a managed node, see ParameterChanges.
-
-    Raises:
-        ConfigError: naming parameter, value and accepted range.
     """
     if not node.has_parameter(name):
         if read_only is None:
@@ -90,20 +87,12 @@ def declare(
 
 
 def declare_options(node: Node, owner: type[Any], prefix: str = "") -> dict[str, Any]:
-    """Declare each field of a dataclass that is made by `option`, unless it is declared; return the values by field.
-
-    Raises:
-        ConfigError: naming parameter, value and accepted range.
-    """
+    """Declare each field of a dataclass that is made by `option`, unless it is declared; return the values by field."""
     return {one.name: declare(node, f"{prefix}{one.name}", **one.metadata) for one in fields(owner) if one.metadata}
 
 
 def declare_rates(node: Node) -> Rates:
-    """Declare the rates, which both nodes must have alike, and return them.
-
-    Raises:
-        ConfigError: for a rate that is out of range, or that does not divide.
-    """
+    """Declare the rates, which both nodes must have alike, and return them."""
     usual = Rates()
     about = "rate of plant, velocity and current loops, and of the exchange, Hz"
     base = declare(node, "base_rate", usual.base_hz, about, low=100, high=20000)
@@ -112,11 +101,7 @@ def declare_rates(node: Node) -> Rates:
 
 
 def declare_robot_files(node: Node, *names: str) -> RobotFiles:
-    """Declare `robot` and a parameter for each of these keys of FILES; return the files that they name.
-
-    Raises:
-        ConfigError: for a robot or a file that is not there.
-    """
+    """Declare `robot` and a parameter for each of these keys of FILES; return the files that they name."""
     robot = declare(node, "robot", DEFAULT_ROBOT, "robot: name of a shipped one, or your own robot folder")
     of_robot = RobotFiles.named(robot)
     given: dict[str, str | None] = {}
@@ -134,9 +119,6 @@ def refuse_unknown_parameters(nodes: Sequence[Node]) -> None:
     """Look for values given to parameters that a node has not declared; to be called when all are declared.
 
     A managed node that is not configured has not declared all of them.
-
-    Raises:
-        ConfigError: naming the first one, and those that there are, or the node of this process that has it.
     """
     for node in nodes:
         for name in node._parameter_overrides:
@@ -168,7 +150,8 @@ class ParameterChanges:
     """
 
     def __init__(self, node: Node, unconfigured: Callable[[], bool]) -> None:
-        self._node, self._unconfigured = node, unconfigured
+        self._node = node
+        self._unconfigured = unconfigured
         self._groups: list[_Group] = []
         self._constants: list[str] = []
         self._robot_files: tuple[str, ...] = ()
@@ -211,7 +194,8 @@ class ParameterChanges:
 
     def _files_of(self, robot: str) -> dict[str, str]:
         """Return the files that come with another robot; raises ConfigError for one that is not there."""
-        before, now = (RobotFiles.named(text) for text in (self._node.get_parameter("robot").value, robot))
+        before = RobotFiles.named(self._node.get_parameter("robot").value)
+        now = RobotFiles.named(robot)
         kept = (name for name in self._robot_files if self._node.get_parameter(name).value == before.text(name))
         return {name: now.text(name) for name in kept}
 

@@ -34,9 +34,6 @@ def prepare() -> None:
     - Profiles, explained in config/dds/profiles.xml.
 
     Another middleware, profiles of the user's own, and static peers are left as they are.
-
-    Raises:
-        ConfigError: for an impossible domain or middleware, for which ROS itself would end the process.
     """
     domain = os.environ.get("ROS_DOMAIN_ID", "")
     if domain and not (domain.isascii() and domain.isdecimal() and int(domain) <= _LAST_DOMAIN):
@@ -60,11 +57,7 @@ def prepare() -> None:
 
 
 def start_ros(args: Sequence[str], context: Context | None = None) -> None:
-    """Initialise rclpy without its own handling of signals, which would pull the context away under a wait.
-
-    Raises:
-        ConfigError: if it refuses the arguments or the environment.
-    """
+    """Initialise rclpy without its own handling of signals, which would pull the context away under a wait."""
     import rclpy
     from rclpy.impl.logging_severity import LoggingSeverity
     from rclpy.logging import set_logger_level
@@ -113,11 +106,7 @@ def missing_controller_manager_msgs() -> str | None:
 
 
 def controller_topic(node: Any, controller: str) -> str:
-    """Return the absolute name of the topic on which a controller node, relative or absolute, takes trajectories.
-
-    Raises:
-        ConfigError: if that cannot be a node's name.
-    """
+    """Return the absolute name of the topic on which a controller node, relative or absolute, takes trajectories."""
     accepted = "accepted: a name such as rx90_controller or /cell/rx90_controller"
     if not controller:  # with which the topic would have a name too, an absolute one
         raise ConfigError(f"the controller node's name is empty; {accepted}")

@@ -108,7 +108,8 @@ class TimeMode:
             ExchangeError: naming the first difference, with both values.
         """
         for name in ("base", "position"):
-            theirs, ours = getattr(self.rates, f"{name}_hz"), getattr(rates, f"{name}_hz")
+            theirs = getattr(self.rates, f"{name}_hz")
+            ours = getattr(rates, f"{name}_hz")
             if theirs != ours:
                 raise ExchangeError(
                     f"{name}_rate is {ours} Hz here and {theirs} Hz in the simulation; accepted: the same in both nodes"

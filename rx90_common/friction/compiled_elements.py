@@ -150,7 +150,8 @@ def bristles_step(
         # An element of another kind has no motion here: nothing is computed for its way to sliding.
         moving = select(elastic, velocity, 0.0)
         elasto_plastic, its_torque = elasto_plastic_step(element, load(kinds.break_away, width), z, moving, step)
-        new, torque = select(elastic, elasto_plastic, new), select(elastic, its_torque, torque)
+        new = select(elastic, elasto_plastic, new)
+        torque = select(elastic, its_torque, torque)
     if kinds.blocks_used:
         store(state.deflection, new)
         store(state.torque, torque)
@@ -159,7 +160,8 @@ def bristles_step(
                 state.deflection[e], state.torque[e] = maxwell_slip_step(
                     lane_of(element, e), kinds.blocks, e, state.blocks[e], lane(velocity, e), step
                 )
-        new, torque = load(state.deflection, width), load(state.torque, width)
+        new = load(state.deflection, width)
+        torque = load(state.torque, width)
     return new, torque
 
 
@@ -219,9 +221,11 @@ def prescribed_torque(elements: Sequence[FrictionElement], velocity: Array, step
 
 def _other_torque(element: FrictionElement, velocity: Array, steps: Array) -> Array:
     """Return the torque of an element with other bristles than LuGre's, shape (m,)."""
-    constants, state = np.zeros(1, bristles_dtype(1)), np.zeros(1, BRISTLE_STATE_DTYPE)
+    constants = np.zeros(1, bristles_dtype(1))
+    state = np.zeros(1, BRISTLE_STATE_DTYPE)
     fill_bristles(constants[0], [element.bristles])
-    torque, deflection = np.empty_like(velocity), np.empty_like(velocity)
+    torque = np.empty_like(velocity)
+    deflection = np.empty_like(velocity)
     follow_bristles(element_arrays((element,)), constants, state, velocity, steps, torque, deflection)
     return torque
 
@@ -230,7 +234,8 @@ def _other_torque(element: FrictionElement, velocity: Array, steps: Array) -> Ar
 def _bristles(arrays: NDArray[np.void], velocity: Array, steps: Array, torque: Array) -> None:
     """Write the friction torque of each element over each step of prescribed velocities, shape (m, e)."""
     for e in range(torque.shape[1]):
-        element, z = one_element(arrays[0], e), 0.0
+        element = one_element(arrays[0], e)
+        z = 0.0
         for k in range(steps.size):
             z, torque[k, e] = bristle_step(element, z, velocity[k, e], steps[k])
 
@@ -250,7 +255,9 @@ def follow_bristles(
         torque: overwritten with the mean over each step, Nm, shape (m,).
         deflection: overwritten with that at the end of each step, rad, shape (m,).
     """
-    element, kinds, state = load_elements(arrays[0], 1), constants[0], states[0].bristles
+    element = load_elements(arrays[0], 1)
+    kinds = constants[0]
+    state = states[0].bristles
     z = load(states[0].z, 1)
     still = 0.0 * z
     for k in range(steps.size):
@@ -258,4 +265,5 @@ def follow_bristles(
             z, mean = bristles_step(element, kinds, state, z, still + velocity[k], steps[k], 1)
         else:  # a mean over no time
             mean = bristles_torque(element, kinds, state, z, still + velocity[k], 1)
-        torque[k], deflection[k] = lane(mean, 0), lane(z, 0)
+        torque[k] = lane(mean, 0)
+        deflection[k] = lane(z, 0)

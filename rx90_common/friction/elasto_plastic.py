@@ -109,7 +109,8 @@ def elasto_plastic_step(
     travel = absolute(velocity) * step
     room = elastic - y
     loaded = select(room > 0.0, select(room < travel, room, travel), 0.0)
-    y1, left = y + loaded, (travel - loaded) / steady
+    y1 = y + loaded
+    left = (travel - loaded) / steady
     gain, lacking = _beyond(steady, elastic, y1, left)
     share = select(travel > 0.0, loaded / travel, 1.0)
     mean_y = share * (y + 0.5 * loaded) + (1.0 - share) * (steady - lacking)
@@ -137,15 +138,18 @@ def _beyond(steady: Number, elastic: Number, y: Number, left: Number) -> tuple[N
         y: at the start, rad.
         left: remaining travel over the steady deflection.
     """
-    span, rest = steady - elastic, steady - y
+    span = steady - elastic
+    rest = steady - y
     phi, psi = decay(left)
-    gain, mean = rest * left * phi, rest * (1.0 - left * psi)
+    gain = rest * left * phi
+    mean = rest * (1.0 - left * psi)
     n = rest / span
     curved = select(n > _SETTLED, left, 0.0)
     inside = curved > 0.0
     if any_lane(inside):
         grown, lacking = _transition(select(n < 1.0, n, 1.0), curved, steady / span)
-        gain, mean = select(inside, span * grown, gain), select(inside, span * lacking, mean)
+        gain = select(inside, span * grown, gain)
+        mean = select(inside, span * lacking, mean)
     return gain, mean
 
 
@@ -157,7 +161,8 @@ def _transition(n0: Number, travel: Number, sharpness: Number) -> tuple[Number, 
     alone, so that it does not depend on its neighbours.
     """
     u = travel * (1.0 + n0 * _bend(n0, sharpness))
-    moving, mean = 1.0 + 0.0 * u, 0.0 * u
+    moving = 1.0 + 0.0 * u
+    mean = 0.0 * u
     for _ in range(_MAX_CORRECTIONS):
         after = n0 * exponential(-u)
         after = select(after < _LEAST, _LEAST, after)
@@ -186,7 +191,8 @@ def _integrals(n0: Number, n1: Number, width: Number, sharpness: Number) -> tupl
     """Return the integrals of a / r and of 1 / r from n1 to n0 > n1, whose difference is `width`."""
     end = (1.0 + _MAP) * n0 / (n0 + _MAP)
     half = 0.5 * (1.0 + _MAP) * _MAP * width / ((n0 + _MAP) * (n1 + _MAP))
-    shortfall, inverse = 0.0 * n0, 0.0 * n0
+    shortfall = 0.0 * n0
+    inverse = 0.0 * n0
     for k in range(len(_NODES)):
         for sign in (-1.0, 1.0):
             place = fma(half, sign * _NODES[k] - 1.0, end)
@@ -194,6 +200,7 @@ def _integrals(n0: Number, n1: Number, width: Number, sharpness: Number) -> tupl
             n = _MAP * place * back
             bend = _bend(n, sharpness)
             weight = _WEIGHTS[k] * back * back / (1.0 + n * bend)
-            shortfall, inverse = fma(weight, bend, shortfall), inverse + weight
+            shortfall = fma(weight, bend, shortfall)
+            inverse = inverse + weight
     scale = half * _MAP * (1.0 + _MAP)
     return scale * shortfall, scale * inverse

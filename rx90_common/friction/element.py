@@ -91,7 +91,8 @@ class FrictionElement(Declared):
     def __post_init__(self) -> None:
         super().__post_init__()
         for sign in SIGNS:
-            coulomb, static = getattr(self, f"tau_c_{sign}"), getattr(self, f"tau_s_{sign}")
+            coulomb = getattr(self, f"tau_c_{sign}")
+            static = getattr(self, f"tau_s_{sign}")
             if static < coulomb:
                 raise ConfigError(f"tau_s_{sign} is {static}; accepted: a number >= tau_c_{sign} = {coulomb} Nm")
         for name, kind in PARTS.items():
@@ -148,7 +149,8 @@ class FrictionElement(Declared):
         if not broken.any():
             return math.inf
         first = int(np.argmax(broken))
-        low, high = speed[first - 1], speed[first]
+        low = speed[first - 1]
+        high = speed[first]
         while low < (middle := 0.5 * (low + high)) < high:
             low, high = (low, middle) if self._gives(middle) else (middle, high)
         return float(high)
@@ -167,9 +169,11 @@ class FrictionElement(Declared):
 
     def _least_dissipation(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return 4 c0 g, Nm, or the bound of other bristles, with the sign and the parts that make it least."""
-        weakest, least = self, 1.0
+        weakest = self
+        least = 1.0
         for part in self.parts.values():
-            weakest, least = part.weakest(weakest), least * part.least_factor
+            weakest = part.weakest(weakest)
+            least = least * part.least_factor
         factor = LUGRE_PASSIVITY if self.bristles is None else self.bristles.passivity_factor(self.c0, speed)
         return factor * least * np.minimum(weakest.sliding_torque(speed), weakest.sliding_torque(-speed))
 
@@ -233,7 +237,8 @@ class FrictionParameter:
 
 
 def _parameters() -> tuple[FrictionParameter, ...]:
-    hints, found = get_type_hints(FrictionElement, include_extras=True), []
+    hints = get_type_hints(FrictionElement, include_extras=True)
+    found = []
     for one in declarations(FrictionElement).values():
         name, _, sign = one.name.rpartition("_")
         if sign == SIGNS[1]:

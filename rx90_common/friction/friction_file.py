@@ -91,7 +91,8 @@ class FrictionFile:
         mappings = {ALL_ELEMENTS: section.content, **{name: section.section(name).content for name in section}}
         about = {name: {key: one[key] for key in ABOUT if key in one} for name, one in mappings.items()}
         about = {name: text for name, text in about.items() if text}
-        identification, joints = content.get("identification"), content["joints"]
+        identification = content.get("identification")
+        joints = content["joints"]
         return cls(elements, root.provenance, root.source, identification, path, about, joints)
 
     def select(self, names: Sequence[str]) -> tuple[FrictionElement, ...]:
@@ -195,9 +196,6 @@ def refuse_parts(
         what: that does not support them, such as "the emulated rig".
         where: prefix of their names in the message: the file and the path in it.
         held: the supported parts.
-
-    Raises:
-        ConfigError: naming element and part.
     """
     for name, element in elements.items():
         for part in element.parts:
@@ -206,11 +204,7 @@ def refuse_parts(
 
 
 def load_friction(path: Path, names: Sequence[str]) -> FrictionSet:
-    """Read the friction file of a robot, with its elements by their names (`Coupling.element_names`).
-
-    Raises:
-        ConfigError: naming file, element, value and accepted range.
-    """
+    """Read the friction file of a robot, with its elements by their names (`Coupling.element_names`)."""
     file = FrictionFile.read(path)
     elements = file.select(names)
     for name in file.elements:
@@ -220,11 +214,7 @@ def load_friction(path: Path, names: Sequence[str]) -> FrictionSet:
 
 
 def read_element(section: Section) -> FrictionElement:
-    """Read one element.
-
-    Raises:
-        ConfigError: naming file, element, value and accepted range.
-    """
+    """Read one element."""
     content = ELEMENT.read(section)
     values: dict[str, Any] = {}
     for parameter in FRICTION_PARAMETERS:

@@ -36,7 +36,8 @@ def leave_out(
     Returns:
         The fits; the squared errors of all blocks in their order, shape (k,).
     """
-    fits, errors = [], []
+    fits = []
+    errors = []
     for block in blocks:
         fits.append(fit(block))
         errors.append(squares(fits[-1], block))
@@ -94,7 +95,8 @@ class HeldOutErrors(Generic[Model]):
 
     def gain(self, model: Model, rival: Model) -> tuple[float, float]:
         """Return by how much a model's RMS error is less than a rival's, and its standard error over the blocks."""
-        (error, own), (before, its) = self._influence(model), self._influence(rival)
+        (error, own) = self._influence(model)
+        (before, its) = self._influence(rival)
         return before - error, _sum_deviation(its - own)
 
     def _influence(self, model: Model) -> tuple[float, Array]:

@@ -93,7 +93,8 @@ def _total(parts: Lanes) -> float:
 @kernel
 def maxwell_slip_torque(element: Any, arrays: Any, index: int, state: NDArray[np.float64], velocity: float) -> float:
     """Return the friction torque at one instant, Nm; arguments as those of `maxwell_slip_step`."""
-    blocks, z = load_blocks(arrays, index), load(state[0], MAX_BLOCKS)
+    blocks = load_blocks(arrays, index)
+    z = load(state[0], MAX_BLOCKS)
     sliding = sliding_torque(element, velocity)
     sense = 1.0 if velocity >= 0.0 else -1.0
     lacking = blocks.reach * (sliding / element.c0) - sense * z
@@ -125,19 +126,24 @@ def maxwell_slip_step(
     Returns:
         The blocks' new mean deflection, by their stiffness, rad, and the mean friction torque over the step, Nm.
     """
-    blocks, z, slipping = load_blocks(arrays, index), load(state[0], MAX_BLOCKS), load(state[1], MAX_BLOCKS)
+    blocks = load_blocks(arrays, index)
+    z = load(state[0], MAX_BLOCKS)
+    slipping = load(state[1], MAX_BLOCKS)
     before = _total(blocks.stiffness * z)
     if velocity == 0.0:
         return before, element.c0 * before
     sliding = sliding_torque(element, velocity)
     sense, speed = (1.0, velocity) if velocity > 0.0 else (-1.0, -velocity)
-    steady, rate = blocks.reach * (sliding / element.c0), blocks.attraction / sliding
-    y, already = sense * z, slipping * sense > 0.0
+    steady = blocks.reach * (sliding / element.c0)
+    rate = blocks.attraction / sliding
+    y = sense * z
+    already = slipping * sense > 0.0
     room = select(already, steady - speed / rate, steady) - y
     stuck = room / speed
     stuck = select(room > 0.0, select(stuck < step, stuck, step), 0.0)
     loaded = speed * stuck
-    rest, left = steady - (y + loaded), step - stuck
+    rest = steady - (y + loaded)
+    left = step - stuck
     phi, psi = decay(rate * left)
     approached = rest * (rate * left) * phi
     moved = loaded + approached

@@ -267,16 +267,20 @@ def _general_power(base: Number, exponent: Number) -> Number:
 @inlined
 def arctangent(y: float, x: float) -> float:
     """Return the angle of the point (x, y), rad, from -pi to pi; 0 for the origin."""
-    width, height = abs(x), abs(y)
+    width = abs(x)
+    height = abs(y)
     steep = height > width
     low, high = (width, height) if steep else (height, width)
     # tan(a - b) = (tan a - tan b) / (1 + tan a tan b), with tan b the nearest of 0, 1/2 and 1.
     if low <= 0.236 * high:
-        u, place = (low / high if high > 0.0 else 0.0), 0
+        u = low / high if high > 0.0 else 0.0
+        place = 0
     elif low <= 0.72 * high:
-        u, place = (2.0 * low - high) / (2.0 * high + low), 4
+        u = (2.0 * low - high) / (2.0 * high + low)
+        place = 4
     else:
-        u, place = (low - high) / (low + high), 8
+        u = (low - high) / (low + high)
+        place = 8
     square = u * u
     fourth = square * square
     tail = fma(fourth, fma(square, _A[3], _A[2]), fma(square, _A[1], _A[0]))
@@ -295,7 +299,8 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _SHIFTS = (np.uint64(30), np.uint64(27), np.uint64(31))
 _FACTORS = (np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))
 # A word holds four uniform numbers of 16 bits; mean and standard deviation of their sum.
-_BITS, _LOW_BITS = np.uint64(16), np.uint64(0xFFFF)
+_BITS = np.uint64(16)
+_LOW_BITS = np.uint64(0xFFFF)
 _MEAN = 2.0 * (2**16 - 1)
 _DEVIATION = math.sqrt(4.0 * (2.0**32 - 1.0) / 12.0)
 
@@ -324,7 +329,8 @@ _Array = NDArray[np.float64]
 def sines_cosines(angle: ArrayLike) -> tuple[_Array, _Array]:
     """Return sine and cosine of angles, rad, of any shape."""
     angles = np.array(angle, dtype=np.float64)
-    sine, cosine = np.empty(angles.size), np.empty(angles.size)
+    sine = np.empty(angles.size)
+    cosine = np.empty(angles.size)
     _sines_cosines(angles.ravel(), sine, cosine)
     return sine.reshape(angles.shape), cosine.reshape(angles.shape)
 

@@ -72,7 +72,8 @@ class LanesType(types.Type):
     """
 
     def __init__(self, width: int, *, is_mask: bool = False) -> None:
-        self.width, self.is_mask = width, is_mask
+        self.width = width
+        self.is_mask = is_mask
         self.padded = -(-width // 4) * 4
         super().__init__(name=f"{'Mask' if is_mask else 'Lanes'}({width})")
 
@@ -183,7 +184,8 @@ def _call(builder: Any, name: str, *operands: Any) -> Any:
 
 def _pieces(width: int) -> list[tuple[int, int]]:
     """Return (offset, size) of the power-of-two pieces in which `width` numbers are read and written."""
-    pieces, offset = [], 0
+    pieces = []
+    offset = 0
     for size in (4, 2, 1):
         while width - offset >= size:
             pieces.append((offset, size))

@@ -43,7 +43,8 @@ class ChildProcess:
     """
 
     def __init__(self, name: str, command: Sequence[str], log: Path | None = None) -> None:
-        self.name, self.log = name, log
+        self.name = name
+        self.log = log
         self._changed = threading.Condition()
         self._lines: list[str] = []
         self._looked_at = 0
@@ -160,7 +161,8 @@ class ProcessGroup:
     """
 
     def __init__(self, folder: Path | None = None, grace: float = 5.0) -> None:
-        self._folder, self._grace = folder, grace
+        self._folder = folder
+        self._grace = grace
         self._members: list[ChildProcess] = []
 
     def start(self, name: str, command: Sequence[str]) -> ChildProcess:

@@ -71,9 +71,6 @@ def atomic_files(*files: Path) -> Iterator[list[Path]]:
 
     Until then, and after an error, an interrupt or a kill, the old files are unchanged. Files that exist keep
     their permissions, links stay links, and other paths, such as devices, are written to directly.
-
-    Raises:
-        Rx90Error: if that fails, as from `write_error`.
     """
     current = files[0]
     try:
@@ -106,11 +103,7 @@ def write_text(file: Path, text: str) -> None:
 
 
 def write_all(contents: Mapping[Path, bytes]) -> None:
-    """Write all files or none.
-
-    Raises:
-        Rx90Error: if one cannot be written; every file that existed is as it was.
-    """
+    """Write all files or none."""
     with atomic_files(*contents) as places:
         for place, (file, content) in zip(places, contents.items(), strict=True):
             try:

@@ -176,7 +176,8 @@ def ends_within(
         give_up: called before a process that was starting is ended with 130; must return at once.
         cut_off: called before one that was running is ended with 3; must return at once.
     """
-    start, interrupted = Start(), threading.Event()
+    start = Start()
+    interrupted = threading.Event()
     if threading.current_thread() is not threading.main_thread():
         yield start
         return

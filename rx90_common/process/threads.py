@@ -39,9 +39,6 @@ def run_on(cpus: str) -> None:
 
     Args:
         cpus: numbers and ranges, as in `0,2-3`.
-
-    Raises:
-        ConfigError: for a text that is no list, or a processor that this process may not use.
     """
     usable = os.sched_getaffinity(0)
     try:
@@ -64,11 +61,7 @@ def _numbers(part: str) -> range:
 
 
 def be_nice(niceness: int) -> None:
-    """Give this process, with all its threads, a niceness: 19 gives way to all others, below 0 needs permission.
-
-    Raises:
-        ConfigError: for a niceness that does not exist, or that this user may not have.
-    """
+    """Give this process, with all its threads, a niceness: 19 gives way to all others, below 0 needs permission."""
     if not -NICEST - 1 <= niceness <= NICEST:
         raise ConfigError(f"--nice {niceness}; accepted: a whole number from {-NICEST - 1} to {NICEST}")
     try:

@@ -42,7 +42,9 @@ from rx90_common.report.plot import (
     with_fewer_points,
 )
 
-_POINTS_TO_ZOOM, _POINTS_OF_PICTURES = 80_000, 40_000  # in all curves of a page: about 900 and 500 KB
+# in all curves of a page: about 900 and 500 KB
+_POINTS_TO_ZOOM = 80_000
+_POINTS_OF_PICTURES = 40_000
 _POINTS_A_CURVE = 100  # whose data have as many bytes as Bokeh's description of a curve
 _MIN_POINTS = 40  # of a curve
 _MAX_POINTS = 8000  # of a curve
@@ -198,7 +200,9 @@ def _draw_mark(shown: Any, panel: Panel, mark: Mark) -> list[Any]:
     if isinstance(mark, Band):
         known = np.isfinite(mark.x) & np.isfinite(mark.low) & np.isfinite(mark.high)
         parts = [part[known[part]] for part in np.split(np.arange(len(known)), np.flatnonzero(~known))]
-        x, low, high = place(mark.x), mark.low, mark.high
+        x = place(mark.x)
+        low = mark.low
+        high = mark.high
         outlines = [(np.r_[x[k], x[k][::-1]], np.r_[low[k], high[k][::-1]]) for k in parts if len(k)]
         look |= {"line_color": None, "fill_color": mark.colour, "fill_alpha": 0.35}
         shown.patches([x.tolist() for x, _ in outlines], [y.tolist() for _, y in outlines], **look)

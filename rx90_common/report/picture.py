@@ -35,7 +35,9 @@ _WIDTH = 8.2  # inches
 _DPI = 160
 _MAX_POINTS = 8000  # of a curve: 2000 columns, more than the dots of a panel
 _LEGEND_ROW = 12.0  # points
-_CHARACTER, _HANDLE = 0.062, 0.42  # inches of a legend's entry: a character on average, the line before it
+# inches of a legend's entry: a character on average, the line before it
+_CHARACTER = 0.062
+_HANDLE = 0.42
 _TITLE_CHARACTER = 0.072  # inches
 _FEW_DECADES = 1e3  # on a logarithmic axis: room for 1, 2 and 5 of each
 _SUBS = (1.0, 2.0, 5.0)  # of a decade, that have a tick
@@ -91,9 +93,6 @@ def write_picture(plot: Plot, path: Path, title: str = "") -> None:
     """Write the plot with a title in the format of the file's suffix, one of PICTURES.
 
     If that fails an old file stays unchanged, and no new one is left.
-
-    Raises:
-        Rx90Error: if it cannot be written.
     """
     date = {".svg": "Date", ".pdf": "CreationDate"}.get(path.suffix.lower())
     buffer = io.BytesIO()  # in memory: of a full disk matplotlib makes other errors

@@ -199,7 +199,8 @@ def with_fewer_points(plot: Plot, most: int) -> Plot:
 def _fewer(panel: Panel, mark: Mark, most: int) -> Mark:
     if not isinstance(mark, Curve) or mark.dots or len(mark.x) <= most:
         return mark
-    x, y = mark.x, mark.y
+    x = mark.x
+    y = mark.y
     with np.errstate(divide="ignore", invalid="ignore"):  # values without a logarithm are no points
         x = np.log10(x) if panel.x_scale == "log" else symlog(x, panel.smallest) if panel.x_scale == "symlog" else x
         y = np.ascontiguousarray(np.log10(y) if panel.y_scale == "log" else y)
@@ -224,7 +225,8 @@ def _range(values: Sequence[Array], scale: Scale) -> tuple[float, float]:
     every = every[np.isfinite(every) & ((every > 0.0) | (scale != "log"))]
     if not len(every):
         return (0.1, 1.0) if scale == "log" else (0.0, 1.0)
-    low, high = float(every.min()), float(every.max())
+    low = float(every.min())
+    high = float(every.max())
     if scale == "log":
         factor = (high / low) ** _MARGIN if high > low else 2.0
         return low / factor, high * factor

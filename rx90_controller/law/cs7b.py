@@ -109,7 +109,8 @@ def velocity_servo(
     D's damping, the amplifier's limit, and C, the current loop of first order with limited slew.
     """
     damping = load(law.derivative, width) * (load(law.velocity_weight, width) * velocity_setpoint - velocity)
-    peak, constant = load(law.peak_current, width), load(law.torque_constant, width)
+    peak = load(law.peak_current, width)
+    constant = load(law.torque_constant, width)
     requested = (position_torque + feed_forward + damping) / constant
     limited = select(requested > peak, 1.0, select(requested < -peak, -1.0, 0.0 * requested))
     commanded = clip(requested, peak)
@@ -166,7 +167,8 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
     Returns:
         Whether the following error or the speed of a joint is beyond its limit: the drives are to be switched off.
     """
-    law, state = laws[0], states[0]
+    law = laws[0]
+    state = states[0]
     other_parts = law.model.parts != state.model.parts
     if other_parts:
         begin_parts(state)
@@ -213,7 +215,8 @@ def velocity_loop(laws: Record, states: Record, velocity: Array) -> bool:
     Returns:
         Whether a torque is not finite: the drives are to be switched off.
     """
-    law, state = laws[0], states[0]
+    law = laws[0]
+    state = states[0]
     n = size(state.current)
     commanded, current, command, limited = velocity_servo(
         law,
@@ -270,14 +273,16 @@ class DriveFault(NamedTuple):
     @classmethod
     def of(cls, names: Sequence[str], laws: Record, states: Record, time: float) -> DriveFault:
         """Return the largest violation after a position loop that found one at `time`, s."""
-        law, state = laws[0], states[0]
+        law = laws[0]
+        state = states[0]
         found = []
         for quantity, unit, motor, motor_limit in (
             ("following error", "rad", state["error"], law["following_error"]),
             ("speed", "rad/s", state["reference"][1] - state["velocity_error"], law["over_speed"]),
         ):
             gear = law["gear"]["ratio"] if law["gear"].dtype.names else law["gear"]
-            value, limit = np.empty(len(names)), motor_limit / np.abs(gear)
+            value = np.empty(len(names))
+            limit = motor_limit / np.abs(gear)
             joints_of(laws, np.ascontiguousarray(motor), value)
             share = np.nan_to_num(np.abs(value) / limit, nan=np.inf)
             k = int(np.argmax(share))
@@ -315,7 +320,9 @@ class CS7B:
         self.trajectory = TrajectoryGenerator(parameters.limits(robot), rates.position_period, np.zeros(n))
         self.tick = 0
         # Set-points ahead, from a position tick on, of a revision of the generator.
-        self._ahead, self._ahead_from, self._ahead_revision = np.zeros((0, 3, n)), 0, self.trajectory.revision
+        self._ahead = np.zeros((0, 3, n))
+        self._ahead_from = 0
+        self._ahead_revision = self.trajectory.revision
         # Fixed memory: the messages of every tick are read from there.
         self._reference = np.zeros((3, n))
         self._error = np.zeros((3, n))
@@ -385,18 +392,23 @@ class CS7B:
         """
         tick, slow = divmod(self.tick, self.rates.ratio)
         if slow == 0:
-            row, revision = tick - self._ahead_from, self.trajectory.revision
+            row = tick - self._ahead_from
+            revision = self.trajectory.revision
             if self._ahead_revision != revision or not 0 <= row < len(self._ahead):
                 self._ahead = self.trajectory.corrected(tick, _LOOKAHEAD)
-                self._ahead_from, self._ahead_revision, row = tick, revision, 0
+                self._ahead_from = tick
+                self._ahead_revision = revision
+                row = 0
             corrected = self._ahead[row]
-            self.setpoint, self.offset = corrected[:3], corrected[3] if len(corrected) > 3 else None
+            self.setpoint = corrected[:3]
+            self.offset = corrected[3] if len(corrected) > 3 else None
             self._measured = (position, velocity, torque)
             self._reference[:2], self._details[0] = self.setpoint[:2], self.setpoint[2]
             if position_loop(self.law, self.state, corrected, position, velocity):
                 self.note_fault()
         if velocity_loop(self.law, self.state, velocity) and self.fault is None:
-            motor, time = int(np.argmin(np.isfinite(self.command))), self.tick * self.rates.period
+            motor = int(np.argmin(np.isfinite(self.command)))
+            time = self.tick * self.rates.period
             self.fault = DriveFault(self.joint_names[motor], "torque", float(self.command[motor]), np.inf, "Nm", time)
         self.tick += 1
         return self.command
@@ -425,7 +437,8 @@ class CS7B:
 
         To be called before the arrays given to `step` change.
         """
-        position, velocity = np.empty(self._joints), np.empty(self._joints)
+        position = np.empty(self._joints)
+        velocity = np.empty(self._joints)
         joints_of(self.law, self._measured[0], position)
         joints_of(self.law, self._measured[1], velocity)
         return position, velocity
@@ -448,6 +461,7 @@ class CS7B:
         Always the same arrays, updated by this call, which must come before the arrays given to `step` change.
         """
         acceleration, commanded, current = self._details
-        commanded[:], reported = self.state["commanded"][0], self._measured[2] if self._currents_err else None
+        commanded[:] = self.state["commanded"][0]
+        reported = self._measured[2] if self._currents_err else None
         current[:] = self.state["current"][0] if reported is None else reported / self.law["torque_constant"][0]
         return acceleration, commanded, current

@@ -132,7 +132,8 @@ class ArmModel:
 
     def fill(self, model: Any, period: float) -> None:
         """Write arm and friction into a record of `model_dtype`, zero before, for position ticks of `period`, s."""
-        model["arm"], model["friction"]["elements"] = self.arm[0], element_arrays(self.friction)[0]
+        model["arm"] = self.arm[0]
+        model["friction"]["elements"] = element_arrays(self.friction)[0]
         drives = self.drives
         fill_arm_parts(
             model["friction"]["parts"], self.friction, drives.turning, drives.gear, drives.motor_heat, period
@@ -157,11 +158,7 @@ class ModelFiles:
 
     @classmethod
     def of(cls, root: Section) -> ModelFiles:
-        """Return the files that a controller file names, or that are in its folder; only named ones must exist.
-
-        Raises:
-            ConfigError: for a named one that does not exist.
-        """
+        """Return the files that a controller file names, or that are in its folder; only named ones must exist."""
         named = root.section("model") if "model" in root else Section({}, root.file, "model")
         found: dict[str, Path | None] = {}
         for role in ROLES:
@@ -180,11 +177,7 @@ class ModelFiles:
 
     @cached_property
     def constants(self) -> ArmModel:
-        """Return the contents, read once.
-
-        Raises:
-            ConfigError: naming file, key, value and what is accepted.
-        """
+        """Return the contents, read once."""
         for role in ROLES:
             path: Path | None = getattr(self, role)
             if path is not None and not path.is_file():
@@ -192,7 +185,8 @@ class ModelFiles:
                     f"the feed-forward by a model needs {plain(path)}, which is not there; accepted: {FILES[role]} "
                     f"beside the controller file, or model.{role} in it"
                 )
-        robot, drives = load_robot(self.urdf, self.tool), load_drives(self.drives)
+        robot = load_robot(self.urdf, self.tool)
+        drives = load_drives(self.drives)
         robot.check_count(self.drives, "gear", drives.gear)
         friction = load_friction(self.friction, drives.turning.element_names(robot.joint_names)).elements
         known = tuple(replace(element, scatter=None) for element in friction)
@@ -208,7 +202,8 @@ def add_model_torque(law: Any, state: Any, setpoint: Array) -> None:
         state: a record of `law_state_dtype`.
         setpoint: joint position rad, velocity rad/s, acceleration rad/s^2, shape (3, n).
     """
-    model, own = law.model, state.model
+    model = law.model
+    own = state.model
     lead = model.lead
     n = size(own.q)
     elements = size(own.friction.z)
@@ -218,7 +213,8 @@ def add_model_torque(law: Any, state: Any, setpoint: Array) -> None:
     store(own.q, q)
     store(own.v, v)
     store(own.a, a)
-    rigid, friction = model.parts & INVERSE_DYNAMICS != 0, model.parts & FRICTION != 0
+    rigid = model.parts & INVERSE_DYNAMICS != 0
+    friction = model.parts & FRICTION != 0
     parted = friction and model.friction.parts.used != 0
     if rigid or parted:
         inverse_dynamics(model.arm, own.body, own.q, own.v, own.a, own.joint)
@@ -280,7 +276,9 @@ def _parted_friction(law: Any, own: Any, begins: bool) -> None:
     `own.joint` is the arm's torque without friction, Nm. If the motion `begins`, the bristles are undeflected, and the
     load is at once the transmitted one.
     """
-    friction, state, period = law.model.friction, own.friction, law.model.period
+    friction = law.model.friction
+    state = own.friction
+    period = law.model.period
     n = size(state.z)
     transmit(law.gear, law.model.arm.rotor, own.joint, own.a, state.parts.transmitted)
     transmitted = load(state.parts.transmitted, n)
@@ -291,7 +289,8 @@ def _parted_friction(law: Any, own: Any, begins: bool) -> None:
         else:
             start_temperatures(friction.parts.temperature, state.parts.temperature, n)
             state.warm = 1
-    angle, velocity = element_inputs(law.gear, own.q), element_inputs(law.gear, own.v)
+    angle = element_inputs(law.gear, own.q)
+    velocity = element_inputs(law.gear, own.v)
     z, torque = parts_step(friction.elements, friction.parts, state.parts, load(state.z, n), angle, velocity, period, n)
     store(state.z, z)
     store(state.parts.friction, torque)
@@ -322,7 +321,8 @@ def cool_model(laws: Record, states: Record, count: int) -> None:
         states: state, shape (1,), `law_state_dtype`.
         count: ticks.
     """
-    model, state = laws[0].model, states[0].model.friction
+    model = laws[0].model
+    state = states[0].model.friction
     if state.warm and model.friction.parts.temperature.used:
         nothing = 0.0 * load(state.parts.temperature.stored, size(state.z))
         store(state.parts.temperature.stored, nothing)

@@ -61,7 +61,9 @@ MODEL_PARTS: Final = {"inverse_dynamics": INVERSE_DYNAMICS, "friction_model": FR
 _each = partial(Numbers, count=PER_JOINT, low=0.0)
 _positive_each = partial(_each, above=True)
 _positive = partial(Number, low=0.0, above=True)
-_any_each, _any_positive_each, _any_positive = _each(""), _positive_each(""), _positive("")
+_any_each = _each("")
+_any_positive_each = _positive_each("")
+_any_positive = _positive("")
 
 
 @dataclass(frozen=True)
@@ -202,12 +204,7 @@ class CS7BParameters(Declared):
         )
 
     def record(self, robot: RobotModel, drives: DriveParameters, rates: Rates) -> np.ndarray[Any, Any]:
-        """Return the law's constants, shape (1,), of `controller_dtype`.
-
-        Raises:
-            ConfigError: if the drives' current sensors have errors, and another bandwidth for the loop through which
-                these act.
-        """
+        """Return the law's constants, shape (1,), of `controller_dtype`."""
         sensor = drives.current_sensor
         if sensor.used and sensor.bandwidth != self.current_bandwidth:
             raise ConfigError(
@@ -255,11 +252,7 @@ CONTROLLER = CS7BParameters.group()
 
 
 def load_controller(path: Path) -> CS7BParameters:
-    """Read a controller file.
-
-    Raises:
-        ConfigError: naming file, key, value and accepted range.
-    """
+    """Read a controller file."""
     return read_controller(load_yaml(path))
 
 
@@ -269,9 +262,6 @@ def read_controller(root: Section, model: ModelFiles | None = None) -> CS7BParam
     Args:
         root: the file's content.
         model: replaces the file's entry for the model.
-
-    Raises:
-        ConfigError: naming file, key, value and accepted range.
     """
     content = CONTROLLER.read(root)
     model = model or ModelFiles.of(root)

@@ -108,7 +108,9 @@ def _joint_path(robot: RobotModel, task: TipTask, acceleration: Array | None) ->
         LineError: naming place, joint or singularity, value and limit.
     """
     distance = task.places(_EXAMINED_STEP, _MIN_EXAMINED)
-    postures, faults = Postures.of(robot, task), dict[int, str]()  # the first reason, by the place
+    # the first reason, by the place
+    postures = Postures.of(robot, task)
+    faults = dict[int, str]()
     q, missed = _follow(postures, distance)
     if missed:
         faults[len(q)] = missed
@@ -290,7 +292,8 @@ def _through(path: JointPath, times: Array) -> LinePlan:
     """Return the plan whose knots are at some times, with its tip error."""
     motion = path.task.profile().sample(times - path.task.rest_before)
     q, slope, bend = path.at(motion.distance)
-    speed, acceleration = motion.speed[:, None], motion.acceleration[:, None]
+    speed = motion.speed[:, None]
+    acceleration = motion.acceleration[:, None]
     qd = slope * speed + 0.0  # without the signs of zeros
     qdd = slope * acceleration + bend * speed * speed + 0.0
     plan = LinePlan(path, times, q, qd, qdd, 0.0)
@@ -388,7 +391,8 @@ def approached(
     """
     gap = np.abs(here - plan.start_pose)
     joint = int(np.argmax(gap))
-    name, way = plan.joint_names[joint], float(gap[joint])
+    name = plan.joint_names[joint]
+    way = float(gap[joint])
     if way <= limits.start_tolerance:
         return ApproachedLine(plan.points, 0.0, plan.duration, name, way)
     if approach is None:
@@ -404,7 +408,8 @@ def approached(
 
 def describe_line(plan: LinePlan) -> str:
     """Return a table of the plan for a person."""
-    task, profile = plan.task, plan.task.profile()
+    task = plan.task
+    profile = plan.task.profile()
     begin, end = plan.motion
     lines = [
         f"{task.what:<10}{task.length:.4f} m at {profile.peak_speed:.4g} m/s, {task.acceleration:.4g} m/s^2",

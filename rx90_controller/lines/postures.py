@@ -52,7 +52,8 @@ class LeastSpeed:
     """
 
     def __init__(self, robot: RobotModel) -> None:
-        self._model, self._data = robot.model, robot.model.createData()
+        self._model = robot.model
+        self._data = robot.model.createData()
         self._frame = robot.model.getFrameId(robot.tcp_frame)
 
     def derivatives(self, q: Array, twist: Array, bend: Array) -> tuple[Array, Array]:
@@ -60,7 +61,9 @@ class LeastSpeed:
 
         `twist` and `bend` are those of the tool, in base axes, shape (6,): 1 and rad/m, 1/m and rad/m².
         """
-        model, data, frame = self._model, self._data, self._frame
+        model = self._model
+        data = self._data
+        frame = self._frame
         j = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
         try:
             weights = np.linalg.solve(j @ j.T, twist)
@@ -69,7 +72,8 @@ class LeastSpeed:
         slope = j.T @ weights
         pin.computeJointJacobiansTimeVariation(model, data, q, slope)
         rate = pin.getFrameJacobianTimeVariation(model, data, frame, pin.WORLD)
-        place, spin = pin.updateFramePlacement(model, data, frame).translation, j[3:]
+        place = pin.updateFramePlacement(model, data, frame).translation
+        spin = j[3:]
         # Of the tool centre point instead of the point of the tool that is at the base's origin.
         rate[:3] -= pin.skew(place) @ rate[3:] + pin.skew(twist[:3]) @ spin
         # q' = Jᵀ w and J q' = x' by the distance: q'' = Jᵀ' w + Jᵀ w', where J q'' = x'' - J' q'.
@@ -78,7 +82,9 @@ class LeastSpeed:
 
     def put_right(self, q: Array, pose: Pose) -> Array | None:
         """Return the angles (m,) that the shortest steps from angles near a pose lead to, or None if they miss it."""
-        model, data, frame = self._model, self._data, self._frame
+        model = self._model
+        data = self._data
+        frame = self._frame
         for _ in range(_STEPS):
             pin.framesForwardKinematics(model, data, q)
             here = data.oMf[frame]
@@ -128,7 +134,8 @@ class Postures:
         Raises:
             LineError: for another number of joints, and for a start posture that does not fit the arm.
         """
-        names, given = robot.joint_names, task.start_posture
+        names = robot.joint_names
+        given = task.start_posture
         if not FEWEST <= len(names) <= MOST:
             raise LineError(f"a {task.what} of an arm of {len(names)} joints; accepted: of {FEWEST} to {MOST}")
         arm = SphericalWristArm.from_chain(robot.chain)
@@ -141,7 +148,8 @@ class Postures:
 
     def from_start(self, distance: Array) -> tuple[Array, str]:
         """Return continuous angles (n, m) at distances (n,) in m as far as the arm reaches, and why no farther."""
-        chain, poses = self.robot.chain, self.task.poses(distance)
+        chain = self.robot.chain
+        poses = self.task.poses(distance)
         if self.closed_form is not None:
             solved_at = self.closed_form.solve(chain, poses, self.task.branch)
             there = ~np.isnan(solved_at).any(axis=1)
@@ -149,16 +157,19 @@ class Postures:
         q: Array | None
         first = Pose(poses.position[0], poses.rotation[0])
         if self.task.start_posture is None:
-            q, missed = solve_anywhere(self.robot, first), _OUT_OF_REACH
+            q = solve_anywhere(self.robot, first)
+            missed = _OUT_OF_REACH
         else:
             guess = np.append(self.task.start_posture, np.zeros(len(self.robot.lower) - len(self.task.start_posture)))
-            q, missed = solve_near(chain, first, guess), self._missed(first, guess)
+            q = solve_near(chain, first, guess)
+            missed = self._missed(first, guess)
         found: list[Array] = []
         while q is not None:
             found.append(q)
             if len(found) == len(distance):
                 return np.array(found), ""
-            pose, guess = Pose(poses.position[len(found)], poses.rotation[len(found)]), found[-1]
+            pose = Pose(poses.position[len(found)], poses.rotation[len(found)])
+            guess = found[-1]
             if self.least_speed is None:
                 q = solve_near(chain, pose, guess)
             else:
@@ -169,7 +180,8 @@ class Postures:
 
     def _missed(self, pose: Pose, guess: Array) -> str:
         error = pose_error(self.robot.chain, newton_steps(self.robot.chain, pose, guess), pose)
-        metres, turn = float(length(error[:3])), float(length(error[3:]))
+        metres = float(length(error[:3]))
+        turn = float(length(error[3:]))
         return f"out of reach, Newton's steps end {metres:.3g} m and {turn:.3g} rad away; {_REACHABLE}"
 
     def derivatives(self, distance: Array, q: Array) -> tuple[Array, Array]:
@@ -186,7 +198,8 @@ class Postures:
 
     def between(self, distance: Array, known: Array, angles: Array) -> Array:
         """Return angles (n, m) at distances (n,) m, from those (k, m) at the known distances (k,) that lie around."""
-        chain, poses = self.robot.chain, self.task.poses(distance)
+        chain = self.robot.chain
+        poses = self.task.poses(distance)
         near = angles[np.clip(np.searchsorted(known, distance), 0, len(known) - 1)]
         if self.closed_form is not None:
             return nearest_turn(self.closed_form.solve(chain, poses, self.task.branch), near)
@@ -227,5 +240,6 @@ def _with_free_tool(robot: RobotModel) -> RobotModel:
         axis=np.vstack([chain.axis, chain.tcp_rotation[:, 2]]),
         tcp_position=np.zeros(3),
     )
-    lower, upper = np.append(robot.lower, -_HALF_TURN), np.append(robot.upper, _HALF_TURN)
+    lower = np.append(robot.lower, -_HALF_TURN)
+    upper = np.append(robot.upper, _HALF_TURN)
     return replace(robot, chain=moved, lower=lower, upper=upper)

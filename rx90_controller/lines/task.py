@@ -134,14 +134,16 @@ class TrapezoidalProfile:
     @property
     def corners(self) -> tuple[float, ...]:
         """Return the times at which the acceleration jumps, s."""
-        end, ramp = self.duration, self.ramp_time
+        end = self.duration
+        ramp = self.ramp_time
         if self.peak_speed < self.speed:
             return (0.0, ramp, end)
         return (0.0, ramp, end - ramp, end)
 
     def sample(self, times: Array) -> PathMotion:
         """Return the motion at `times`, s, shape (n,): at rest before 0 and after the duration."""
-        end, ramp = self.duration, self.ramp_time
+        end = self.duration
+        ramp = self.ramp_time
         # The second half is measured back from the end, so that it ends exactly at rest.
         late = times > end / 2.0
         t = np.where(late, end - times, times)
@@ -325,7 +327,8 @@ def load_task(name: Path | str | None = None, *, robot: Path | str | None = None
         ConfigError: naming file, key, value and what is accepted.
         LineError: if the values do not make a line.
     """
-    folder, own = (None if given is None else str(given) for given in (robot, name))
+    folder = None if robot is None else str(robot)
+    own = None if name is None else str(name)
     file = RobotFiles.named(folder, task=own).required("task")
     return task_of(file, load_yaml(file))
 

@@ -38,7 +38,9 @@ _WATCH_PERIOD = 0.5  # s between two looks for the simulation, while there is a 
 _SIMULATION_TIMEOUT = 2.0  # s without one, after which the goal is given up
 _RESULT_TIMEOUT = 60.0  # s for which results are kept for clients that ask late; a goal may be large
 _RESULT_GRACE = 2.0  # s in which the client of the last goal may ask for its result
-_FLUSH_SPINS, _SPIN_TIMEOUT = 10, 0.01  # turns of the executor in which a result is sent, and s of each at the most
+# turns of the executor in which a result is sent, and s of each at the most
+_FLUSH_SPINS = 10
+_SPIN_TIMEOUT = 0.01
 _ENDS = "the controller ends"
 _POINT_ROWS = ((1, 1, 1, 0), (1, 1, 0, 0), (1, 1, 0, 0), (0, 0, 0, 1))
 """Which of positions, velocities, accelerations, efforts the state's reference, feedback, error and output have."""
@@ -87,8 +89,12 @@ class ClientInterfaces:
     """
 
     def __init__(self, node: Node, loop: ServoLoop, cs7b: CS7B, state_ticks: int, channel: TickChannel) -> None:
-        self._node, self._loop, self._cs7b, self._channel = node, loop, cs7b, channel
-        self._names, self._tick_ns = list(cs7b.joint_names), cs7b.rates.period_ns * cs7b.rates.ratio
+        self._node = node
+        self._loop = loop
+        self._cs7b = cs7b
+        self._channel = channel
+        self._names = list(cs7b.joint_names)
+        self._tick_ns = cs7b.rates.period_ns * cs7b.rates.ratio
         self._goals: dict[bytes, TrajectoryRequest] = {}  # that may still be cancelled
         self._result_requested: set[bytes] = set()  # goals whose client has asked for the result
         self._checked: TrajectoryRequest | None = None  # the goal that is accepted next
@@ -118,7 +124,8 @@ class ClientInterfaces:
         subscribe(node, SpeedScalingFactor, "~/speed_scaling_input", self._on_scaling, LATCHED_QOS)
         node.create_service(QueryTrajectoryState, "~/query_state", self._on_query, qos_profile=qos)
         self.publisher = publish(node, JointTrajectoryControllerState, "~/controller_state", STATE_QOS)
-        self._state, self._state_ns = _StateMessage(self._names), self._tick_ns * state_ticks
+        self._state = _StateMessage(self._names)
+        self._state_ns = self._tick_ns * state_ticks
 
     def end(self) -> None:
         """End the active goal because the node ends, and send its result; take no other."""
@@ -126,7 +133,9 @@ class ClientInterfaces:
             self._ending, ending = True, set(self._goals)
             self._loop.drop(_ENDS)
         self._loop.report()
-        executor, until, spins = self._node.executor, time.monotonic() + _RESULT_GRACE, _FLUSH_SPINS
+        executor = self._node.executor
+        until = time.monotonic() + _RESULT_GRACE
+        spins = _FLUSH_SPINS
         # A client that requested a result while another goal was checked has not been answered yet.
         while executor is not None and spins > 0:
             executor.spin_once(timeout_sec=_SPIN_TIMEOUT if ending else 0.0)
@@ -140,7 +149,6 @@ class ClientInterfaces:
     # Requests of clients, in the order in which they come.
 
     def _on_goal(self, goal: Any) -> GoalResponse:
-        """Check a goal."""
         with self._checking:
             there = self._channel.matches().publishers > 0
             missing = "" if there else "there is no simulation; accepted: once there is one"
@@ -195,19 +203,22 @@ class ClientInterfaces:
         self, request: QueryTrajectoryState.Request, response: QueryTrajectoryState.Response
     ) -> QueryTrajectoryState.Response:
         """Answer with the set-point at a past or future time of the running trajectory."""
-        trajectory, tick = self._cs7b.trajectory, message_time_ns(request.time) / self._tick_ns
+        trajectory = self._cs7b.trajectory
+        tick = message_time_ns(request.time) / self._tick_ns
         response.name = self._names
         with self._loop.between_ticks:
             reason = self._loop.inactive or ("" if self._loop.running else "no states have come yet")
             try:
-                state, moving = trajectory.state(tick), trajectory.moving(math.ceil(tick) - 1)
+                state = trajectory.state(tick)
+                moving = trajectory.moving(math.ceil(tick) - 1)
             except TrajectoryError as error:
                 response.message = reason or str(error)
                 return response
         response.position, response.velocity, response.acceleration = state.tolist()
         if not moving:
             reason = reason or f"time {tick * self._tick_ns * 1e-9:.6g} s; accepted: up to the end of the motion"
-        response.success, response.message = not reason, reason
+        response.success = not reason
+        response.message = reason
         return response
 
     # What clients get.
@@ -242,9 +253,11 @@ class ClientInterfaces:
             return
         cs7b = self._cs7b
         tick = cs7b.position_tick - 1
-        (since, last), scaling = cs7b.trajectory.progress(tick), cs7b.trajectory.speed_scaling(tick)
+        (since, last) = cs7b.trajectory.progress(tick)
+        scaling = cs7b.trajectory.speed_scaling(tick)
         since_ns = round(min(max(since, 0.0), last) * NANOSECONDS)
-        measured, torque = np.array(cs7b.measured()), cs7b.tracking_error()[2]
+        measured = np.array(cs7b.measured())
+        torque = cs7b.tracking_error()[2]
         self.publisher.publish(self._state.encode(stamp_ns, since_ns, cs7b.setpoint, measured, torque, scaling))
 
 
@@ -267,11 +280,13 @@ class _StateMessage:
     """
 
     def __init__(self, joint_names: Sequence[str]) -> None:
-        body, joints = CdrBody(), len(joint_names)
+        body = CdrBody()
+        joints = len(joint_names)
         stamp = body.zeros(8)
         body.string("")  # frame_id
         body.strings(joint_names)
-        numbers, times = [], []
+        numbers = []
+        times = []
         for rows in _POINT_ROWS:
             for there in rows:
                 body.count(joints if there else 0)

@@ -71,7 +71,9 @@ from rx90_controller.trajectory.stream import from_array, from_joint_state
 if TYPE_CHECKING:
     from rx90_controller.node.client_interfaces import ClientInterfaces
 
-_TRAJECTORY, _SET_POINTS, _COMMANDS = "~/joint_trajectory", "~/joint_setpoints", "~/commands"
+_TRAJECTORY = "~/joint_trajectory"
+_SET_POINTS = "~/joint_setpoints"
+_COMMANDS = "~/commands"
 _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
@@ -84,9 +86,6 @@ class Control:
         local: whether a simulation in this process announces the time mode, by `serving.follow`, and calls
             `serving.answer`; else the topic announces it.
 
-    Raises:
-        Rx90Error: for files and parameters that are refused, and a second controller.
-
     Attributes:
         loop: follows trajectories.
         serving: runs it tick by tick.
@@ -96,22 +95,24 @@ class Control:
     """
 
     def __init__(self, node: ManagedNode, files: RobotFiles, *, local: bool) -> None:
-        self._node, self._log = node, node.get_logger()
+        self._node = node
+        self._log = node.get_logger()
         rates = declare_rates(node)
-        robot, drives = load_robot(files.urdf), load_drives(files.drives)
+        robot = load_robot(files.urdf)
+        drives = load_drives(files.drives)
         law, read_law = declare_law(node, files.controller)
         robot.check_count(files.drives, "gear", drives.gear)
         robot.check_count(files.controller, "inertia", law.inertia)
         motor = motor_names(len(robot.joint_names))
         self._cs7b = cs7b = CS7B(robot, drives, law, rates)
         cs7b.warm_up()
-        name, tick_ns = plain(robot.model.name), rates.period_ns * rates.ratio
+        name = plain(robot.model.name)
+        tick_ns = rates.period_ns * rates.ratio
         channel = node.make_channel(MOTOR_COMMANDS, MOTOR_STATES)
         horizon, decimation = declare_own(node)
         goals = declare_goal_parameters(node, cs7b.joint_names)
-        monitor_ticks, state_ticks = (
-            max(1, round(rates.position_hz / hertz)) for hertz in (goals.action_monitor_rate, goals.state_publish_rate)
-        )
+        monitor_ticks = max(1, round(rates.position_hz / goals.action_monitor_rate))
+        state_ticks = max(1, round(rates.position_hz / goals.state_publish_rate))
         declare_joints(node, cs7b.joint_names)
         if goals.unused:
             self._log.warning(
@@ -127,7 +128,8 @@ class Control:
             return publish(node, JointState, f"~/{name}", STATE_QOS)
 
         # The arrays are always the same, brought up to date by a call of the same method.
-        codec, motors = JointStateCodec(cs7b.joint_names), JointStateCodec(motor)
+        codec = JointStateCodec(cs7b.joint_names)
+        motors = JointStateCodec(motor)
         self._every_tick = [
             (topic("reference"), cs7b.reference, codec.encoder(*cs7b.reference())),
             (topic("tracking_error"), cs7b.tracking_error, codec.encoder(*cs7b.tracking_error())),
@@ -143,7 +145,9 @@ class Control:
         node.changes.allow(
             tuple(LAW_ENTRIES), lambda values: read_law(values).record(robot, drives, rates), loop.change_law
         )
-        loop.options, loop.tolerances, loop.streaming = goals.options, goals.tolerances, goals.streaming
+        loop.options = goals.options
+        loop.tolerances = goals.tolerances
+        loop.streaming = goals.streaming
         cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
         self._report = node.create_guard_condition(loop.report)
         self._pacer = pacer = Pacer(rates.period, 1.0)
@@ -207,7 +211,8 @@ class Control:
             if publisher.get_subscription_count():
                 update()
                 publisher.publish(encode(stamp_ns))
-        offset, (publisher, encode) = self._cs7b.offset, self._correction
+        offset = self._cs7b.offset
+        (publisher, encode) = self._correction
         if offset is not None and offset.any() and publisher.get_subscription_count():
             self._offset[:] = offset
             publisher.publish(encode(stamp_ns))
@@ -228,7 +233,8 @@ class Control:
     def accepted(self, trajectory: JointTrajectory, start_ns: int, source: str) -> None:
         """Publish a trajectory as received, stamped with its start; the frame names its source."""
         followed = JointTrajectory(joint_names=trajectory.joint_names, points=trajectory.points)
-        followed.header.stamp, followed.header.frame_id = ros_time(start_ns), source
+        followed.header.stamp = ros_time(start_ns)
+        followed.header.frame_id = source
         self._accepted.publish(followed)
 
     # rclpy accepts one severity for a line of code: the callers of these must remain hidden from it.
@@ -254,12 +260,14 @@ class Control:
     def _on_set_point(self, message: JointState) -> None:
         """Follow a streamed set-point: positions, with velocities or without, or velocities."""
         loop = self.loop
-        names, some = self._cs7b.joint_names, loop.options.allow_partial_joints_goal
+        names = self._cs7b.joint_names
+        some = loop.options.allow_partial_joints_goal
         loop.receive_stream(lambda: from_joint_state(names, message, loop.streaming, partial=some), _SET_POINTS)
 
     def _on_commands(self, message: Float64MultiArray) -> None:
         """Follow a streamed set-point without names, as those of ros2_controllers' forward_command_controller are."""
-        loop, names = self.loop, self._cs7b.joint_names
+        loop = self.loop
+        names = self._cs7b.joint_names
         loop.receive_stream(lambda: from_array(names, message, loop.streaming), _COMMANDS)
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -274,8 +282,11 @@ class Control:
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
         """Return level, message and values of how law, loops and ticks go, once a second, for `Diagnostics`."""
-        cs7b, loop, counts = self._cs7b, self.loop, self._pacer.take()
-        (tick, at), self._reported = self._reported, (cs7b.tick, time.monotonic())
+        cs7b = self._cs7b
+        loop = self.loop
+        counts = self._pacer.take()
+        (tick, at) = self._reported
+        self._reported = (cs7b.tick, time.monotonic())
         now_tick, now = self._reported
         values = {
             "time mode": self.serving.mode or "unknown: no simulation yet",
@@ -339,12 +350,7 @@ class ControllerNode:
     # Transitions, on the executor's thread.
 
     def configure(self) -> None:
-        """Load the robot; the torque stays off.
-
-        Raises:
-            Rx90Error: for files and parameters that are refused, a second controller, or a simulation in this process
-                that does not fit.
-        """
+        """Load the robot; the torque stays off."""
         files = self.node.declare_robot_files(*FILE_PARAMETERS)
         self._control = control = Control(self.node, files, local=self._local)
         if self._time_mode is not None:
@@ -367,7 +373,8 @@ class ControllerNode:
         """Let go of the robot."""
         self.node.ticking.finish()
         with self._answering:
-            control, self._control = self._control, None
+            control = self._control
+            self._control = None
         if control is not None and control.clients is not None:
             control.clients.close()
         forget_robot(self.node)
@@ -415,9 +422,5 @@ class ControllerNode:
 
 
 def spin(args: Sequence[str]) -> None:
-    """Run the node until it is interrupted.
-
-    Raises:
-        Rx90Error: for parameters that are refused, or a simulation that does not fit.
-    """
+    """Run the node until it is interrupted."""
     lifecycle.spin(lambda: started([ControllerNode()]), args)

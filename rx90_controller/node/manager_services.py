@@ -53,15 +53,15 @@ class ManagerServices:
         joint_names: of the arm.
         robot: name of the arm, the hardware component.
         rates: of set-points and of the exchange with the arm, Hz.
-
-    Raises:
-        ConfigError: if that cannot be a node's name.
     """
 
     def __init__(
         self, node: Node, manager: str, loop: ServoLoop, joint_names: Sequence[str], robot: str, rates: tuple[int, int]
     ) -> None:
-        self._name, self._loop, self._robot, self._rates = node.get_name(), loop, robot, rates
+        self._name = node.get_name()
+        self._loop = loop
+        self._robot = robot
+        self._rates = rates
         self._command = [f"{joint}/{each}" for joint in joint_names for each in COMMAND_INTERFACES]
         self._states = [f"{joint}/{each}" for joint in joint_names for each in STATE_INTERFACES]
         self._requests = ThrottledLog(lambda text: node.get_logger().info(text))
@@ -105,7 +105,8 @@ class ManagerServices:
         return response
 
     def _list_types(self, _: Any, response: ListControllerTypes.Response) -> ListControllerTypes.Response:
-        response.types, response.base_classes = [TYPE], [_BASE_CLASS]
+        response.types = [TYPE]
+        response.base_classes = [_BASE_CLASS]
         return response
 
     def _interfaces(self) -> tuple[list[HardwareInterface], list[HardwareInterface]]:
@@ -142,7 +143,8 @@ class ManagerServices:
 
     def _switch(self, request: SwitchController.Request, response: SwitchController.Response) -> Any:
         """Answer that all is as it should be already, or why it cannot be; strict requests are held to be changes."""
-        activate, deactivate = set(request.activate_controllers), set(request.deactivate_controllers)
+        activate = set(request.activate_controllers)
+        deactivate = set(request.deactivate_controllers)
         active = {self._name} if self._loop.active else set()
         idle = activate <= active and not deactivate & active
         unknown = sorted((activate | deactivate) - {self._name})
@@ -163,7 +165,8 @@ class ManagerServices:
         """Answer the state that the arm is in; no other can be reached."""
         target = request.target_state
         is_active = target.label == _ACTIVE.label if target.label else target.id == _ACTIVE.id
-        response.ok, response.state = request.name == self._robot and is_active, _ACTIVE
+        response.ok = request.name == self._robot and is_active
+        response.state = _ACTIVE
         if not response.ok:
             return self._refuse("set_hardware_component_state", request, response)
         return response

@@ -126,9 +126,6 @@ def declare_goal_parameters(node: Node, names: Sequence[str]) -> GoalParameters:
     """Declare the parameters and return them; `names` are those of the joints.
 
     Files for joint_trajectory_controller are accepted, too: parameters without a counterpart here are removed.
-
-    Raises:
-        ConfigError: naming parameter, value and what is accepted.
     """
     tolerances = {
         name: declare(node, name, default, about, low=0.0, high=_LARGEST)
@@ -184,9 +181,6 @@ def declare_law(node: Node, path: Path) -> tuple[CS7BParameters, Callable[[Mappi
     Returns:
         The file's parameters, overridden by those given at the start, and a function that returns them
         with other values of LAW_ENTRIES and raises ConfigError.
-
-    Raises:
-        ConfigError: naming file or parameter, value and accepted range.
     """
     root = load_yaml(path)
     model = read_controller(root).model  # whose files are read once
@@ -206,7 +200,8 @@ def declare_law(node: Node, path: Path) -> tuple[CS7BParameters, Callable[[Mappi
     given: dict[str, Any] = {}
     for name, shape in LAW_ENTRIES.items():
         section, _, key = name.partition(".")
-        value, unit = of_file[section][key], f", {shape.unit}" if len(shape.unit) > 1 else ""
+        value = of_file[section][key]
+        unit = f", {shape.unit}" if len(shape.unit) > 1 else ""
         if not isinstance(value, bool):
             value = [float(each) for each in value] if isinstance(value, tuple) else float(value)
         if isinstance(value, list) and len(value) == 1:  # a default, for all motors

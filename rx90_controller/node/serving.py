@@ -73,14 +73,24 @@ class Serving:
         *,
         local: bool = False,
     ) -> None:
-        self._channel, self._topic, self._loop, self._pacer = channel, channel.subscribe_topic, loop, pacer
-        self._robot, self._announce, self._local = robot, announce, local
-        self._rates, self._period_ns, self._slow_ns = rates, rates.period_ns, rates.period_ns * rates.ratio
+        self._channel = channel
+        self._topic = channel.subscribe_topic
+        self._loop = loop
+        self._pacer = pacer
+        self._robot = robot
+        self._announce = announce
+        self._local = local
+        self._rates = rates
+        self._period_ns = rates.period_ns
+        self._slow_ns = rates.period_ns * rates.ratio
         # Two, in turns: a message that is refused half-way leaves the states before it as they are.
-        self._codec, self._spare = JointStateCodec(names), JointStateCodec(names)
+        self._codec = JointStateCodec(names)
+        self._spare = JointStateCodec(names)
         commands = JointStateCodec(names)
-        self._encode, self._encode_no_torque = commands.encoder(effort=loop.command), commands.encoder()
-        self._complaints, self._log = ThrottledLog(complain), ThrottledLog(announce)
+        self._encode = commands.encoder(effort=loop.command)
+        self._encode_no_torque = commands.encoder()
+        self._complaints = ThrottledLog(complain)
+        self._log = ThrottledLog(announce)
         self._backward: deque[float] = deque(maxlen=_BACKWARD)  # times at which the stamps have gone back
         self._two_simulations = False
         self.mode: str | None = None
@@ -162,7 +172,8 @@ class Serving:
                     if self._two_simulations:
                         return
             self._command = (self._encode if loop.step(stamp, states) else self._encode_no_torque)(stamp)
-            self._stamp, self._state = stamp, raw
+            self._stamp = stamp
+            self._state = raw
             self._channel.publish(self._command)
             loop.after_command(stamp)
         else:
@@ -173,7 +184,9 @@ class Serving:
 
     def serve_free_running(self) -> None:
         """Answer the states that have come, or wait for some for a short while."""
-        loop, channel, period = self._loop, self._channel, self._rates.period
+        loop = self._loop
+        channel = self._channel
+        period = self._rates.period
         self._pacer.wait()
         raw = channel.receive(0.0)
         if raw is not None:
@@ -209,14 +222,16 @@ class Serving:
 
     def _follows(self, states: MotorStates) -> bool:
         """Return whether these states follow the last ones; begin, or skip time, if two in a row require it."""
-        stamp, before = states.stamp_ns, self._elsewhere
+        stamp = states.stamp_ns
+        before = self._elsewhere
         if stamp != self._next:
             if self._next is not None and (before is None or not 0 < stamp - before <= self._lag_ns):
                 self._elsewhere = stamp
                 return False
             if not self._prepared:
                 # Time goes on while the subscribers are waited for, so that the next states are the first ones.
-                self._prepared, self._elsewhere = True, None
+                self._prepared = True
+                self._elsewhere = None
                 self._loop.begin()
                 while self._channel.receive(0.0) is not None:
                     pass

@@ -109,23 +109,31 @@ class ServoLoop:
     """
 
     def __init__(self, cs7b: CS7B, outputs: Outputs, horizon: float, monitor_ticks: int = 50) -> None:
-        self._cs7b, self._outputs, self._horizon, self._monitor_ticks = cs7b, outputs, horizon, monitor_ticks
-        self._period, self.between_ticks = cs7b.rates.position_period, threading.Lock()
+        self._cs7b = cs7b
+        self._outputs = outputs
+        self._horizon = horizon
+        self._monitor_ticks = monitor_ticks
+        self._period = cs7b.rates.position_period
+        self.between_ticks = threading.Lock()
         self.command = cs7b.command
         self.active = self.enabled = True
         self.fault: DriveFault | None = None
         self._released = False  # switched off since the last tick: also if it is on again by now, the motion is over
         self._law_changes: deque[tuple[np.ndarray[Any, Any], Callable[[int], None]]] = deque()
         self.running = self._unpublished = False  # whether the position loop has left something
-        self.options, self.tolerances = GoalOptions(), GoalTolerances.of_parameters(cs7b.joint_names)
+        self.options = GoalOptions()
+        self.tolerances = GoalTolerances.of_parameters(cs7b.joint_names)
         self._waiting: TrajectoryRequest | None = None  # for the first states, or those after the torque was off
         self._correction: tuple[str, Correction] | None = None  # for the trajectory of that identity
         self._followed: TrajectoryRequest | None = None  # a goal, or a trajectory that is held to tolerances
         self.streaming = StreamOptions()
         self._stream: Stream | None = None  # that is followed
         self._complaints = ThrottledLog(partial(self._note, wrong=True))  # of set-points, which come by the hundred
-        self._velocity, self._tick = np.zeros(len(cs7b.joint_names)), -1  # measured last while something was followed
-        self.rejected, self.last_rejection = 0, ""
+        # measured last while something was followed
+        self._velocity = np.zeros(len(cs7b.joint_names))
+        self._tick = -1
+        self.rejected = 0
+        self.last_rejection = ""
         self._reports: deque[Callable[[], None]] = deque()
 
     # The ticking thread.
@@ -145,7 +153,8 @@ class ServoLoop:
             else:
                 self._note(self._outputs.ready)
             self._cs7b.reset(states.position, states.stamp_ns // self._cs7b.rates.period_ns)
-            self.running, self._released = True, False
+            self.running = True
+            self._released = False
             self._follow_waiting()
 
     def step(self, stamp_ns: int, states: MotorStates) -> bool:
@@ -168,7 +177,8 @@ class ServoLoop:
                 if end is not None:
                     what = "stopped" if end[1] else "trajectory ended"
                     self._note(f"{what} at {end[0] * self._period:.3f} s; holding")
-                stream, tick = self._stream, cs7b.position_tick
+                stream = self._stream
+                tick = cs7b.position_tick
                 if stream is not None and tick > stream.expires and not cs7b.trajectory.moving(tick):
                     self._end_stream("holding")
             cs7b.step(states.position, states.velocity, states.torque)
@@ -179,7 +189,8 @@ class ServoLoop:
             if fault.quantity == "torque":
                 self._unpublished = False  # torques that are no numbers
             self._publish(stamp_ns)  # before the reset: the values that led to the fault must be visible
-            self.enabled, self.fault = False, fault
+            self.enabled = False
+            self.fault = fault
             text = f"{fault}; torque off, brakes closed, trajectory dropped, until ~/enable is called with true"
             self._note(text, wrong=True)
             self._drop(f"{fault}; torque off, brakes closed")
@@ -205,10 +216,14 @@ class ServoLoop:
 
     def _watch(self, request: TrajectoryRequest) -> None:
         """Hold a request to its tolerances, after a tick of the position loop."""
-        cs7b, trajectory = self._cs7b, self._cs7b.trajectory
-        tick, desired, (position, velocity) = cs7b.position_tick - 1, cs7b.setpoint.copy(), cs7b.measured()
+        cs7b = self._cs7b
+        trajectory = self._cs7b.trajectory
+        tick = cs7b.position_tick - 1
+        desired = cs7b.setpoint.copy()
+        (position, velocity) = cs7b.measured()
         acceleration = (velocity - self._velocity) / trajectory.period if tick == self._tick + 1 else desired[2]
-        self._velocity, self._tick = velocity, tick
+        self._velocity = velocity
+        self._tick = tick
         request.step(tick, desired, np.stack([position, velocity, acceleration]), trajectory)
         if request.reason:
             self._followed = None
@@ -312,11 +327,13 @@ class ServoLoop:
         Raises:
             TrajectoryError: if it is not to run without one, and none waits for it.
         """
-        requested, points = request.message.header.frame_id == CORRECTED, request.points
+        requested = request.message.header.frame_id == CORRECTED
+        points = request.points
         if points is None or (self._correction is None and not requested):
             return
         identity = trajectory_identity(points)
-        waiting, self._correction = self._correction, None
+        waiting = self._correction
+        self._correction = None
         if waiting is not None and waiting[0] == identity:
             request.points = replace(points, correction=waiting[1])
         elif requested:
@@ -348,7 +365,8 @@ class ServoLoop:
                 return
             replaces = self._waiting is not None and not self._waiting.is_goal
             self._drop(_reason_replaced(request), wanted=True)
-            self._waiting, request.state = request, State.WAITING
+            self._waiting = request
+            request.state = State.WAITING
             instead = ", in place of the one that waited" if replaces else ""
             tick = "next tick, with which the torque comes back" if self.running else "simulation's first tick"
             self._note(f"a {request.kind} waits for the {tick}{instead}")
@@ -405,11 +423,14 @@ class ServoLoop:
         """Cancel a goal: the arm stops along the path. One that has ended meanwhile keeps its end."""
         with self.between_ticks:
             if self._waiting is request:
-                self._waiting, text = None, "cancelled before it began"
+                self._waiting = None
+                text = "cancelled before it began"
             elif self._followed is request:
                 schedule = self._cs7b.trajectory.halt(self._cs7b.position_tick)
-                begin, end = schedule.begin * self._period, schedule.end * self._period
-                self._followed, text = None, f"cancelled; stopping from {begin:.6g} s on, at rest at {end:.6g} s"
+                begin = schedule.begin * self._period
+                end = schedule.end * self._period
+                self._followed = None
+                text = f"cancelled; stopping from {begin:.6g} s on, at rest at {end:.6g} s"
             else:
                 return
             request.end(State.CANCELED, ResultCode.SUCCESSFUL, text)
@@ -436,13 +457,17 @@ class ServoLoop:
             self._note(f"the trajectory that waited is dropped: {why}")
 
     def _follow_waiting(self) -> None:
-        waiting, self._waiting = self._waiting, None
+        waiting = self._waiting
+        self._waiting = None
         if waiting is not None:
             self._follow(waiting)
 
     def _follow(self, request: TrajectoryRequest, joined: JoinedAhead | None = None) -> None:
         """Follow a request, perhaps joined already, in place of the running motion, or refuse it without effect."""
-        now, trajectory, period, points = self._cs7b.position_tick, self._cs7b.trajectory, self._period, request.points
+        now = self._cs7b.position_tick
+        trajectory = self._cs7b.trajectory
+        period = self._period
+        points = request.points
         try:
             if self.inactive:
                 raise TrajectoryError(self.inactive)
@@ -464,7 +489,8 @@ class ServoLoop:
         if request.is_goal or request.tolerances.end_motions:
             # What runs until a trajectory of the topic starts is held to its tolerances, too.
             self._followed = request
-        begin, end = schedule.begin * period, schedule.end * period
+        begin = schedule.begin * period
+        end = schedule.end * period
         if points is None:
             text = f"empty trajectory: stopping from {begin:.3f} s on, at rest at {end:.3f} s"
         else:
@@ -482,7 +508,8 @@ class ServoLoop:
         self._note(text)
 
     def _follow_stream(self, points: SetPoints, source: str) -> None:
-        cs7b, stream = self._cs7b, self._stream
+        cs7b = self._cs7b
+        stream = self._stream
         now = cs7b.position_tick
         if stream is None or stream.interface != points.interface or (stream.named != points.named).any():
             self._drop("replaced by streamed set-points", wanted=True)
@@ -494,7 +521,8 @@ class ServoLoop:
             self._note(f"stream: {stream.notes.pop(0)}", wrong=True)
 
     def _end_stream(self, what: str) -> None:
-        stream, self._stream = self._stream, None
+        stream = self._stream
+        self._stream = None
         if stream is not None:
             late = f", {stream.late} of them late" if stream.late else ""
             now = self._cs7b.position_tick * self._period
@@ -504,9 +532,13 @@ class ServoLoop:
         """End the stream, and the goal, if there is one, with -1 and a reason; `wanted`: the end is no failure."""
         self._end_stream(reason)
         when = f", at {self._cs7b.position_tick * self._period:.6g} s"
-        waiting, goal, self._followed = self._waiting, self._followed, None
+        waiting = self._waiting
+        goal = self._followed
+        self._followed = None
         if waiting is not None and waiting.is_goal:
-            self._waiting, goal, when = None, waiting, ""
+            self._waiting = None
+            goal = waiting
+            when = ""
         if goal is not None and goal.is_goal:
             goal.end(State.ABORTED, ResultCode.INVALID_GOAL, f"{reason}{when}")
             self._deliver(goal, wanted=wanted)

@@ -58,7 +58,8 @@ class NewestPositions:
         position = dict(zip(message.name, message.position, strict=False))
         if set(self._names) <= position.keys():
             self.position = np.array([position[name] for name in self._names])
-            time, self.time = self.time, message_time_ns(message.header.stamp) / NANOSECONDS
+            time = self.time
+            self.time = message_time_ns(message.header.stamp) / NANOSECONDS
             self.count += 1
             self.standing = self.time == time
 
@@ -69,14 +70,12 @@ class TrajectoryClient:
     Args:
         client: the node to do it with.
         controller: name of the controller node, relative or absolute.
-
-    Raises:
-        ConfigError: if that cannot be a node's name.
     """
 
     def __init__(self, client: ClientNode, controller: str) -> None:
         self.topic = controller_topic(client.node, controller)
-        self._client, self._controller = client, controller
+        self._client = client
+        self._controller = controller
         self._publisher = client.node.create_publisher(JointTrajectory, self.topic, 1)
         corrections = self.topic.removesuffix(COMMANDED_TRAJECTORY) + COMMANDED_CORRECTION
         self._corrections = client.node.create_publisher(JointTrajectory, corrections, 1)
@@ -116,13 +115,15 @@ class TrajectoryClient:
         those that cannot be matched no longer than the client's timeout.
         """
         publisher = self._publisher
-        before, since = -1, time.monotonic()
+        before = -1
+        since = time.monotonic()
         deadline = since + self._client.timeout
         while time.monotonic() < since + _SETTLED:
             known = endpoints.fitting_subscriptions(self._client.node, publisher)
             have = publisher.get_subscription_count()
             if have != before or have < known:
-                before, since = have, time.monotonic()
+                before = have
+                since = time.monotonic()
             if have < known and since > deadline:
                 self._client.say(f"{known - have} of {known} that listen to {self.topic} cannot be reached")
                 return
@@ -147,7 +148,8 @@ class TrajectoryClient:
         arm = self._arm
         if arm is None:
             return None
-        count, deadline = arm.count, time.monotonic() + _NEXT_SAMPLE
+        count = arm.count
+        deadline = time.monotonic() + _NEXT_SAMPLE
         while arm.count == count and time.monotonic() < deadline:
             self._client.spin()
         return arm.time if arm.standing else None
@@ -252,7 +254,6 @@ def deliver(
         starting: time beyond the timeout that a starting controller is waited for, s.
 
     Raises:
-        ConfigError: if that cannot be a controller's name.
         ExchangeError: if the controller or the joint states do not appear within the timeout.
         LineError: if the arm is elsewhere and there is no approach, or if the controller would refuse the approach.
     """

@@ -97,8 +97,10 @@ class Polynomial:
 
     def _parameter(self, distance: Array) -> Array:
         cell = np.clip(np.searchsorted(self._lengths, distance, side="right") - 1, 0, len(self._cells) - 2)
-        first, last = self._cells[cell], self._cells[cell + 1]
-        way, whole = distance - self._lengths[cell], self._lengths[cell + 1] - self._lengths[cell]
+        first = self._cells[cell]
+        last = self._cells[cell + 1]
+        way = distance - self._lengths[cell]
+        whole = self._lengths[cell + 1] - self._lengths[cell]
         u = first + (last - first) * way / whole
         for _ in range(_NEWTON):
             u = np.clip(u - (self._way(first, u) - way) / length(self._orders[1](u)), first, last)
@@ -119,7 +121,8 @@ class Polynomial:
         normal = second - growth * tangent
         if order == 2:
             return np.asarray(normal / speed**2)
-        third, turn = self._orders[3](u), normal / speed
+        third = self._orders[3](u)
+        turn = normal / speed
         change = third - growth * turn - np.sum(turn * second + tangent * third, axis=1)[:, None] * tangent
         return np.asarray((change - 2.0 * growth * normal / speed) / speed**3)
 
@@ -155,7 +158,8 @@ def arc_through(start: Array, via: Array, end: Array) -> Circular:
     Raises:
         LineError: for points on one line.
     """
-    a, b = via - start, end - start
+    a = via - start
+    b = end - start
     normal = np.cross(a, b)
     scale = float(length(a) * length(b) * max(1e-300, float(length(end - via))))
     if float(length(normal)) * float(length(end - via)) <= _COLLINEAR * scale:
@@ -180,7 +184,8 @@ def arc_about(start: Array, center: Array, end: Array, normal: Array) -> Circula
     if size == 0.0:
         raise LineError("an arc whose normal is 0; accepted: a direction")
     normal = normal / size
-    near, far = float(length(start - center)), float(length(end - center))
+    near = float(length(start - center))
+    far = float(length(end - center))
     if near == 0.0 or abs(near - far) > _ROUNDED:
         raise LineError(
             f"an arc about {_point(center)} m: its ends are {near:.6g} and {far:.6g} m from there; accepted: equally "
@@ -228,8 +233,13 @@ def _blend(before: Piece, after: Piece, zone: float) -> Polynomial:
     ends = (before, np.array([before.length - zone])), (after, np.array([zone]))
     (p0, t0, k0), (p1, t1, k1) = ([piece.at(at, order)[0] for order in range(3)] for piece, at in ends)
     reach = 2.0 * zone
-    v0, v1, a0, a1 = reach * t0, reach * t1, reach**2 * k0, reach**2 * k1
-    way, speed, bend = p1 - p0 - v0 - 0.5 * a0, v1 - v0 - a0, a1 - a0
+    v0 = reach * t0
+    v1 = reach * t1
+    a0 = reach**2 * k0
+    a1 = reach**2 * k1
+    way = p1 - p0 - v0 - 0.5 * a0
+    speed = v1 - v0 - a0
+    bend = a1 - a0
     c3 = 10.0 * way - 4.0 * speed + 0.5 * bend
     c4 = -15.0 * way + 7.0 * speed - bend
     c5 = 6.0 * way - 3.0 * speed + 0.5 * bend
@@ -254,7 +264,9 @@ class Curve:
 
     def __init__(self, pieces: list[Piece], zones: list[float]) -> None:
         self._pieces: list[Piece] = []
-        joints, at, blended = [0.0], 0.0, 0.0
+        joints = [0.0]
+        at = 0.0
+        blended = 0.0
         for i, piece in enumerate(pieces):
             zone = zones[i] if i < len(zones) else 0.0
             if zone > 0.0:
@@ -337,16 +349,19 @@ class Curve:
         distance, places = self._samples
         hint = None if near is None else np.searchsorted(distance, np.clip(near, 0.0, self.length))
         nearest = nearest_corner(points, places, hint)
-        along, across = np.full(len(points), np.nan), np.full(len(points), np.inf)
+        along = np.full(len(points), np.nan)
+        across = np.full(len(points), np.inf)
         for cell in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(distance) - 2)):
             at = self._in_cell(points, distance[cell], distance[cell + 1])
             distances = length(self.at(at) - points)
-            along, across = np.where(distances < across, at, along), np.minimum(distances, across)
+            along = np.where(distances < across, at, along)
+            across = np.minimum(distances, across)
         for end, sign, last in ((0.0, -1.0, 0), (self.length, 1.0, len(distance) - 1)):
             tangent = self.at(np.array([min(end, self.length - 1e-12)]), 1)[0]
             past, lateral = decompose(points - places[last], tangent)
             rows: Mask = (nearest == last) & (sign * past > 0.0)
-            along[rows], across[rows] = (end + past)[rows], length(lateral)[rows]
+            along[rows] = (end + past)[rows]
+            across[rows] = length(lateral)[rows]
         return PathError(along, across)
 
     def _in_cell(self, points: Array, low: Array, high: Array) -> Array:
@@ -355,7 +370,8 @@ class Curve:
         inside = high - 1e-12  # at its end the next piece begins
         for _ in range(_NEWTON):
             off = self.at(at) - points
-            tangent, bend = self.at(at, 1), self.at(at, 2)
+            tangent = self.at(at, 1)
+            bend = self.at(at, 2)
             slope = 1.0 + np.sum(off * bend, axis=1)
             at = np.clip(at - np.sum(off * tangent, axis=1) / np.where(slope > 0.1, slope, 1.0), low, inside)
         return np.asarray(at)

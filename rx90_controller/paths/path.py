@@ -178,7 +178,6 @@ class Path(TipTask):
 
     @cached_property
     def _limits(self) -> tuple[SpeedLimit, ...]:
-        """Return the required speeds."""
         joints = self.curve.joints.tolist()
         return tuple(
             SpeedLimit(begin, end, self.speed if segment.speed is None else segment.speed)
@@ -189,8 +188,10 @@ class Path(TipTask):
     def stops(self) -> tuple[float, ...]:
         """Return where the tool stops, m: at the ends, and at corners that no zone rounds."""
         inner = self.curve.starts[1:-1]
-        before, after = (self.twists(inner + side)[0][:, 3:] for side in (-1e-9, 0.0))
-        jumps, rates = (np.abs(each).max(axis=1, initial=0.0) for each in (after - before, after))
+        before = self.twists(inner + -1e-09)[0][:, 3:]
+        after = self.twists(inner + 0.0)[0][:, 3:]
+        jumps = np.abs(after - before).max(axis=1, initial=0.0)
+        rates = np.abs(after).max(axis=1, initial=0.0)
         turns = jumps > np.maximum(_JUMP, 1e-3 * rates)
         return (0.0, *inner[self.curve.corners | turns].tolist(), self.length)
 
@@ -222,7 +223,8 @@ class Path(TipTask):
 
     def corners(self) -> tuple[float, ...]:
         """Return the times of the motion at which an acceleration jumps, s: of the motion, and where the curve does."""
-        profile, curve = self.profile(), self.curve
+        profile = self.profile()
+        curve = self.curve
         places = curve.starts[1:-1]
         if self.orientation == TANGENT:
             places = np.concatenate([places, curve.knots])
@@ -240,10 +242,12 @@ class Path(TipTask):
         turn = np.linalg.norm(self.curve.at(distance, 2), axis=1) * (distance[1] - distance[0])
         # A bend may lie between two of them, with another one that turns back.
         short = np.diff(self.curve.starts) < 2.0 * distance[1]
-        low, high = self.curve.starts[:-1][short], self.curve.starts[1:][short]
+        low = self.curve.starts[:-1][short]
+        high = self.curve.starts[1:][short]
         inside = np.linspace(low, high, 9)[1:-1]
         bend = np.linalg.norm(self.curve.at(inside.ravel(), 2), axis=1).reshape(inside.shape).max(axis=0, initial=0.0)
-        begins, ends = np.append(distance[:-1], low), np.append(distance[1:], high)
+        begins = np.append(distance[:-1], low)
+        ends = np.append(distance[1:], high)
         parts = np.ceil(np.append(np.maximum(turn[1:], turn[:-1]), bend * (high - low)) / _TURN)
         parts = np.minimum(parts.astype(int), _MAX_PARTS)
         inner = [np.linspace(begins[k], ends[k], parts[k] + 1) for k in np.flatnonzero(parts > 1)]
@@ -252,7 +256,8 @@ class Path(TipTask):
     def poses(self, distance: Array) -> Pose:
         """Return the poses of the tool centre point at `distance` (n,) m from the start."""
         distance = np.clip(distance, 0.0, self.length)
-        position, first = self.curve.at(distance), rpy_rotation(self.start_rpy)
+        position = self.curve.at(distance)
+        first = rpy_rotation(self.start_rpy)
         if self.orientation == FIXED:
             return Pose(position, np.broadcast_to(first, (len(distance), 3, 3)))
         if self.orientation == TANGENT:
@@ -274,10 +279,12 @@ class Path(TipTask):
         """
         joints = self.curve.joints
         which = np.clip(np.searchsorted(joints, distance, side="right") - 1, 0, len(self.segments) - 1)
-        found, rpy = [], self.start_rpy
+        found = []
+        rpy = self.start_rpy
         for i, segment in enumerate(self.segments):
             end = segment.end_rpy or rpy
-            rows, whole = np.flatnonzero(which == i), joints[i + 1] - joints[i]
+            rows = np.flatnonzero(which == i)
+            whole = joints[i + 1] - joints[i]
             x = (distance[rows] - joints[i]) / whole
             if len(self.segments) == 1:
                 share = x, np.full_like(x, 1.0 / whole), np.zeros_like(x)
@@ -295,16 +302,18 @@ class Path(TipTask):
         """Return first and second derivative of place and orientation by the distance, as of a line, (n, 6)."""
         distance = np.clip(distance, 0.0, self.length)
         first, second = np.zeros((2, len(distance), 6))
-        first[:, :3], second[:, :3] = self.curve.at(distance, 1), self.curve.at(distance, 2)
+        first[:, :3] = self.curve.at(distance, 1)
+        second[:, :3] = self.curve.at(distance, 2)
         if self.orientation == TANGENT:
             tool = rpy_rotation(self.start_rpy)
-            (x, y), (dx, dy), (ddx, ddy) = (
-                rotated(transposed(tool), self.curve.at(distance, k)).T[:2] for k in (1, 2, 3)
-            )
+            (x, y) = rotated(transposed(tool), self.curve.at(distance, 1)).T[:2]
+            (dx, dy) = rotated(transposed(tool), self.curve.at(distance, 2)).T[:2]
+            (ddx, ddy) = rotated(transposed(tool), self.curve.at(distance, 3)).T[:2]
             horizontal = x * x + y * y
             rate = (x * dy - y * dx) / horizontal
             change = (x * ddy - y * ddx) / horizontal - 2.0 * rate * (x * dx + y * dy) / horizontal
-            first[:, 3:], second[:, 3:] = rate[:, None] * tool[:, 2], change[:, None] * tool[:, 2]
+            first[:, 3:] = rate[:, None] * tool[:, 2]
+            second[:, 3:] = change[:, None] * tool[:, 2]
         if self.orientation == INTERPOLATED:
             for rows, _, turn, share in self._turns(distance):
                 first[rows, 3:], second[rows, 3:] = (each[:, None] * turn for each in share[1:])
@@ -338,12 +347,14 @@ class Path(TipTask):
             velocity: limits, rad/s, shape (n,).
             most: limits of the acceleration, rad/s², shape (n,); infinite for none.
         """
-        slope, bend = np.abs(slope), np.abs(bend)
+        slope = np.abs(slope)
+        bend = np.abs(bend)
         requested = np.full(len(distance), np.inf)
         for one in self._limits:
             within = (distance >= one.begin) & (distance <= one.end)
             requested[within] = np.minimum(requested[within], one.speed)
-        velocity, most = _SPEED_RESERVE * velocity, _RESERVE * most
+        velocity = _SPEED_RESERVE * velocity
+        most = _RESERVE * most
         short = slope * self.acceleration + bend * requested[:, None] ** 2 > most
         with np.errstate(divide="ignore", invalid="ignore"):
             allowed = np.where(short & (slope > 0.0), _ACCELERATION_SHARE * most / slope, np.inf)
@@ -353,7 +364,8 @@ class Path(TipTask):
             bending = np.where(bend > 0.0, np.sqrt(rest / bend), np.inf)
         both = np.stack([turning, bending])
         possible = both.min(axis=(0, 2))
-        lowered, remarks = list[SpeedLimit](), list[str]()
+        lowered = list[SpeedLimit]()
+        remarks = list[str]()
         for one in self._limits:
             rows = np.flatnonzero((distance >= one.begin) & (distance <= one.end))
             slow = rows[(possible[rows] < one.speed) | (acceleration[rows] < self.acceleration)]
@@ -363,11 +375,13 @@ class Path(TipTask):
             for begin, end in pairwise(np.linspace(one.begin, one.end, count + 1).tolist()):
                 low, high = np.searchsorted(distance, [begin, end])
                 near = slice(max(low - 1, 0), high + 1)
-                speed, ramp = float(possible[near].min()), float(acceleration[near].min())
+                speed = float(possible[near].min())
+                ramp = float(acceleration[near].min())
                 if speed < one.speed or ramp < self.acceleration:
                     lowered.append(SpeedLimit(begin, end, min(speed, one.speed), ramp))
             between = f"between {distance[slow[0]]:.3f} and {distance[slow[-1]]:.3f} m"
-            lowest, least = slow[np.argmin(possible[slow])], slow[np.argmin(acceleration[slow])]
+            lowest = slow[np.argmin(possible[slow])]
+            least = slow[np.argmin(acceleration[slow])]
             if possible[lowest] < one.speed:
                 kind, j = divmod(int(np.argmin(both[:, lowest])), len(names))
                 remarks.append(

@@ -77,7 +77,8 @@ class LimitedProfile:
             times = np.concatenate([[0.0], np.cumsum(rows[:, 0])])
             at = np.concatenate([times, times + mean])
             steps_of = np.concatenate([[0.0], rows[:, 3], [0.0]])
-            now, before = (steps_of[np.searchsorted(times, t + _SHORTEST_PHASE / 2.0)] for t in (at, at - mean))
+            now = steps_of[np.searchsorted(times, at + _SHORTEST_PHASE / 2.0)]
+            before = steps_of[np.searchsorted(times, at - mean + _SHORTEST_PHASE / 2.0)]
             if mean == 0.0 or np.abs(now - before).max() / mean <= self.jerk * (1.0 + 1e-9):
                 break
         return PPoly(np.array([0.5 * rows[:, 3], rows[:, 2], rows[:, 1]]), times), mean
@@ -91,7 +92,8 @@ class LimitedProfile:
                 widened.append(one._replace(begin=max(begin, one.begin - way), end=min(end, one.end + way)))
         edges = np.unique([begin, end, *(place for one in widened for place in one[:2])])
         middles = 0.5 * (edges[1:] + edges[:-1])
-        most, most_acceleration = np.full(len(middles), np.inf), np.full(len(middles), self._steepest)
+        most = np.full(len(middles), np.inf)
+        most_acceleration = np.full(len(middles), self._steepest)
         for one in widened:
             rows = (middles > one.begin) & (middles < one.end)
             most[rows] = np.minimum(most[rows], one.speed**2)
@@ -105,10 +107,14 @@ class LimitedProfile:
             squares[k] = min(squares[k], squares[k + 1] + gains[k])
         phases = []
         for k, (way, a) in enumerate(zip(ways, most_acceleration, strict=True)):
-            first, last = squares[k], squares[k + 1]
+            first = squares[k]
+            last = squares[k + 1]
             peak = min(most[k], 0.5 * (first + last) + a * way)
-            v0, v, v1 = math.sqrt(first), math.sqrt(peak), math.sqrt(last)
-            up, down = 0.5 * (peak - first) / a, 0.5 * (peak - last) / a
+            v0 = math.sqrt(first)
+            v = math.sqrt(peak)
+            v1 = math.sqrt(last)
+            up = 0.5 * (peak - first) / a
+            down = 0.5 * (peak - last) / a
             even = max(way - up - down, 0.0)
             phases.append(((v - v0) / a, edges[k], v0, a))
             phases.append((even / v, edges[k] + up, v, 0.0))
@@ -138,7 +144,8 @@ class LimitedProfile:
     def sample(self, times: Array) -> PathMotion:
         """Return the motion at `times`, s, shape (n,): at rest before 0 and after the duration."""
         motion, mean = self._built
-        speed, whole = motion.derivative(), motion.antiderivative()
+        speed = motion.derivative()
+        whole = motion.antiderivative()
         end = float(motion.x[-1])
 
         def at(curve: PPoly, t: Array, past: float) -> Array:
@@ -159,7 +166,8 @@ class LimitedProfile:
                 (at(motion, t, self.length) - at(motion, t - mean, self.length)) / mean,
                 (at(speed, t, 0.0) - at(speed, t - mean, 0.0)) / mean,
             )
-        over, before = t >= end + mean, t <= 0.0
+        over = t >= end + mean
+        before = t <= 0.0
         distance = np.where(over, self.length, np.where(before, 0.0, np.clip(found[0], 0.0, self.length)))
         still = over | before if mean > 0.0 else (t > end) | (t < 0.0)
         return PathMotion(distance, np.where(still, 0.0, found[1]), np.where(still, 0.0, found[2]))
@@ -170,9 +178,11 @@ class LimitedProfile:
 
     def times_at(self, distance: Array) -> Array:
         """Return the first times, s, at which distances (n,) m are reached."""
-        low, high = np.zeros(len(distance)), np.full(len(distance), self.duration)
+        low = np.zeros(len(distance))
+        high = np.full(len(distance), self.duration)
         for _ in range(_BISECTIONS):
             middle = 0.5 * (low + high)
             there = self.sample(middle).distance >= distance
-            low, high = np.where(there, low, middle), np.where(there, middle, high)
+            low = np.where(there, low, middle)
+            high = np.where(there, middle, high)
         return high

@@ -64,7 +64,8 @@ class TrajectoryGenerator:
     def warm_up(self) -> None:
         """Compile, or load, the kernels that a running arm may need."""
         joints = len(self.limits.names)
-        rest, held = np.zeros((2, joints)), np.zeros((3, joints))
+        rest = np.zeros((2, joints))
+        held = np.zeros((3, joints))
         spline = smooth(np.array([0.0, 1.0]), rest, rest)
         spline.bounds()
         self._followed(0, Path(spline, 0.0, 1.0)).halted(0, 1)
@@ -185,14 +186,17 @@ class TrajectoryGenerator:
             return
         self.factor = factor
         self._played = cut_at(self._played, now, now)  # it belongs to the speed at which it was learned
-        motion, waiting = self._effective(now), self._next
+        motion = self._effective(now)
+        waiting = self._next
         if motion.runs(now) and not motion.fixed:
             if waiting is not None and motion is not waiting:
                 # One path, which changes over to the other at the point that it will have reached, at its present rate,
                 # by its start.
-                at, (spline, _, last, stops) = motion.at(waiting.start)[0], waiting.path
+                at = motion.at(waiting.start)[0]
+                (spline, _, last, stops) = waiting.path
                 path = Path(joined(motion.path.spline, at, spline), at, at + last, stops)
-                self._current, self._next = motion.on(path, motion.path), None
+                self._current = motion.on(path, motion.path)
+                self._next = None
                 motion = self._current
             motion.go_at(factor, now)
         elif waiting is not None and motion is not waiting:
@@ -281,9 +285,11 @@ class TrajectoryGenerator:
         `stop`. A waiting motion is dropped. Return when the stop begins and ends.
         """
         self._promote(now)
-        base, acceleration = self._base(now), self.limits.acceleration
+        base = self._base(now)
+        acceleration = self.limits.acceleration
         if base.fixed and base.runs(now):
-            self._current, self._next = base, None
+            self._current = base
+            self._next = None
             self._played = cut_at(self._played, now, now)
             self.revision += 1
             return Schedule(base.start, base.end, 0.0)
@@ -308,7 +314,8 @@ class TrajectoryGenerator:
         fork = copy.copy(self)
         fork._origin = (self.revision, None if self._next is None else self._next.start)
         laws = [copy.copy(law) for law in self._current.laws]  # a fork must not change this generator's laws
-        fork._current, fork._next = replace(self._current, laws=laws), None
+        fork._current = replace(self._current, laws=laws)
+        fork._next = None
         return fork
 
     def continues(self, fork: TrajectoryGenerator, now: int) -> bool:
@@ -323,7 +330,9 @@ class TrajectoryGenerator:
             fork._next.delay(late)
             fork._played = [one.shifted(late) if one.begin == begin else one for one in fork._played]
         fork._current.announced = self._current.announced
-        self._current, self._next, self._played = fork._current, fork._next, fork._played
+        self._current = fork._current
+        self._next = fork._next
+        self._played = fork._played
         self.revision += 1
 
     def _effective(self, tick: float) -> FollowedPath:
@@ -333,7 +342,8 @@ class TrajectoryGenerator:
     def _promote(self, tick: int) -> None:
         """Make a trajectory that began before position tick `tick` the running one."""
         if self._next is not None and self._next.start < tick:
-            self._current, self._next = self._next, None
+            self._current = self._next
+            self._next = None
 
     def _begin(self, now: int, start: int | None) -> int:
         begin = now if start is None else start
@@ -360,7 +370,9 @@ class TrajectoryGenerator:
 
     def _take(self, points: TrajectoryPoints, now: int, begin: int, *, follow: bool) -> Schedule:
         """Check a trajectory and run it; joints that it does not name hold, or follow the running one."""
-        limits, base, partial = self.limits, self._base(now), not points.named.all()
+        limits = self.limits
+        base = self._base(now)
+        partial = not points.named.all()
         rate = self._rate(base, begin)
         # Held on the path, the arm rests, and may go elsewhere from there.
         stands_still = begin == now and rate == 0.0 and not (follow and partial)

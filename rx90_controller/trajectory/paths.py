@@ -49,7 +49,8 @@ class _Quantity(NamedTuple):
 
     def accepted(self, row: int, joint: int) -> str:
         """Return the limits of a joint in a row."""
-        low, high = (bound if bound.ndim == 1 else bound[row] for bound in (self.low, self.high))
+        low = self.low if self.low.ndim == 1 else self.low[row]
+        high = self.high if self.high.ndim == 1 else self.high[row]
         return f"[{low[joint]:.6g}, {high[joint]:.6g}]"
 
 
@@ -77,7 +78,8 @@ class JointLimits:
 
     def _quantities(self, lower: Array, upper: Array) -> tuple[_Quantity, _Quantity, _Quantity]:
         """Return position, velocity and acceleration with their limits; those of the position are given."""
-        v, a = self.velocity, self.acceleration
+        v = self.velocity
+        a = self.acceleration
         return (
             _Quantity("position", "rad", lower, upper, _POSITION_SLACK),
             _Quantity("velocity", "rad/s", -v, v),
@@ -178,7 +180,8 @@ class JointLimits:
 
     def _certainly_within(self, spline: Spline) -> bool:
         """Return whether bounds of the spline, and so its set-points and the steps between them, are within limits."""
-        quantities, extremes = self._quantities(self.lower, self.upper), np.stack(spline.bounds(), axis=1)
+        quantities = self._quantities(self.lower, self.upper)
+        extremes = np.stack(spline.bounds(), axis=1)
         return all(each.first_outside(pair) is None for each, pair in zip(quantities, extremes, strict=True))
 
     def _of_setpoints(
@@ -189,7 +192,9 @@ class JointLimits:
         Points closer to each other than two set-points can hide a jump from every sampled derivative, so that the steps
         from one to the next are checked, too.
         """
-        q, v, a = setpoints[:, 0], setpoints[:, 1], setpoints[:, 2]
+        q = setpoints[:, 0]
+        v = setpoints[:, 1]
+        a = setpoints[:, 2]
         step = np.diff(times)[:, None]
         last = knots.size - 1
         point = np.minimum(np.searchsorted(knots, times), last)
@@ -208,9 +213,11 @@ class JointLimits:
 
     def _check_between(self, spline: Spline, points: TrajectoryPoints) -> None:
         """Check the largest accelerations of all pieces."""
-        c, span = spline.coefficients, np.diff(spline.times)[:, None]
+        c = spline.coefficients
+        span = np.diff(spline.times)[:, None]
         # The derivative of the acceleration is 6 c3 + 24 c4 s + 60 c5 s^2; the extremes lie at its roots or the ends.
-        half, square = 12.0 * c[:, 4], 60.0 * c[:, 5]
+        half = 12.0 * c[:, 4]
+        square = 60.0 * c[:, 5]
         with np.errstate(divide="ignore", invalid="ignore"):
             root = half + np.copysign(np.sqrt(half * half - square * 6.0 * c[:, 3]), half)
             extremes = (-root / square, -6.0 * c[:, 3] / root)
@@ -220,7 +227,8 @@ class JointLimits:
             beyond = np.argwhere(~(np.abs(value) <= (1.0 + _BETWEEN_SLACK) * self.acceleration))
             if len(beyond):
                 row, joint = beyond[0]
-                time, most = spline.times[row] + inside[row, joint], self.acceleration[joint]
+                time = spline.times[row] + inside[row, joint]
+                most = self.acceleration[joint]
                 middle = 0.5 * (spline.times[row] + spline.times[row + 1])
                 point = points.first + min(int(np.searchsorted(points.times, middle)), len(points.times) - 1)
                 raise TrajectoryError(
@@ -235,7 +243,10 @@ def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Splin
     Raises:
         TrajectoryError: if the first point is elsewhere, or comes too early.
     """
-    times, position, velocity, acceleration = points.times, points.position, points.velocity, points.acceleration
+    times = points.times
+    position = points.position
+    velocity = points.velocity
+    acceleration = points.acceleration
     later = times[0] > 0
     if later:
         times = np.concatenate([[0.0], times])
@@ -274,7 +285,8 @@ def _by_degrees(
     parts = []
     for begin, end in zip(begins, [*begins[1:], len(degrees)], strict=True):
         run = slice(begin, end + 1)
-        q, v = position[run], velocity[run]
+        q = position[run]
+        v = velocity[run]
         if degrees[begin] == 1:
             parts.append(straight(times[run], q, v[0], limits, first + int(begin), v[-1]))
         else:
@@ -303,9 +315,11 @@ def straight(
     Raises:
         TrajectoryError: naming the first point that comes too early for the ramps.
     """
-    span, way = np.diff(times), np.diff(position, axis=0)
+    span = np.diff(times)
+    way = np.diff(position, axis=0)
     speed = way / span[:, None]
-    last, final = len(span) - 1, np.zeros(position.shape[1]) + end_velocity
+    last = len(span) - 1
+    final = np.zeros(position.shape[1]) + end_velocity
     if last == 0:
         begin = end = _both_ends(first + 1, span[0], way[0], (velocity, final), limits)
         speed[0] = (way[0] - (velocity + final) * (begin / 2.0)) / (span[0] - begin)
@@ -330,7 +344,8 @@ def straight(
     start = np.concatenate([[times[0]], times[1:-1] - half, [times[-1] - end]])
     cruise = np.append(start[1:], start[-1] + ramp[-1]) - (start + ramp)
     around = np.vstack([velocity, speed, final])
-    before, after = around[:-1], around[1:]
+    before = around[:-1]
+    after = around[1:]
     kept = np.column_stack([ramp > 0.0, cruise > 0.0]).ravel()  # those of no duration are left out
     knots = np.column_stack([start, start + ramp]).ravel()[kept]
     bend = np.zeros((2 * len(start), position.shape[1]))
@@ -340,7 +355,8 @@ def straight(
     )[kept]
     coefficients = np.zeros((len(knots), 6, bend.shape[1]))
     coefficients[:, 0] = np.cumsum(np.concatenate([position[:1], ways[:-1]]), axis=0)
-    coefficients[:, 1], coefficients[:, 2] = np.stack([before, after], axis=1).reshape(bend.shape)[kept], bend[kept]
+    coefficients[:, 1] = np.stack([before, after], axis=1).reshape(bend.shape)[kept]
+    coefficients[:, 2] = bend[kept]
     blend_error = float((half[:, None] * np.abs(change)).max(initial=0.0)) / 4.0
     return Spline(np.append(knots, start[-1] + ramp[-1]), coefficients, position[-1].copy(), blend_error)
 
@@ -362,15 +378,18 @@ def _both_ends(point: int, span: float, way: Array, ends: tuple[Array, Array], l
     way = (v0 + v) tau/2 + v (span - 2 tau) + (v + v1) tau/2, with |v - v0| <= a tau and |v - v1| <= a tau; each
     is a quadratic inequality in tau.
     """
-    a, (v0, v1) = limits.acceleration, ends
-    least, most = 0.0, span / 2.0
+    a = limits.acceleration
+    (v0, v1) = ends
+    least = 0.0
+    most = span / 2.0
     for sign in (1.0, -1.0):
         for b, c in (((v0 - v1) / 2.0, way - v1 * span), ((v1 - v0) / 2.0, way - v0 * span)):
             middle = (span + sign * b / a) / 2.0
             square = middle * middle - sign * c / a
             _refuse_early(point, square < 0.0, span, way, limits)
             root = np.sqrt(square)
-            least, most = max(least, float((middle - root).max())), min(most, float((middle + root).min()))
+            least = max(least, float((middle - root).max()))
+            most = min(most, float((middle + root).min()))
             _refuse_early(point, (middle - root > most) | (middle + root < least), span, way, limits)
     return least
 

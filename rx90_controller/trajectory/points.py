@@ -26,7 +26,10 @@ _REST_VELOCITY = float(np.finfo(np.float32).eps)  # rad/s
 # A last point that repeats the one before. MoveIt's time-optimal plans are sampled each 0.1 s and at their end, with
 # the velocities at the end of a step of 1 ms: where the end comes less than that later, both points are at rest, apart
 # by what was braked.
-_REPEATED_TIME, _REPEATED_POSITION, _REPEATED_VELOCITY = 0.999e-3, 1e-4, 1e-9  # s, rad, rad/s
+# s, rad, rad/s
+_REPEATED_TIME = 0.999e-3
+_REPEATED_POSITION = 1e-4
+_REPEATED_VELOCITY = 1e-9
 _MIN_POINT_BYTES = 4 * len(POINT_FIELDS) + 8  # four empty sequences and a time
 
 Way = Spline
@@ -100,9 +103,10 @@ class TrajectoryPoints:
         names = list(joint_names)
         check_joints(robot_joints, names, partial=partial)
         if _last_is_repeated(times, position, velocity):
-            times, position, velocity, acceleration = (
-                [*rows[:-2], *rows[-1:]] for rows in (times, position, velocity, acceleration)
-            )
+            times = [*times[:-2], *times[-1:]]
+            position = [*position[:-2], *position[-1:]]
+            velocity = [*velocity[:-2], *velocity[-1:]]
+            acceleration = [*acceleration[:-2], *acceleration[-1:]]
         _check_times(times)
         columns = [list(robot_joints).index(name) for name in names]
         given = (("positions", position), ("velocities", velocity), ("accelerations", acceleration))
@@ -146,7 +150,8 @@ class TrajectoryPoints:
     def after(self, time: float) -> TrajectoryPoints:
         """Return the points later than a time, s, with times from there on."""
         later = self.times > time + _SHORTEST_STEP
-        velocity, acceleration = (None if rows is None else rows[later] for rows in (self.velocity, self.acceleration))
+        velocity = None if self.velocity is None else self.velocity[later]
+        acceleration = None if self.acceleration is None else self.acceleration[later]
         return replace(
             self,
             times=self.times[later] - time,
@@ -228,7 +233,8 @@ def joint_table(
     table[:, columns] = [row if len(row) else [0.0] * len(columns) for row in rows]
     if not np.isfinite(table).all():
         i, k = np.argwhere(~np.isfinite(table[:, columns]))[0]
-        value, name = table[i, columns[k]], robot_joints[columns[k]]
+        value = table[i, columns[k]]
+        name = robot_joints[columns[k]]
         raise TrajectoryError(f"{where.format(i)}{what} of {name}: {value}; accepted: a finite number")
     return table
 
@@ -249,7 +255,6 @@ def _degrees(velocity: Sequence[Sequence[float]], acceleration: Sequence[Sequenc
 def _last_is_repeated(
     times: Sequence[float], position: Sequence[Sequence[float]], velocity: Sequence[Sequence[float]]
 ) -> bool:
-    """Return whether the last point repeats the one before."""
     if len(times) < 2 or not -_SHORTEST_STEP <= times[-1] - times[-2] <= _REPEATED_TIME:
         return False
     return all(

@@ -24,10 +24,14 @@ from rx90_controller.trajectory.generator import PastError, Schedule, Trajectory
 from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, points_from_message
 
 _QUANTITIES = (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s^2"))  # the rows of tolerances
-_SHORT_POINTS, _SHORT_S = 20, 20.0  # points, s: of a trajectory that can be joined between two ticks
+# points, s: of a trajectory that can be joined between two ticks
+_SHORT_POINTS = 20
+_SHORT_S = 20.0
 # A long trajectory whose start is "now" begins so much later: s, for each point, and for each second of it, in which a
 # thousand set-points may have to be checked.
-_LEAD, _LEAD_PER_POINT, _LEAD_PER_SECOND = 5e-3, 1e-4, 5e-4
+_LEAD = 5e-3
+_LEAD_PER_POINT = 1e-4
+_LEAD_PER_SECOND = 5e-4
 _LEAD_GROWTH = 4  # at each further attempt
 
 
@@ -100,7 +104,8 @@ class GoalTolerances:
         """Return the tolerances given by some of `constraint_parameters`, with the defaults of the others."""
         known = {name: default for name, (default, _) in constraint_parameters(names).items()} | dict(values or {})
         limits = {name.removeprefix("constraints."): value or math.inf for name, value in known.items()}
-        path, goal = np.full((3, len(names)), np.inf), np.full((3, len(names)), np.inf)
+        path = np.full((3, len(names)), np.inf)
+        goal = np.full((3, len(names)), np.inf)
         path[0] = [limits[f"{name}.trajectory"] for name in names]
         goal[0] = [limits[f"{name}.goal"] for name in names]
         goal[1] = limits["stopped_velocity_tolerance"]
@@ -124,7 +129,8 @@ class GoalTolerances:
         """
         tables = []
         for what, given, defaults in (("path_tolerance", path, self.path), ("goal_tolerance", goal, self.goal)):
-            table, joints = defaults.copy(), [str(tolerance.name) for tolerance in given]
+            table = defaults.copy()
+            joints = [str(tolerance.name) for tolerance in given]
             for name, tolerance in zip(joints, given, strict=True):
                 if name not in self.names or joints.count(name) > 1:
                     reason = "stands twice" if name in self.names else "is unknown"
@@ -249,7 +255,8 @@ class TrajectoryRequest:
         """
         if self.points is None:
             return generator.stop(now, self.start)
-        anywhere, late = self.options.allow_trajectory_replacement, self.start is not None and self.start < now
+        anywhere = self.options.allow_trajectory_replacement
+        late = self.start is not None and self.start < now
         if self.is_goal or anywhere or late:
             return generator.join(self.points, now, self.start, anywhere=anywhere)
         return generator.accept(self.points, now, self.start)
@@ -266,21 +273,26 @@ class TrajectoryRequest:
             actual: measured, likewise.
             trajectory: generator that follows it.
         """
-        (time, last), period, tolerances = trajectory.progress(tick), trajectory.period, self.tolerances
+        (time, last) = trajectory.progress(tick)
+        period = trajectory.period
+        tolerances = self.tolerances
         if self.state is State.WAITING and time < 0.0:
             return
         first = self.feedback is None
         if first:
-            self.state, self._began = State.FOLLOWED, tick
+            self.state = State.FOLLOWED
+            self._began = tick
         error = desired - actual
         self.feedback = Feedback(tick, desired, actual, time, (tick - self._began) * period)
-        reached, now = time >= last, f"{tick * period:.6g} s"
+        reached = time >= last
+        now = f"{tick * period:.6g} s"
         where = f"at {now}, {time:.6g} s on the trajectory"
         if (first or not reached) and (worst := tolerances.worst(error, tolerances.path)) is not None:
             self.end(State.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED, f"{worst} along the path, {where}")
         elif reached:
             self._settling = tick if self._settling is None else self._settling
-            worst, late = tolerances.worst(error, tolerances.goal), (tick - self._settling) * period
+            worst = tolerances.worst(error, tolerances.goal)
+            late = (tick - self._settling) * period
             after = f"{late:.6g} s after the last point"
             if worst is None:
                 self.end(State.SUCCEEDED, ResultCode.SUCCESSFUL, f"goal reached at {now}, {after}")
@@ -289,7 +301,9 @@ class TrajectoryRequest:
 
     def end(self, state: State, code: ResultCode, reason: str) -> None:
         """End it, once."""
-        self.state, self.code, self.reason = state, code, reason
+        self.state = state
+        self.code = code
+        self.reason = reason
 
 
 def check_request(
@@ -310,7 +324,8 @@ def check_request(
     Raises:
         TrajectoryError: naming joint, index of the point or field, and reason.
     """
-    tolerances, points = defaults, None
+    tolerances = defaults
+    points = None
     if goal is not None:
         if goal.multi_dof_trajectory.joint_names or goal.multi_dof_trajectory.points:
             raise TrajectoryError("multi_dof_trajectory is given; accepted: an empty one")
@@ -347,9 +362,11 @@ class JoinedAhead:
     """
 
     def __init__(self, request: TrajectoryRequest, generator: TrajectoryGenerator, now: int, attempt: int = 0) -> None:
-        points, start = request.points, request.start
+        points = request.points
+        start = request.start
         assert points is not None
-        self._request, self._generator = request, generator
+        self._request = request
+        self._generator = generator
         self._fork = generator.fork(now)
         self._may_be_late = start is None and self._fork is not None and not self._fork.moving(now)
         self._now = self._earliest = now
@@ -387,7 +404,8 @@ class JoinedAhead:
         """
         if self._error is not None:
             raise self._error
-        schedule, fork = self._schedule, self._fork
+        schedule = self._schedule
+        fork = self._fork
         assert schedule is not None
         assert fork is not None
         late = max(0, now - schedule.begin)

@@ -55,7 +55,8 @@ class Spline:
         Between its ends a polynomial lies within its control points as a Bezier curve (Farin 2002, chapter 5).
         """
         shape = 3, self.final.size
-        low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
+        low = np.full(shape, np.inf)
+        high = np.full(shape, -np.inf)
         _control_points(self.coefficients, np.diff(self.times), low, high)
         return low, high
 
@@ -77,12 +78,14 @@ def _control_points(coefficients: Array, span: Array, low: Array, high: Array) -
                         scaled[i] *= i + row - d
                 # Differences of the control points, upwards: b_m = sum of C(m, i)/C(degree, i) scaled_i.
                 for m in range(degree + 1):
-                    value, share = 0.0, 1.0
+                    value = 0.0
+                    share = 1.0
                     for i in range(m + 1):
                         value += share * scaled[i]
                         share *= (m - i) / (degree - i) if i < degree else 0.0
                     if not abs(value) < np.inf:
-                        low[row, j], high[row, j] = -np.inf, np.inf
+                        low[row, j] = -np.inf
+                        high[row, j] = np.inf
                     low[row, j] = min(low[row, j], value)
                     high[row, j] = max(high[row, j], value)
 
@@ -102,8 +105,12 @@ def sample_spline(knots: Array, coefficients: Array, final: Array, times: Array,
         k = max(np.searchsorted(knots, t, side="right") - 1, 0)
         s = t - knots[k]
         for j in range(final.size):
-            c0, c1, c2 = coefficients[k, 0, j], coefficients[k, 1, j], coefficients[k, 2, j]
-            c3, c4, c5 = coefficients[k, 3, j], coefficients[k, 4, j], coefficients[k, 5, j]
+            c0 = coefficients[k, 0, j]
+            c1 = coefficients[k, 1, j]
+            c2 = coefficients[k, 2, j]
+            c3 = coefficients[k, 3, j]
+            c4 = coefficients[k, 4, j]
+            c5 = coefficients[k, 5, j]
             setpoints[m, 0, j] = c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5))))
             setpoints[m, 1, j] = c1 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))
             setpoints[m, 2, j] = 2 * c2 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))
@@ -134,7 +141,8 @@ def _slopes(times: Array, position: Array, slopes: Array) -> None:
     last = times.size - 1
     factor = np.zeros(times.size)
     for i in range(1, last):
-        before, after = times[i] - times[i - 1], times[i + 1] - times[i]
+        before = times[i] - times[i - 1]
+        after = times[i + 1] - times[i]
         pivot = 2.0 * (before + after) - after * factor[i - 1]
         factor[i] = before / pivot
         for j in range(slopes.shape[1]):
@@ -157,15 +165,20 @@ def interpolate(times: Array, position: Array, velocity: Array, acceleration: Ar
     """
     h = np.diff(times)[:, None]
     coefficients = np.zeros((times.size - 1, 6, position.shape[1]))
-    p0, rise = position[:-1], np.diff(position, axis=0)
+    p0 = position[:-1]
+    rise = np.diff(position, axis=0)
     coefficients[:, 0] = p0
     if acceleration is None:
-        v0, v1 = velocity[:-1], velocity[1:]
+        v0 = velocity[:-1]
+        v1 = velocity[1:]
         coefficients[:, 1] = v0
         coefficients[:, 2] = (3 * rise / h - 2 * v0 - v1) / h
         coefficients[:, 3] = (-2 * rise / h + v0 + v1) / (h * h)
     else:
-        v0, v1, a0, a1 = velocity[:-1], velocity[1:], acceleration[:-1], acceleration[1:]
+        v0 = velocity[:-1]
+        v1 = velocity[1:]
+        a0 = acceleration[:-1]
+        a1 = acceleration[1:]
         # What is left to do beyond constant acceleration a0, in position, velocity and acceleration.
         # Powers of h are products: NumPy's power rounds differently on different processors.
         square = h * h
@@ -183,7 +196,8 @@ def interpolate(times: Array, position: Array, velocity: Array, acceleration: Ar
 def joined(first: Spline, at: float, second: Spline) -> Spline:
     """Return a spline that is the first one up to a time, s, and then the second one from its begin on."""
     kept = first.times[:-1] < at
-    times, coefficients = [first.times[:-1][kept]], [first.coefficients[kept]]
+    times = [first.times[:-1][kept]]
+    coefficients = [first.coefficients[kept]]
     if at > first.duration:
         times.append(first.times[-1:])
         coefficients.append(np.zeros((1, 6, first.final.size)))
@@ -232,7 +246,9 @@ class _Law:
 
     def __init__(self, motion: FollowedPath, tick: int, time: float, rate: float, wanted: float) -> None:
         self.tick = tick
-        self._spline, self._limit, self._period = motion.path.spline, motion.limit, motion.period
+        self._spline = motion.path.spline
+        self._limit = motion.limit
+        self._period = motion.period
         self._wanted = wanted
         self._series = np.array([[time], [rate]])  # at its ticks
         self._settled = rate == wanted
@@ -280,18 +296,22 @@ def _advance(
     knots: Array, coefficients: Array, final: Array, limit: Array, period: float, wanted: float, series: Array
 ) -> int:
     """Fill times and rates, shape (2, n), from their first entries on; return how many ticks the rate changes for."""
-    here, there = np.empty((1, 3, final.size)), np.empty((1, 3, final.size))
+    here = np.empty((1, 3, final.size))
+    there = np.empty((1, 3, final.size))
     at = np.empty(1)
     count: int = series.shape[1] - 1
     for k in range(count):
-        time, rate = series[0, k], series[1, k]
+        time = series[0, k]
+        rate = series[1, k]
         if rate == wanted or time >= knots[-1]:
             return k
         at[0] = time
         sample_spline(knots, coefficients, final, at, here)
         bound = _bound(here[0], rate, wanted, limit, period)
         # The rate may always stay; how far it may change is searched for between that and the bound.
-        reachable, beyond, tried = rate, bound, bound
+        reachable = rate
+        beyond = bound
+        tried = bound
         for _ in range(_HALVINGS):
             at[0] = time + 0.5 * period * (rate + tried)
             sample_spline(knots, coefficients, final, at, there)
@@ -302,7 +322,8 @@ def _advance(
             else:
                 beyond = tried
             tried = 0.5 * (reachable + beyond)
-        series[0, k + 1], series[1, k + 1] = time + 0.5 * period * (rate + reachable), reachable
+        series[0, k + 1] = time + 0.5 * period * (rate + reachable)
+        series[1, k + 1] = reachable
     return count
 
 
@@ -311,7 +332,8 @@ def _bound(here: Array, rate: float, wanted: float, limit: Array, period: float)
     """Return how far the rate may approach its target with the accelerations q'' r^2 + q' dr/dt at its beginning."""
     change = (wanted - rate) / period
     for j in range(limit.size):
-        slope, bend = here[1, j], here[2, j] * rate * rate
+        slope = here[1, j]
+        bend = here[2, j] * rate * rate
         acceleration_change = slope * change
         room = max(limit[j] - bend if acceleration_change > 0.0 else limit[j] + bend, 0.0)
         if abs(acceleration_change) > room:
@@ -327,7 +349,8 @@ def _follows(before: Array, rate: float, after: Array, then: float, limit: Array
 
     Without the second condition the path's own acceleration could grow within the tick beyond the reserve.
     """
-    follows, change = True, (then - rate) / period
+    follows = True
+    change = (then - rate) / period
     for j in range(limit.size):
         step = after[1, j] * then - before[1, j] * rate
         end = after[2, j] * then * then + after[1, j] * change
@@ -392,7 +415,8 @@ class FollowedPath:
         if not self.laws:
             return self.path.spline.sample((ticks - self.start) * self.period)
         times = (ticks - self.start) * self.period
-        rates, changes = np.ones(len(times)), np.zeros(len(times))
+        rates = np.ones(len(times))
+        changes = np.zeros(len(times))
         pending = np.ones(len(times), dtype=bool)
         for law in reversed(self.laws):
             rows = pending & (ticks >= law.tick)
@@ -401,7 +425,8 @@ class FollowedPath:
             if not pending.any():
                 break
         setpoints = self.path.spline.sample(times)
-        slope, rate = setpoints[:, 1].copy(), rates[:, None]
+        slope = setpoints[:, 1].copy()
+        rate = rates[:, None]
         # Without the signs of zeros.
         setpoints[:, 1] = slope * rate + 0.0
         setpoints[:, 2] = setpoints[:, 2] * (rate * rate) + slope * changes[:, None] + 0.0

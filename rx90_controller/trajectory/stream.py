@@ -29,21 +29,20 @@ from rx90_controller.trajectory.paths import JointLimits
 from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, joint_table
 from rx90_controller.trajectory.spline import Spline, resting
 
-POSITION, VELOCITY = "position", "velocity"
+POSITION = "position"
+VELOCITY = "velocity"
 INTERFACES: Final = (POSITION, VELOCITY)
 """What a stream may consist of."""
 _OTHER_CLOCK = 1.0  # s: a stamp further from the controller's time than this comes from another clock
 _MARGIN = 64  # ticks that a motion may take beyond its reference before it is computed anew with more room
-_AT_REST, _SLOW = 1e-9, 1e-6  # rad, rad/s: position and velocity that are rounded to rest at the end of a motion
+# rad, rad/s: position and velocity that are rounded to rest at the end of a motion
+_AT_REST = 1e-9
+_SLOW = 1e-6
 
 
 @dataclass(frozen=True)
 class StreamOptions:
-    """How set-points become a stream; each a parameter of the node, `stream.` before its name.
-
-    Raises:
-        ConfigError: if `commands` is none of INTERFACES.
-    """
+    """How set-points become a stream; each a parameter of the node, `stream.` before its name."""
 
     delay: float = option(
         0.03,
@@ -164,8 +163,12 @@ class Stream:
     """
 
     def __init__(self, interface: str, named: Mask, limits: JointLimits, period: float, options: StreamOptions) -> None:
-        self.interface, self.named, self.notes = interface, named, list[str]()
-        self._limits, self._period, self._options = limits, period, options
+        self.interface = interface
+        self.named = named
+        self.notes = list[str]()
+        self._limits = limits
+        self._period = period
+        self._options = options
         self.count = self.late = self.expires = 0
         self._noted: set[str] = set()
         self._times = np.zeros(0)
@@ -182,7 +185,9 @@ class Stream:
             now: the first tick that may still be changed.
             held: the set-point at that tick, shape (3, j).
         """
-        times, values, slopes = self._due(points, now), points.values, points.slopes.copy()
+        times = self._due(points, now)
+        values = points.values
+        slopes = points.slopes.copy()
         self.count += len(times)
         self.expires = math.ceil(max(float(now), times[-1]) + self._options.timeout / self._period - 1e-6)
         if self.interface == POSITION:
@@ -193,7 +198,9 @@ class Stream:
                 slopes[-1] = np.nan  # senders usually let a single point rest; the next one is still to come
         if not len(self._times) or self._times[-1] < now:  # the reference begins where the arm is
             row = INTERFACES.index(self.interface)
-            self._times, self._values, self._slopes = np.array([float(now)]), held[[row]], held[[row + 1]]
+            self._times = np.array([float(now)])
+            self._values = held[[row]]
+            self._slopes = held[[row + 1]]
         ahead = times > now
         if not ahead[-1]:
             self.late += 1
@@ -204,7 +211,8 @@ class Stream:
             )
             if self._times[-1] > now:
                 return False
-            times[-1], ahead[-1] = now + 1.0, True
+            times[-1] = now + 1.0
+            ahead[-1] = True
         times = times[ahead]
         kept = self._times < times[0]
         # Two before now are needed: for the slope at the later one.
@@ -309,8 +317,11 @@ def _follow(reference: Array, free: Mask, last: float, limits: Array, period: fl
         step = acceleration * period
         done = False
         for i in range(room):
-            q, v = states[i, 0, j], states[i, 1, j]
-            r, w, then = reference[i, 0, j], reference[i, 1, j], reference[i + 1, 1, j]
+            q = states[i, 0, j]
+            v = states[i, 1, j]
+            r = reference[i, 0, j]
+            w = reference[i, 1, j]
+            then = reference[i + 1, 1, j]
             at_rest = v == 0.0 if free[j] else abs(q - r) <= _AT_REST and abs(v) <= _SLOW
             if i >= last and at_rest:
                 done = True
@@ -329,7 +340,8 @@ def _follow(reference: Array, free: Mask, last: float, limits: Array, period: fl
             v1 = max(v1, -_room(q + 0.5 * period * v - lower, acceleration, period))
             v1 = min(max(v1, -top), top)
             v1 = min(max(v1, v - step), v + step)
-            states[i + 1, 0, j], states[i + 1, 1, j] = q + 0.5 * period * (v + v1), v1
+            states[i + 1, 0, j] = q + 0.5 * period * (v + v1)
+            states[i + 1, 1, j] = v1
         if not done:
             ticks = room + 1
     return ticks
@@ -341,7 +353,8 @@ def _filter(error: float, rate: float, most: float, period: float) -> float:
 
     In the least number of ticks, for accelerations that are constant in each (Zanasi et al. 2000, equations 8 to 12).
     """
-    z1, z2 = (error / period + 0.5 * rate) / most, rate / most
+    z1 = (error / period + 0.5 * rate) / most
+    z2 = rate / most
     m = math.floor(0.5 * (1.0 + math.sqrt(1.0 + 8.0 * abs(z1))))
     sigma = z2 + z1 / m + 0.5 * (m - 1.0) * np.sign(z1)
     change: float = -most * min(max(sigma, -1.0), 1.0)

@@ -180,7 +180,8 @@ def _path_errors(args: argparse.Namespace) -> list[str]:
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.identification.validation.recorded_path import recorded_accuracy
 
-    files, lines = RobotFiles.of_options(args), []
+    files = RobotFiles.of_options(args)
+    lines = []
     robot = load_robot(files.urdf, files.tool)
     for bag in (args.bag_a, args.bag_b):
         accuracy = recorded_accuracy(Path(bag), robot, files)
@@ -189,11 +190,7 @@ def _path_errors(args: argparse.Namespace) -> list[str]:
 
 
 def alignment(text: str) -> int | str:
-    """Return what --align says, as `Scope` takes it.
-
-    Raises:
-        BagError: for other words, and times that no stamp has.
-    """
+    """Return what --align says, as `Scope` takes it."""
     from rx90_common.bags.recorded import START, TRAJECTORY
 
     return text if text in (START, TRAJECTORY) else _time("--align", text, f"{START}, {TRAJECTORY}, or a time in s")
@@ -288,7 +285,8 @@ def _export(args: argparse.Namespace) -> None:
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
-    parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, _MAPPING
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = _MAPPING
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG",
                         help="log to read, of several the rows belong together; or an exported folder")  # fmt: skip
@@ -326,7 +324,8 @@ def _import(args: argparse.Namespace) -> None:
             print(one.text)
             continue
         for series in one.series:
-            joints, messages = counted(len(series.names), "joint"), counted(len(series.stamp_ns), "message")
+            joints = counted(len(series.names), "joint")
+            messages = counted(len(series.stamp_ns), "message")
             print(f"{plain(series.topic)}: {joints}, {messages}")
         if one.corrupt:
             print(f"{plain(one.paths[0])}: left out: {corrupt_text(one.corrupt)}")

@@ -82,7 +82,8 @@ def _words_or_files(shell: str) -> str:
     }
     text = ""
     for name in _WORDS:
-        listed, own = " ".join(words[name]), files.get(name, {}).get(shell)
+        listed = " ".join(words[name])
+        own = files.get(name, {}).get(shell)
         if shell == "bash":
             rest = f'; {own} -- "$1"' if own else ""
             text += f"_rx90_{name}() {{ compgen -W '{listed}' -- \"$1\"{rest}; }}\n"

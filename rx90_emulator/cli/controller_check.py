@@ -52,11 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Return 0 where the controller keeps all limits, else 1.
-
-    Raises:
-        Rx90Error: for what cannot be done.
-    """
+    """Return 0 where the controller keeps all limits, else 1."""
     at_joints = options.command_interface == "joint"
     if options.command_rate is not None and not at_joints:
         raise ConfigError(

@@ -129,7 +129,8 @@ def _trials(learner: Learner, options: argparse.Namespace) -> LearnedCorrection:
             progress(len(learner.trials), count + 1)
 
         if not options.on_nodes:
-            setup, asked = learner.setup, learner.nominal
+            setup = learner.setup
+            asked = learner.nominal
             return learn(learner, lambda played: run_corrected(setup, asked, played)[1], count, ENGINE, on_trial)
         from rx90_common.exchange.ros_start import prepare
 
@@ -164,7 +165,9 @@ def _show(options: argparse.Namespace) -> None:
     from rx90_emulator.correction.file import load_correction
 
     found = load_correction(options.file)
-    head, offsets, period = found.head, found.correction.offsets, found.correction.period
+    head = found.head
+    offsets = found.correction.offsets
+    period = found.correction.period
     print(f"robot {plain(head['robot'])}, {head['payload']['mass']:.4g} kg on the last joint")
     print(f"path of {head['path']['duration']:.3f} s, up to {head['path']['speed'] * 1e3:.4g} mm/s")
     print(f"learned by {plain(head['method'])}")

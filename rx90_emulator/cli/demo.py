@@ -35,11 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Return 0 for a run that is identical to the closed loop and within the path limit, else 1.
-
-    Raises:
-        Rx90Error: if a step fails.
-    """
+    """Return 0 for a run that is identical to the closed loop and within the path limit, else 1."""
     view = page_arguments(options)
     if view and not options.view:
         raise ConfigError(f"{view[0]} without --view; accepted: with --view, for its page")
@@ -49,7 +45,8 @@ def main(options: argparse.Namespace) -> int:
     from rx90_emulator.demo.demonstration import Demonstration
 
     robot = DEFAULT_ROBOT if options.robot is None else options.robot
-    files, pace = RobotFiles.of_options(options), 0.0 if options.short else 1.0
+    files = RobotFiles.of_options(options)
+    pace = 0.0 if options.short else 1.0
     page = ["--port", _ANY_PORT, *view] if options.view else None  # of two ports the last counts
     demonstration = Demonstration(robot, files, pace, options.composed, page)
     return 0 if demonstration.run(_folder(options.output)) else 1

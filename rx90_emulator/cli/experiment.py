@@ -78,7 +78,8 @@ def _add_excitation(verb: argparse.ArgumentParser) -> None:
                       "rx90_identify --excitation")  # fmt: skip
     group = verb.add_argument_group("with --excitation")
     for name, entry in DECLARED.items():
-        default, choices = getattr(ExcitationOptions, name), entry.choices if isinstance(entry, Text) else None
+        default = getattr(ExcitationOptions, name)
+        choices = entry.choices if isinstance(entry, Text) else None
         kind = {int: whole_number, float: FINITE}.get(type(default), str)
         group.add_argument(f"--{name}", type=kind, choices=choices, help=f"{entry.about} ({default})",
                            metavar=None if choices else type(default).__name__[0].upper())  # fmt: skip
@@ -113,11 +114,7 @@ def _excitation_options(options: argparse.Namespace) -> ExcitationOptions | None
 
 
 def main(options: argparse.Namespace) -> None:
-    """Plan, and run if asked to.
-
-    Raises:
-        Rx90Error: for what cannot be done; complete bags stay.
-    """
+    """Plan, and run if asked to."""
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.identification.experiments import series

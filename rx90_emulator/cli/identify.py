@@ -49,7 +49,8 @@ no.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.usage, parser.epilog = _USAGE, _EPILOG
+    parser.usage = _USAGE
+    parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("folder", nargs="?", type=Path, help="folder that rx90_experiment wrote")
@@ -115,11 +116,7 @@ _UNUSED = (
 
 
 def main(options: argparse.Namespace) -> int:
-    """Return 0 where the validation confirms the result, or there is none, else 1.
-
-    Raises:
-        Rx90Error: for what cannot be done; nothing has been written then.
-    """
+    """Return 0 where the validation confirms the result, or there is none, else 1."""
     what = "excitation" if _holds_excitation(options) else "sweeps" if options.friction is None else "check"
     for whats, names, how, accepted in _UNUSED:
         given = next(filter(None, (_given(options, name) for name in names.split())), "")
@@ -177,7 +174,9 @@ def _holds_excitation(options: argparse.Namespace) -> bool:
 
     bags = read_index(options.folder)
     if bags.excitation:
-        options.folder, options.excitation, options.validation = None, bags.excitation, bags.validation
+        options.folder = None
+        options.excitation = bags.excitation
+        options.validation = bags.validation
     return bool(bags.excitation)
 
 

@@ -37,7 +37,9 @@ _PATH_EPILOG = """\
 The path file says where its points come from: itself, a CSV file or a DXF drawing.
 example: rx90_path seam.yaml --approach
 """
-_TIMEOUT, _STARTING = 30.0, 120.0  # s, without --timeout: for nodes, and more for one that compiles when it starts
+# s, without --timeout: for nodes, and more for one that compiles when it starts
+_TIMEOUT = 30.0
+_STARTING = 120.0
 _PLAIN_OPTIONS = ("start", "end", "speed", "acceleration", "rest_before", "rest_after", "singularity_margin",
                   "start_posture")  # fmt: skip
 """Options that go into the task as they are."""
@@ -45,9 +47,11 @@ _PLAIN_OPTIONS = ("start", "end", "speed", "acceleration", "rest_before", "rest_
 
 def add_line(parser: argparse.ArgumentParser) -> None:
     """Add the options of `rx90_line`."""
-    parser.epilog, parser.formatter_class = _EPILOG, argparse.RawDescriptionHelpFormatter
+    parser.epilog = _EPILOG
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     motion = parser.add_argument_group("line")
-    xyz, rpy = ("X", "Y", "Z"), ("ROLL", "PITCH", "YAW")
+    xyz = ("X", "Y", "Z")
+    rpy = ("ROLL", "PITCH", "YAW")
     given = motion.add_mutually_exclusive_group()
     given.add_argument("--from-file", metavar="TASK", help="task file; options given beside it win over it")
     given.add_argument("--reference", action="store_true", help="the robot's reference task, its task.yaml, likewise")
@@ -98,7 +102,8 @@ def line(options: argparse.Namespace) -> None:
 
 def add_path(parser: argparse.ArgumentParser) -> None:
     """Add the options of `rx90_path`."""
-    parser.epilog, parser.formatter_class = _PATH_EPILOG, argparse.RawDescriptionHelpFormatter
+    parser.epilog = _PATH_EPILOG
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument(
         "path", metavar="PATH", help="path file, or the name of a shipped one, such as paths/circle.yaml"
     )
@@ -126,8 +131,10 @@ def _plan_and_send(
     from rx90_controller.trajectory.points import message_content
 
     files = RobotFiles.of_options(options)
-    robot, period = load_robot(files.urdf, files.tool), 1.0 / options.set_point_rate
-    task, limits = task_of(options, files, robot), load_controller(files.controller).limits(robot)
+    robot = load_robot(files.urdf, files.tool)
+    period = 1.0 / options.set_point_rate
+    task = task_of(options, files, robot)
+    limits = load_controller(files.controller).limits(robot)
     plan = plan_line(robot, task, period, limits.acceleration)
     _say(describe_line(plan))
     check_plan(plan, limits, period, plan.start_pose)

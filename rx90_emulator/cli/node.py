@@ -24,11 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: argparse.Namespace) -> None:
-    """Run the node until it ends or is interrupted.
-
-    Raises:
-        Rx90Error: for parameters that are refused, or what ends the ticks.
-    """
+    """Run the node until it ends or is interrupted."""
     from rx90_common.exchange.ros_start import prepare
 
     prepare()

@@ -129,12 +129,7 @@ SEED = whole_from(0, 2**31 - 1)
 
 
 def place(text: str) -> Path:
-    """Return the path of a file to be written, as a type for argparse: refused at once if it cannot be written.
-
-    Raises:
-        ConfigError: where the folder that it is to stand in is missing.
-        Rx90Error: where that does not take it.
-    """
+    """Return the path of a file to be written, as a type for argparse: refused at once if it cannot be written."""
     path = Path(text)
     if not path.absolute().parent.exists():
         raise ConfigError(f"{plain(path)}: the folder {plain(path.parent)} does not exist; accepted: one that does")
@@ -149,13 +144,7 @@ def new_file(text: str) -> Path:
 
 
 def new_folder(text: str) -> Path:
-    """Return the path of a folder to be made, with the folders above it, as a type for argparse.
-
-    Raises:
-        ConfigError: where something is there.
-        BagError: for a name that is too long for a bag.
-        Rx90Error: where its place does not take one.
-    """
+    """Return the path of a folder to be made, with the folders above it, as a type for argparse."""
     _check_new(text)
     check_bag_name(Path(text))
     check_place(Path(text))
@@ -174,11 +163,7 @@ def is_given(options: argparse.Namespace, name: str) -> bool:
 
 
 def check_needs(options: argparse.Namespace, names: Sequence[str], others: Sequence[str]) -> None:
-    """Refuse options that have an effect only beside another one, where none of these others is given.
-
-    Raises:
-        ConfigError: naming the first such option.
-    """
+    """Refuse options that have an effect only beside another one, where none of these others is given."""
     if not any(is_given(options, name) for name in others):
         for name in names:
             if is_given(options, name):
@@ -187,22 +172,14 @@ def check_needs(options: argparse.Namespace, names: Sequence[str], others: Seque
 
 
 def check_apart(options: argparse.Namespace, names: Sequence[str], other: str, accepted: str) -> None:
-    """Refuse options that have no effect beside another one, where both are given.
-
-    Raises:
-        ConfigError: naming the first such option, and what is accepted.
-    """
+    """Refuse options that have no effect beside another one, where both are given."""
     for name in names:
         if is_given(options, other) and is_given(options, name):
             raise ConfigError(f"{_spelt(name)} with {_spelt(other)}; accepted: {accepted}")
 
 
 def check_picture(path: Path) -> None:
-    """Refuse a picture of another format than Matplotlib is asked for.
-
-    Raises:
-        ConfigError: naming what is accepted.
-    """
+    """Refuse a picture of another format than Matplotlib is asked for."""
     from rx90_common.report.picture import PICTURES
 
     if path.suffix.lower() not in PICTURES:

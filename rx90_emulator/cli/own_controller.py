@@ -23,7 +23,8 @@ the controller knows it; the simulation may have others.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.epilog, parser.formatter_class = _EPILOG, argparse.RawDescriptionHelpFormatter
+    parser.epilog = _EPILOG
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.set_defaults(ros_args=[])
     motion = parser.add_argument_group("motion")
     motion.add_argument("--amplitude", type=POSITIVE, default=0.3, metavar="RAD", help="of every joint (%(default)g)")
@@ -39,11 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: argparse.Namespace) -> None:
-    """Drive the arm and print how well it followed.
-
-    Raises:
-        Rx90Error: for files that are refused; as an ExchangeError if no states come.
-    """
+    """Drive the arm and print how well it followed."""
     check_needs(options, ("output",), ("engine",))
     check_apart(options, ("timeout",), "engine", "an arm in this process")
     # Here, because --help must not wait for them.
@@ -86,11 +83,14 @@ def _drive(controller: ComputedTorque, names: tuple[str, ...], options: argparse
         node = EffortController(client.node, controller, names)
         topic = client.node.resolve_topic_name(MEASURED_JOINT_STATES)
         client.wait(lambda: node.time is not None, f"states on {topic}, of rx90_sim with command_interface joint,")
-        begin, calls, heard = node.time or 0.0, 0, time.monotonic()
+        begin = node.time or 0.0
+        calls = 0
+        heard = time.monotonic()
         while (node.time or 0.0) - begin < options.duration:
             client.spin()
             if len(controller.errors) > calls:
-                calls, heard = len(controller.errors), time.monotonic()
+                calls = len(controller.errors)
+                heard = time.monotonic()
             elif time.monotonic() - heard > timeout:
                 raise ExchangeError(f"no states within {timeout:g} s; accepted: a simulation that runs")
         controller.errors.pop()  # at the end itself, which a run in one process has not

@@ -63,11 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: argparse.Namespace) -> None:
-    """Simulate and write what was asked for.
-
-    Raises:
-        Rx90Error: for what cannot be done, before anything has been written.
-    """
+    """Simulate and write what was asked for."""
     _check(options)
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
@@ -113,7 +109,8 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
     from rx90_emulator.loop.path_file import load_path, load_trajectory
     from rx90_emulator.loop.recorded_run import read_run, replay
 
-    begin, start = options.start_time or 0.0, options.initial_position
+    begin = options.start_time or 0.0
+    start = options.initial_position
     simulate: Callable[..., RunResult]
     if options.from_bag is not None:
         recorded = read_run(options.from_bag, setup, start)
@@ -157,7 +154,8 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
             print(f"along the path: {accuracy.worst_along_track * 1e3:.4f} mm off the set-point; "
                   f"orientation: {accuracy.worst_orientation * 1e3:.4f} mrad")  # fmt: skip
         return result
-    slow, times = result.slow, result.times
+    slow = result.slow
+    times = result.times
     print(followed_accuracy(setup.robot, times, slow.joint_states[:, 0], times, slow.reference[:, 0]).words)
     worst = abs(slow.tracking_error[:, 0]).max(axis=0)
     for name, error in zip(setup.robot.joint_names, worst, strict=True):

@@ -47,7 +47,6 @@ def main(options: argparse.Namespace) -> None:
     """Show the page until Ctrl-C.
 
     Raises:
-        Rx90Error: where the page cannot be served, the robot cannot be read, or nodes of its own end.
         KeyboardInterrupt: before the page shows what it was started for; later Ctrl-C is how it ends.
     """
     with ends_within(*_END_WITHIN, _give_up, _say_where) as start:

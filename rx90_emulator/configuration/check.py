@@ -42,11 +42,7 @@ class CheckedFile(NamedTuple):
 
 
 def kind_named(name: str) -> FileKind:
-    """Return a kind by its name.
-
-    Raises:
-        ConfigError: with those that there are.
-    """
+    """Return a kind by its name."""
     if name == NODE_PARAMETERS:  # imported here, because it needs ROS and the other kinds do not
         from rx90_emulator.configuration.nodes import NODE_FILE
 
@@ -58,11 +54,7 @@ def kind_named(name: str) -> FileKind:
 
 
 def kind_of(path: Path, content: Mapping[str, Any]) -> FileKind:
-    """Return the kind that knows the most keys of a file.
-
-    Raises:
-        ConfigError: if no kind, or more than one, fits.
-    """
+    """Return the kind that knows the most keys of a file."""
     if _has_node_parameters(content):
         return kind_named(NODE_PARAMETERS)
     counts = [(kind, *_count_keys(kind.entry, content)) for kind in KINDS]
@@ -100,11 +92,7 @@ def _count_keys(entry: object, content: Any) -> tuple[int, int]:
 
 
 def check_path(path: Path, kind: FileKind | None = None) -> list[CheckedFile]:
-    """Check a file, by default for the kind that its content shows, or the files of a robot folder.
-
-    Raises:
-        ConfigError: if it is not there, or its kind is unknown.
-    """
+    """Check a file, by default for the kind that its content shows, or the files of a robot folder."""
     if not path.is_dir():
         return [check_file(path, kind)]
     if kind is not None:
@@ -115,11 +103,7 @@ def check_path(path: Path, kind: FileKind | None = None) -> list[CheckedFile]:
 
 
 def check_file(path: Path, kind: FileKind | None = None) -> CheckedFile:
-    """Check a file by the table of its kind and, if that finds nothing, by its reader.
-
-    Raises:
-        ConfigError: if it cannot be read, or its kind is unknown.
-    """
+    """Check a file by the table of its kind and, if that finds nothing, by its reader."""
     if not path.exists():
         raise ConfigError(f"{plain(path)}: no such file; accepted: a file of the project, or a robot folder")
     faults: list[ConfigError] = []
@@ -156,7 +140,8 @@ def _check_robot(folder: Path) -> list[CheckedFile]:
 
     Together: names of joints in all files, poses and limits, missing files.
     """
-    files, limits = RobotFiles.named(str(folder)), folder / "moveit/joint_limits.yaml"
+    files = RobotFiles.named(str(folder))
+    limits = folder / "moveit/joint_limits.yaml"
     roles = {path: role for role in FILES if role != "urdf" and (path := getattr(files, role)) is not None}
     found = [
         check_file(path, kind_named(role))
@@ -172,12 +157,14 @@ def _check_robot(folder: Path) -> list[CheckedFile]:
         return found
     faults = _faults_of(lambda: Setup.load(files).plant())
     if not faults:
-        robot, poses = load_robot(files.urdf, files.tool), files.poses
+        robot = load_robot(files.urdf, files.tool)
+        poses = files.poses
         if poses is not None:
             refused = _faults_of(lambda: Poses.load(poses).check(robot))
             faults += [ConfigError(f"{plain(poses)}: {error}") for error in refused]
         if limits.is_file():
-            section, names = load_yaml(limits).section("joint_limits"), robot.joint_names
+            section = load_yaml(limits).section("joint_limits")
+            names = robot.joint_names
             wrong = [(name, "is missing") for name in names if name not in section]
             wrong += [(name, "is no joint") for name in section if name not in names]
             faults += [ConfigError(f"{section.where(name)} {what}; accepted: {listed(names)}") for name, what in wrong]

@@ -81,7 +81,8 @@ class DeclaredParameters:
 
     def declare_parameter(self, name: str, default: Any, descriptor: Any) -> SimpleNamespace:
         """Declare a parameter; a given value that it cannot have is refused."""
-        about, kind = f"{descriptor.description[:1].upper()}{descriptor.description[1:]}.", type(default)
+        about = f"{descriptor.description[:1].upper()}{descriptor.description[1:]}."
+        kind = type(default)
         (span,) = (*descriptor.integer_range, *descriptor.floating_point_range)[:1] or (None,)
         bounds = {} if span is None else {"low": span.from_value, "high": span.to_value}
         if kind is list:
@@ -130,11 +131,7 @@ NODES: dict[str, Callable[[Any], object]] = {
 
 
 def declared(node: str, given: Mapping[str, Any] | None = None) -> DeclaredParameters:
-    """Return the parameters of a node, one of NODES, with the values that they are given.
-
-    Raises:
-        ConfigError: naming parameter or file, value and what is accepted.
-    """
+    """Return the parameters of a node, one of NODES, with the values that they are given."""
     parameters = DeclaredParameters(given or {})
     NODES[node](parameters)
     # What is still there: a node takes out what it has no use for.
@@ -170,11 +167,7 @@ class NodeFile(Entry):
     """A parameter file: sections of this project's nodes are checked, those of others are left alone."""
 
     def read(self, root: Section) -> None:
-        """Check a file.
-
-        Raises:
-            ConfigError: naming file, node, parameter, value and what is accepted.
-        """
+        """Check a file."""
         nodes: list[tuple[str, Section]] = []
         root.attempt(lambda: nodes.extend(_sections_of(root)))
         for node, section in nodes:
@@ -248,11 +241,7 @@ Given = dict[str, dict[str, tuple[Any, str]]]
 
 
 def given_parameters(files: Iterable[Path], rules: Iterable[str]) -> Given:
-    """Return what parameter files and rules [NODE:]NAME:=VALUE give the nodes, as ROS takes them: later ones win.
-
-    Raises:
-        ConfigError: naming file or rule, value and what is accepted.
-    """
+    """Return what parameter files and rules [NODE:]NAME:=VALUE give the nodes, as ROS takes them: later ones win."""
     given: Given = {node: {} for node in NODES}
 
     def give(nodes: Iterable[str], name: str, value: Any, origin: str) -> None:
@@ -285,11 +274,7 @@ def given_parameters(files: Iterable[Path], rules: Iterable[str]) -> Given:
 
 
 def node_setup(given: Given) -> list[ShownValue]:
-    """Return what both nodes of the arm and the rig's come to, as they would read it.
-
-    Raises:
-        ConfigError: for what a node would refuse, and for nodes that do not fit each other.
-    """
+    """Return what both nodes of the arm and the rig's come to, as they would read it."""
 
     def values_of(node: str) -> dict[str, tuple[Any, str]]:
         values = declared(node, {name: value for name, (value, _) in given[node].items()}).values

@@ -59,14 +59,12 @@ def place_of(path: Path) -> str:
 
 
 def file_values(role: str, path: Path) -> list[ShownValue]:
-    """Return the values of a robot's file, checked.
-
-    Raises:
-        ConfigError: naming file, key, value and what is accepted.
-    """
+    """Return the values of a robot's file, checked."""
     kind = next(kind for kind in KINDS if kind.name == role)
     kind.read(path)
-    root, lines, name = load_yaml(path), yaml_lines(path), place_of(path)
+    root = load_yaml(path)
+    lines = yaml_lines(path)
+    name = place_of(path)
     identified = root.content.get("identification", {}).get("parameters", {}) if role == "friction" else {}
     found = []
     for place, entry, value, around in _leaves(kind.entry, root.content, "", ()):
@@ -88,7 +86,8 @@ def _leaves(entry: Entry, content: Any, path: str, around: Around) -> Iterator[t
         inner = entry.of if isinstance(entry, Entries) else keys.get(key)
         if inner is None:
             continue  # for readers alone
-        place, further = f"{path}{'.' * bool(path)}{key}", (*around, (content, key))
+        place = f"{path}{'.' * bool(path)}{key}"
+        further = (*around, (content, key))
         if key not in content:
             if inner.default is not LEFT_OUT:
                 yield place, inner, inner.default, further
@@ -136,18 +135,17 @@ def setup_values(files: RobotFiles, chosen: Mapping[str, str]) -> list[ShownValu
     Args:
         files: of the robot.
         chosen: where the choice of a file comes from, by its role.
-
-    Raises:
-        ConfigError: for a file that cannot be used.
     """
     found = [ShownValue(f"file.{role}", files.text(role), "", chosen[role]) for role in FILES if role in chosen]
     for role in FILES:
         if role != "urdf" and (path := getattr(files, role)) is not None:
             found += file_values(role, path)
-    model, origin = ModelFiles.of(load_yaml(files.controller)), f"beside {place_of(files.controller)}"
+    model = ModelFiles.of(load_yaml(files.controller))
+    origin = f"beside {place_of(files.controller)}"
     named = {one.name for one in found}
     for role in ROLES:
-        name, own = f"controller.model.{role}", getattr(model, role)
+        name = f"controller.model.{role}"
+        own = getattr(model, role)
         if name not in named and (own is None or own.is_file()):
             found.append(ShownValue(name, NO_TOOL if own is None else place_of(own), "", origin))
     return found
@@ -164,9 +162,6 @@ def rig_values(rig: str, chosen: str) -> list[ShownValue]:
     Args:
         rig: path of the file, or the name of a shipped one.
         chosen: where the choice of it comes from.
-
-    Raises:
-        ConfigError: for a file that cannot be used.
     """
     return [ShownValue("file.rig", rig, "", chosen), *file_values("rig", resolve_config(rig))]
 

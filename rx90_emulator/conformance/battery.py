@@ -140,7 +140,9 @@ CASES: dict[str, Callable[[Nominal, str], Case]] = {
 
 def run_cs7b(case: Case, nominal: Setup) -> Record:
     """Run a case with the CS7B of the nominal arm, without ROS; the numbers equal those of its node bit for bit."""
-    plant, law, record = case.setup.plant(), nominal.cs7b(), Record(case)
+    plant = case.setup.plant()
+    law = nominal.cs7b()
+    record = Record(case)
     plant.reset(case.points.position[0])
     states = plant.motor_states()
     law.reset(states[0])

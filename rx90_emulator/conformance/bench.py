@@ -188,7 +188,6 @@ def run_on_topics(case: Case, candidate: Candidate, folder: Path) -> Record:
 
 
 def _parameters(case: Case, candidate: Candidate) -> dict[str, Any]:
-    """Return the simulation's parameters."""
     files = case.setup.files
     assert files is not None
     parameters = {

@@ -137,12 +137,14 @@ class Record:
     @cached_property
     def position(self) -> Array:
         """Return positions of the joints by the encoders, rad, shape (t, n)."""
-        states, drives = np.array(self._states), self.case.setup.drives
+        states = np.array(self._states)
+        drives = self.case.setup.drives
         return states if self.at_joints else states / drives.gear @ drives.turning.joint_turns.T
 
     @cached_property
     def error(self) -> Array:
         """Return set-points less positions, rad, shape (t, n); between two of them the set-point moves on."""
-        points, rates = self.case.set_points[:, 0], self.case.setup.rates
+        points = self.case.set_points[:, 0]
+        rates = self.case.setup.rates
         at = np.arange(len(points)) * rates.position_period
         return np.column_stack([np.interp(self.times, at, joint) for joint in points.T]) - self.position

@@ -50,7 +50,8 @@ class CaseResult:
     @property
     def findings(self) -> list[Finding]:
         """Return what the case measures; of a run that ended early the time without torque alone."""
-        case, found = self.record.case, []
+        case = self.record.case
+        found = []
         for metric in case.metrics if self.record.complete else (TORQUE_OFF,):
             values = metric.measure(self.record).tolist()
             joints = case.setup.robot.joint_names if len(values) > 1 else ("tool",)
@@ -124,7 +125,6 @@ def check_controller(
 
     Raises:
         ExchangeError: for a controller that does not appear, ends, or does not answer.
-        ConfigError: for a case that the arm cannot do.
     """
     arms = folder / "arms"
     arms.mkdir(parents=True)

@@ -193,11 +193,7 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
 
 
 def correction_files(name: Path | str) -> tuple[Path, Path]:
-    """Return head and offsets of a correction file.
-
-    Raises:
-        ConfigError: for a name that does not end with .yaml.
-    """
+    """Return head and offsets of a correction file."""
     head = Path(name)
     if head.suffix != ".yaml":
         raise ConfigError(f"{plain(head)}: cannot be a correction file; accepted: a name with .yaml")

@@ -37,8 +37,11 @@ from rx90_emulator.loop.setup import Setup
 
 NOISE = 1e-6
 """Default of the growth of the worst distance that counts as noise, m: that of encoder counts."""
-ENCODERS, TIP = "encoders", "tip"
-ENGINE, NODES, RECORD = "engine", "nodes", "record"
+ENCODERS = "encoders"
+TIP = "tip"
+ENGINE = "engine"
+NODES = "nodes"
+RECORD = "record"
 MEASUREMENTS: Final = tuple(f"{what}, {where}" for what in (ENCODERS, TIP) for where in (ENGINE, NODES, RECORD))
 """By what and where a trial was measured; path errors that were measured in another way cannot be compared."""
 _LONGEST = 600_000  # set-points: the feedback of norm-optimal takes 1.5 kB for each
@@ -166,7 +169,8 @@ class Learner:
 
     def distance(self, measured: Measured) -> Array:
         """Return the measured distance of the tip from the path at the counted set-points, m."""
-        counts, times = self.nominal.counts, self.nominal.counted_times
+        counts = self.nominal.counts
+        times = self.nominal.counted_times
         if self.tip:
             assert measured.tip is not None
             return self.path.distance(self.nominal.tip[counts] - measured.tip[counts], times)
@@ -282,9 +286,6 @@ def learn(
         on_trial: called with each trial.
 
     If a later trial fails, for example with an offset beyond the limits, learning ends with the best correction so far.
-
-    Raises:
-        ConfigError: for less than 0 trials.
     """
     if trials < 0:
         raise ConfigError(f"{trials} trials; accepted: a whole number >= 0")

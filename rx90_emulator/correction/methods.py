@@ -110,11 +110,7 @@ def lead_in(nominal: TrajectoryPath) -> Array:
 
 
 def zero_phase(cutoff: float, period: float) -> Callable[[Array], Array]:
-    """Return a low-pass filter of rows, run forwards and backwards, which extends its input by its last value.
-
-    Raises:
-        ConfigError: if the cut-off is not below half the rate.
-    """
+    """Return a low-pass filter of rows, run forwards and backwards, which extends its input by its last value."""
     if not cutoff < 0.5 / period:
         raise ConfigError(f"cutoff is {cutoff:g} Hz; accepted: below {0.5 / period:g} Hz, half the rate of set-points")
     sections = butter(_ORDER, cutoff, fs=1.0 / period, output="sos")
@@ -150,11 +146,16 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
     one = np.eye(joints)
     rates = np.zeros((len(inverse), 5 * joints, 5 * joints))  # of the states, and of the offsets, which are constant
     rates[:, q, v] = one
-    rates[:, v, q], rates[:, v, v] = -inverse @ linear.stiffness, -inverse @ (linear.damping + viscous)
+    rates[:, v, q] = -inverse @ linear.stiffness
+    rates[:, v, v] = -inverse @ (linear.damping + viscous)
     rates[:, v, tau] = inverse @ turns.T
-    rates[:, i, q], rates[:, i, c] = -integral, integral
-    rates[:, tau, q], rates[:, tau, c], rates[:, tau, v] = -proportional / lag, proportional / lag, -derivative / lag
-    rates[:, tau, i], rates[:, tau, tau] = one / lag, -one / lag
+    rates[:, i, q] = -integral
+    rates[:, i, c] = integral
+    rates[:, tau, q] = -proportional / lag
+    rates[:, tau, c] = proportional / lag
+    rates[:, tau, v] = -derivative / lag
+    rates[:, tau, i] = one / lag
+    rates[:, tau, tau] = -one / lag
     step = expm(rates * period)
     states = slice(4 * joints)
     return step[:, states, states], step[:, states, c], stride
@@ -171,7 +172,8 @@ def gains(a: Array, b: Array, stride: int, error: Array, change: float, counted:
         change: square root of R, m/rad.
         counted: weight of the error of a set-point, 0 to 1, shape (m,).
     """
-    count, joints = len(counted), b.shape[2]
+    count = len(counted)
+    joints = b.shape[2]
     feedback = np.empty((count, joints, a.shape[1]))
     inverse = np.empty((count, joints, joints))
     effort = change**2 * np.eye(joints)  # R

@@ -24,7 +24,9 @@ from rx90_emulator.correction.recorded import CORRECTION, REFERENCE, TRACKING, m
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.nodes import follow_trajectory
 
-_APPROACH_SPEED, _APPROACH_ACCELERATION = 0.25, 2.0  # share of the joints' speeds; rad/s^2: as rx90_line's
+# share of the joints' speeds; rad/s^2: as rx90_line's
+_APPROACH_SPEED = 0.25
+_APPROACH_ACCELERATION = 2.0
 _REST_S = 0.5  # s at the start of the path: the integrators take some 0.1 s, then the arm is at rest
 _SENSOR = 0.5  # s, longest lag of a sensor of the tip: a camera with its evaluation
 _GRACE = 20.0  # s for a recorder to write its messages
@@ -46,10 +48,10 @@ def node_trials(
         tip_topic: of a sensor that measures the tip, as `tip_of_file` reads it; None for none.
 
     Raises:
-        ConfigError: if that cannot be a node's name.
         ExchangeError: if a node does not appear.
     """
-    robot, points = learner.setup.robot, learner.path.points
+    robot = learner.setup.robot
+    points = learner.path.points
     topics = ["joint_states", REFERENCE, TRACKING, CORRECTION, *([tip_topic] if tip_topic else [])]
     with (
         tempfile.TemporaryDirectory(prefix="rx90_correct_") as name,

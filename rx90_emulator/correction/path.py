@@ -66,7 +66,8 @@ class TrajectoryPath:
             ConfigError: if no part of the trajectory counts, or the tip does not move in the counted part.
             TrajectoryError: if the controller would refuse the trajectory.
         """
-        last, period = float(points.times[-1]), setup.rates.position_period
+        last = float(points.times[-1])
+        period = setup.rates.position_period
         begin, end = counted = counted or (0.0, last)
         if not 0.0 <= begin < end <= last + 1e-9:
             raise ConfigError(

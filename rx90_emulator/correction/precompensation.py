@@ -35,9 +35,6 @@ def corrected_trajectory(
         path: the path of the correction.
         correction: the learned one.
         cutoff: of the filter that smooths the offsets, Hz.
-
-    Raises:
-        ConfigError: for a cut-off that is not below half the rate of set-points.
     """
     nominal = TrajectoryPath.of(setup, path.points, path.counted)
     count = len(nominal.setpoints)

@@ -28,7 +28,9 @@ from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.loop.drawing import UNITS, read_columns
 from rx90_emulator.loop.setup import Setup
 
-REFERENCE, TRACKING, CORRECTION = (f"rx90_controller/{name}" for name in ("reference", "tracking_error", "correction"))
+REFERENCE = f"rx90_controller/{'reference'}"
+TRACKING = f"rx90_controller/{'tracking_error'}"
+CORRECTION = f"rx90_controller/{'correction'}"
 _GAP = 3.5  # times the median interval, or the set-points' own: up to two missing samples are interpolated
 _MAX_DIFFERENCE = 0.02  # of the range of a motion, root mean square: a larger one means another motion
 _MAX_ROWS = 10_000_000  # longest record, in set-points: the search for the motion then takes some GB
@@ -64,9 +66,6 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
         period: of its set-points, s.
         counts: which of them must be in the record, shape (n,).
         what: name of the record, for refusals.
-
-    Raises:
-        ConfigError: for a record without the motion, or with a part of it, with the numbers.
     """
     if len(times) < 2 or not (np.diff(times) > 0.0).all() or not np.isfinite(values).all():
         raise ConfigError(f"{what}: {len(times)} rows; accepted: two or more, finite, with increasing times")
@@ -77,7 +76,8 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
     grid = times[0] + np.arange(-count, round((times[-1] - times[0]) / period) + count) * period
     record = np.column_stack([np.interp(grid, times, column) for column in values.T])
     middle = nominal.mean(axis=0)
-    record, motion = record - middle, nominal - middle
+    record = record - middle
+    motion = nominal - middle
     together = sum(fftconvolve(record[:, k], motion[::-1, k], "valid") for k in range(record.shape[1]))
     squares = np.concatenate([[0.0], np.cumsum((record**2).sum(axis=1))])
     between = (motion**2).sum() + squares[count:] - squares[:-count] - 2.0 * together
@@ -118,14 +118,12 @@ def joints_of_bag(
 
     Both are in rad, of shape (n, joints). In a bag of the nodes they are the controller's own; other bags do not
     contain the offsets, which are then None.
-
-    Raises:
-        BagError: for a bag that cannot be read, or without these joints.
-        ConfigError: for a bag of another motion.
     """
-    names, reference_positions = setup.robot.joint_names, nominal.setpoints[:, 0]
+    names = setup.robot.joint_names
+    reference_positions = nominal.setpoints[:, 0]
     try:
-        reference, tracking = (read_joint_states(bag, each, names) for each in (REFERENCE, TRACKING))
+        reference = read_joint_states(bag, REFERENCE, names)
+        tracking = read_joint_states(bag, TRACKING, names)
     except BagError:
         series = read_joint_states(bag, topic, names)
         if series.position is None:
@@ -162,10 +160,6 @@ def tip_of_file(file: Path | str, nominal: TrajectoryPath, topic: str | None = N
 
     Returns:
         The error, and how it was found.
-
-    Raises:
-        BagError: for a bag that cannot be read, or without such a topic.
-        ConfigError: for another kind of file, or one of another motion.
     """
     rows = _table(Path(file)) if topic is None else _topic(file, topic)
     laid = laid_under(rows[:, 0], rows[:, 1:], nominal.tip, nominal.period, nominal.counts, plain(file))
@@ -207,7 +201,9 @@ def measured(
     Raises:
         Rx90Error: as `joints_of_bag` and `tip_of_file`.
     """
-    joints, played, sources = np.zeros((len(nominal.counts), len(setup.robot.joint_names))), None, []
+    joints = np.zeros((len(nominal.counts), len(setup.robot.joint_names)))
+    played = None
+    sources = []
     if bag is not None:
         joints, played, text = joints_of_bag(bag, setup, nominal, topic)
         sources.append(text)

@@ -111,7 +111,8 @@ def animate(joints: JointSeries, path: PathAccuracy, robot: RobotModel, task: Li
     frames = np.unique([*places, path.perpendicular.argmax()])
     rows = np.searchsorted(joints.time, path.times[frames] - 1e-9)
     position = joints.fields["position"][rows]
-    poses, tips = _poses(robot, position), tip_position(robot.chain, position)
+    poses = _poses(robot, position)
+    tips = tip_position(robot.chain, position)
     shapes = drawn_shapes(robot)
     corners = [(shape.joint, _corners(shape)) for shape in shapes]
     ends = np.array([task.start, task.end])
@@ -119,7 +120,8 @@ def animate(joints: JointSeries, path: PathAccuracy, robot: RobotModel, task: Li
     eye = _eye(ends)
     solid = [(poses[:, k, :, :3] @ points.T + poses[:, k, :, 3:]).transpose(0, 2, 1) for k, points in corners]
     flat = np.concatenate([points.reshape(-1, 3) for points in (*solid, ends)]) @ eye[:2].T
-    low, high = flat.min(axis=0), flat.max(axis=0)
+    low = flat.min(axis=0)
+    high = flat.max(axis=0)
     scale = float(min((WIDTH - 2 * _MARGIN) / (high[0] - low[0]), (HEIGHT - 2 * _MARGIN) / (high[1] - low[1])))
     shift = np.array([0.5 * WIDTH - 0.5 * scale * (low[0] + high[0]), _MARGIN - scale * low[1] - HEIGHT, 0.0])
     views = scale * np.einsum("ij,nkjl->nkil", eye, poses)
@@ -128,9 +130,8 @@ def animate(joints: JointSeries, path: PathAccuracy, robot: RobotModel, task: Li
     most = max(_MAX_DEVIATION_SHARE * HEIGHT / scale / max(float(path.worst), 1e-9), 1.0)
     decade = 10.0 ** math.floor(math.log10(most))
     factor = max(decade * step for step in (1.0, 2.0, 5.0) if decade * step <= most)
-    line, trail = (
-        (scale * points @ eye[:2].T + shift[:2]) * (1.0, -1.0) for points in (ends, tips + (factor - 1.0) * deviation)
-    )
+    line = (scale * ends @ eye[:2].T + shift[:2]) * (1.0, -1.0)
+    trail = (scale * (tips + (factor - 1.0) * deviation) @ eye[:2].T + shift[:2]) * (1.0, -1.0)
     colours = [to_hex((red, green, blue)) for red, green, blue in (shape.color.tolist() for shape in shapes)]
     error = path.perpendicular[frames]
     return Animation(
@@ -151,7 +152,8 @@ def _poses(robot: RobotModel, position: Array) -> Array:
 
 def _eye(ends: Array) -> Array:
     """Return the directions right, up and towards the eye as rows; the eye looks at the line from the front, aslant."""
-    along, middle = ends[1] - ends[0], ends.mean(axis=0)
+    along = ends[1] - ends[0]
+    middle = ends.mean(axis=0)
     turn = math.atan2(along[1], along[0]) + 0.5 * math.pi if np.hypot(*along[:2]) > 1e-6 else 0.0
     if middle[0] * math.cos(turn) + middle[1] * math.sin(turn) < 0.0:
         turn += math.pi

@@ -59,13 +59,13 @@ class RunReport:
         error: the bag's tracking_error.
         path: path error of the recorded run.
         path_without: path error of the same task with FF and dq_r off, computed without ROS.
-
-    Raises:
-        BagError: if a topic is missing.
     """
 
     def __init__(self, bag: Path, setup: Setup, task: LineTask, start_time: float) -> None:
-        self.bag, self.setup, self.task, names = bag, setup, task, setup.robot.joint_names
+        self.bag = bag
+        self.setup = setup
+        self.task = task
+        names = setup.robot.joint_names
         self.joints = read_joint_states(bag, "joint_states", names)
         self.friction = read_joint_states(bag, "friction_states", setup.friction.names)
         self.error = read_joint_states(bag, "rx90_controller/tracking_error", names)
@@ -85,11 +85,9 @@ class RunReport:
             pace: the real-time factor that was asked for; 0 for none.
             reached: the one that was reached, simulated time over wall time.
             composed: whether simulation and controller shared a process.
-
-        Raises:
-            Rx90Error: if the file cannot be written.
         """
-        setup, files = self.setup, self.setup.files
+        setup = self.setup
+        files = self.setup.files
         text = render_page(
             "rx90_emulator.demo",
             "report.html.j2",
@@ -116,7 +114,9 @@ class RunReport:
 
 def _plots(run: RunReport) -> dict[str, Plot]:
     """Return path error along the line, velocities and position errors, friction, and drive torques."""
-    joints, friction, names = run.joints, run.friction.fields, run.friction.names
+    joints = run.joints
+    friction = run.friction.fields
+    names = run.friction.names
     path = [
         Curve(path.along * 1e3, path.perpendicular * 1e3, label, colour, 1.2)
         for path, label, colour in ((run.path_without, SWITCHED_OFF, COLOURS[1]), (run.path, "recorded", COLOURS[0]))
@@ -178,16 +178,16 @@ class Demonstration:
         pace: the real-time factor; 0 is as fast as it goes.
         composed: simulation and controller share a process.
         view: options of `rx90_view` for a page in the browser beside it; None for no page.
-
-    Raises:
-        Rx90Error: if the task cannot be read or travelled.
     """
 
     def __init__(
         self, robot: str, files: RobotFiles, pace: float, composed: bool = False, view: Sequence[object] | None = None
     ) -> None:
-        self._robot, self._task_file = robot, files.required("task")
-        self._pace, self._composed, self._view = pace, composed, view
+        self._robot = robot
+        self._task_file = files.required("task")
+        self._pace = pace
+        self._composed = composed
+        self._view = view
         self._setup = Setup.load(files)
         self._task = load_task(self._task_file)
         self._plan = plan_line(self._setup.robot, self._task, self._setup.rates.position_period)
@@ -197,11 +197,10 @@ class Demonstration:
 
         Args:
             folder: an empty one, with a folder `log` in it.
-
-        Raises:
-            Rx90Error: if a step fails; no process is left behind.
         """
-        recorded, baseline, page = folder / "recorded", folder / "closed_loop", folder / "report.html"
+        recorded = folder / "recorded"
+        baseline = folder / "closed_loop"
+        page = folder / "report.html"
         print("closed loop without ROS ...", flush=True)
         # A process of its own: while it compiles, numba would swallow Ctrl-C.
         with ProcessGroup(folder / "log") as group:
@@ -287,7 +286,8 @@ def _follow_clock(process: ChildProcess, duration: float) -> float:
                 client.spin()
                 if simulation.time > (heard[-1][0] if heard else 0.0):
                     heard[1:] = [(simulation.time, time.monotonic())]
-                    (begin, first), (end, last) = heard[0], heard[-1]
+                    (begin, first) = heard[0]
+                    (end, last) = heard[-1]
                     factor = (end - begin) / (last - first) if last > first else 0.0
                 bar.set_postfix_str(f"{factor:.2f} x real time", refresh=False)
                 bar.update(min(simulation.time, duration) - bar.n)

@@ -202,7 +202,9 @@ def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
 
 def _with_coupling(fit: FrictionFit, arm: Arm, joint: int) -> FrictionFit:
     """Return the fit of a joint with the loss where its friction depends on another joint's motion, too."""
-    coupled, lost, speeds = 0.0, list(fit.lost), fit.speeds
+    coupled = 0.0
+    lost = list(fit.lost)
+    speeds = fit.speeds
     for row, name, element in zip(
         arm.drives.turning.element_matrix, arm.friction.names, arm.friction.elements, strict=True
     ):

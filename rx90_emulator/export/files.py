@@ -24,7 +24,9 @@ SOLIMP = (0.999, 0.999, 0.001, 0.5, 2.0)
 SOLREF_STEPS = 2.0
 """Time constant of that constraint in steps, the shortest that MuJoCo accepts unchanged."""
 
-_SPRING_ARM, _SPRING_ANCHOR = 0.1, 0.3  # m; any two lengths give the same torque
+# m; any two lengths give the same torque
+_SPRING_ARM = 0.1
+_SPRING_ANCHOR = 0.3
 _CREEP_TIME = 0.5  # s
 
 
@@ -73,7 +75,9 @@ def files_of(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> dict[str,
         target: the simulator.
         fits: the friction of each element, or of each joint if the target has no coupled elements.
     """
-    robot, drives, turning = arm.robot, arm.drives, arm.drives.turning
+    robot = arm.robot
+    drives = arm.drives
+    turning = arm.drives.turning
     name = str(robot.model.name)
     file = re.sub(r"[/\\]", "_", target.file.format(name=name))  # the names of robots may have slashes
     if not target.template:
@@ -121,8 +125,11 @@ def _quaternion(turn: Array) -> list[float]:
 
 def _links(arm: Arm) -> list[dict[str, Any]]:
     """Return the links from base to tip, each with its joint and the bodies fixed to it, in the frame of the joint."""
-    robot, springs = arm.robot, arm.drives.spring_torque
-    children, data, links = {one.name: one.child for one in robot.placements}, robot.model.createData(), []
+    robot = arm.robot
+    springs = arm.drives.spring_torque
+    children = {one.name: one.child for one in robot.placements}
+    data = robot.model.createData()
+    links = []
     pin.forwardKinematics(robot.model, data, np.zeros(robot.model.nq))
     for k, joint in enumerate(robot.joint_names):
         number = robot.model.getJointId(joint)
@@ -148,7 +155,8 @@ def _urdf(arm: Arm, fits: Sequence[FrictionFit]) -> str:
     for name, fit in zip(arm.robot.joint_names, fits, strict=True):
         for earlier in joints[name].findall("dynamics"):
             joints[name].remove(earlier)
-        damping, friction = _numbers(fit.law.viscous[0]), _numbers(fit.law.tau_c)
+        damping = _numbers(fit.law.viscous[0])
+        friction = _numbers(fit.law.tau_c)
         ET.SubElement(joints[name], "dynamics", damping=damping, friction=friction)
     return _indented(root)
 

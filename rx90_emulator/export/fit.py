@@ -92,11 +92,7 @@ class FrictionFit:
 
 
 def speeds_up_to(high: float, low: float = LINEAR_SPEED) -> Array:
-    """Return the speeds of a range, rad/s, shape (POINTS,), evenly spaced in their logarithm.
-
-    Raises:
-        ConfigError: for an invalid range.
-    """
+    """Return the speeds of a range, rad/s, shape (POINTS,), evenly spaced in their logarithm."""
     least, most = _SPEEDS
     if not least <= low < high <= most:
         accepted = f"two numbers from {least:g} to {most:g}, the second the larger"
@@ -118,7 +114,8 @@ def fit_friction(target: Target, name: str, elements: Sequence[FrictionElement],
         elements: one, or those that a joint works against.
         speeds: in use, rad/s, shape (n,), all above 0; all have equal weights in the fit.
     """
-    forward, backward = (sum_of(elements, speeds, sign) for sign in (1.0, -1.0))
+    forward = sum_of(elements, speeds, 1.0)
+    backward = sum_of(elements, speeds, -1.0)
     law = _law(target, elements, speeds, 0.5 * (forward + backward))
     static = tuple(float(sum(getattr(one, f"tau_s_{sign}") for one in elements)) for sign in SIGNS)
     difference = np.concatenate([forward, backward]) - np.tile(law.torque(speeds), 2)
@@ -196,7 +193,8 @@ def _fitted(law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torq
         if result.cost < least_cost:
             whole = start.copy()
             whole[free] = result.x
-            least_cost, best = float(result.cost), law_of(whole)
+            least_cost = float(result.cost)
+            best = law_of(whole)
     return best
 
 

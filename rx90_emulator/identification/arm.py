@@ -65,9 +65,13 @@ class RigidArm:
     @classmethod
     def from_setup(cls, setup: Setup) -> RigidArm:
         """Return the arm of a setup: robot with tool, rotors, coupling, spring, elements."""
-        robot, drives = setup.robot, setup.drives
-        names, turning, rotor = robot.joint_names, drives.turning, drives.rotor_matrix
-        elements, matrix = turning.element_names(names), turning.element_matrix
+        robot = setup.robot
+        drives = setup.drives
+        names = robot.joint_names
+        turning = drives.turning
+        rotor = drives.rotor_matrix
+        elements = turning.element_names(names)
+        matrix = turning.element_matrix
         return cls(names, elements, matrix, robot.model, rotor, drives.spring_torque, turning.turns)
 
     @classmethod
@@ -121,11 +125,15 @@ class RigidArm:
         elements = (*names, *(sum_name(names, row) for row in together))
         everything = tuple(str(name) for name in model.names)[1:]
         own = np.array([everything.index(name) for name in names])
-        rotors, springs, matrix = (np.zeros(shape) for shape in ((len(everything),) * 2, len(everything),
-                                                                 (len(elements), len(everything))))  # fmt: skip
-        all_turns, some = np.eye(len(everything)), np.ix_(own, own)
-        all_turns[some], rotors[some] = turns, turns.T @ np.diag(own_rotors) @ turns
-        springs[own], matrix[:, own] = own_springs, np.vstack([np.eye(n), *together])
+        rotors = np.zeros((len(everything),) * 2)
+        springs = np.zeros(len(everything))
+        matrix = np.zeros((len(elements), len(everything)))
+        all_turns = np.eye(len(everything))
+        some = np.ix_(own, own)
+        all_turns[some] = turns
+        rotors[some] = turns.T @ np.diag(own_rotors) @ turns
+        springs[own] = own_springs
+        matrix[:, own] = np.vstack([np.eye(n), *together])
         return cls(everything, elements, matrix, model, rotors, springs, all_turns)
 
     @property
@@ -161,10 +169,9 @@ class RigidArm:
         for name in joints:
             if name not in self.names:
                 raise IdentificationError(f"joint {quoted(name)} is none of this arm; accepted: {listed(self.names)}")
-        offset, rotors, spring = (
-            np.array([joints.get(name, {}).get(key, 0.0) for name in self.names])
-            for key in ("offset", "rotor_inertia", "spring")
-        )
+        offset = np.array([joints.get(name, {}).get("offset", 0.0) for name in self.names])
+        rotors = np.array([joints.get(name, {}).get("rotor_inertia", 0.0) for name in self.names])
+        spring = np.array([joints.get(name, {}).get("spring", 0.0) for name in self.names])
         rotor = self.coupling.T @ np.diag(rotors) @ self.coupling if rotors.any() else self.rotor
         return replace(self, rotor=rotor, spring=spring if spring.any() else self.spring, offset=offset)
 
@@ -174,7 +181,8 @@ class RigidArm:
         The parameters of a link are mass, first moment and inertia about the joint's origin, in Pinocchio's
         order (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz).
         """
-        model, data = self.model, self.model.createData()
+        model = self.model
+        data = self.model.createData()
         motion = zip(configurations(model, position), velocity, acceleration, strict=True)
         found = np.empty((*position.shape, 10 * len(self.names)))
         for k, row in enumerate(motion):
@@ -213,10 +221,6 @@ def joint_model(
         joints: from base to tip; by default all movable joints.
         massless: whether joints that move no mass are accepted, because only kinematics are wanted.
         followed: further joints that are not held.
-
-    Raises:
-        IdentificationError: for a file that cannot be read, and for joints that are not there, do not turn, follow
-            another joint, or move no mass.
     """
     model, root = _read_urdf(urdf)
     there = [str(name) for name in model.names][1:]
@@ -231,7 +235,8 @@ def joint_model(
         raise IdentificationError(f"{urdf}: no movable joint; accepted: one or more")
     bad = {}
     for joint in root.findall("joint"):
-        mimic, kind = joint.find("mimic"), joint.get("type")
+        mimic = joint.find("mimic")
+        kind = joint.get("type")
         if kind not in _TURNING:
             bad[joint.get("name")] = f"is {kind}"
         elif mimic is not None:
@@ -374,7 +379,8 @@ def rigid_torque(
         Inertial, Coriolis, centrifugal and gravity torques (recursive Newton-Euler: Featherstone 2008, table 5.1), and
         those of rotors and springs, Nm, shape (m, n).
     """
-    data, rows = model.createData(), zip(configurations(model, position), velocity, acceleration, strict=True)
+    data = model.createData()
+    rows = zip(configurations(model, position), velocity, acceleration, strict=True)
     links = np.array([pin.rnea(model, data, *row) for row in rows]).reshape(position.shape)
     return links + rotor_and_spring_torque(rotor, spring, position, acceleration)
 

@@ -25,8 +25,12 @@ ROWS_PER_PARAMETER = 2.0
 """Of the simplest model, at least: fewer predict nothing, and fit any sign."""
 _MOST_ROWS = 2500  # that trials are compared on, whole instants evenly spread over all
 _SHORT_ROWS_PER_PARAMETER = 8.0  # with 2 to 6 7 % of right signs looked wrong, with more none
-_SHORT_ERROR, _SHORT_REMAINDER = 0.1, 1.0 / 3.0  # of short runs: share of the torque unexplained; of it after a change
-_CLEAR_SE, _MIN_GAIN = 3.0, 0.15  # standard errors, and share of the torque error, that an error must explain
+# of short runs: share of the torque unexplained; of it after a change
+_SHORT_ERROR = 0.1
+_SHORT_REMAINDER = 1.0 / 3.0
+# standard errors, and share of the torque error, that an error must explain
+_CLEAR_SE = 3.0
+_MIN_GAIN = 0.15
 _MIRRORED_GAIN = 0.02  # share by which one error must explain more than another to be told from it
 _CUTOFF = 1e-11  # relative, of squares: directions that the rows do not determine
 _RISE_SHARE = 0.05  # decay of a rise towards rest over the fastest speed
@@ -58,7 +62,8 @@ class Recorded:
         """Return the filtered motion and torque of a problem's instants."""
         names = ("position", "velocity", "acceleration", "torque")
         *motion, torque = (np.concatenate([run.parallel(getattr(run, name)) for run in problem.runs]) for name in names)
-        used, block = np.zeros(torque.shape, dtype=np.bool_), np.zeros(len(torque), dtype=np.intp)
+        used = np.zeros(torque.shape, dtype=np.bool_)
+        block = np.zeros(len(torque), dtype=np.intp)
         used[problem.sample, problem.joint] = True
         block[problem.sample] = time_blocks(problem)
         return cls(np.stack(motion), torque, used, block)
@@ -87,7 +92,9 @@ class _Fits:
     """Fits of r rows of a recording with errors put right."""
 
     def __init__(self, arm: RigidArm, recorded: Recorded) -> None:
-        self._arm, self._columns, self._recorded = arm, StandardColumns(arm), recorded
+        self._arm = arm
+        self._columns = StandardColumns(arm)
+        self._recorded = recorded
         self._leading = list(BaseGroups.of(self._columns).leading)
         rows = np.count_nonzero(recorded.used)
         self.rows_per_parameter = rows / (len(self._leading) + 2 * len(arm.element_names))
@@ -103,8 +110,12 @@ class _Fits:
 
     def fit(self, suspects: Sequence[Suspect]) -> _Fit:
         """Return the fit with these put right."""
-        arm, recorded, row = self._arm, self._recorded, self._row
-        moves, acts, shift = np.ones(len(arm.names)), np.ones(len(arm.names)), np.zeros(len(arm.names))
+        arm = self._arm
+        recorded = self._recorded
+        row = self._row
+        moves = np.ones(len(arm.names))
+        acts = np.ones(len(arm.names))
+        shift = np.zeros(len(arm.names))
         for (number, *_), what, turn in suspects:
             moves[number] *= -1.0 if what in ("gear", "position") else 1.0
             acts[number] *= -1.0 if what in ("gear", "effort") else 1.0
@@ -132,7 +143,8 @@ class _Fits:
 
     def explains(self, other: _Fit, now: _Fit, least: float) -> bool:
         """Return whether a fit explains clearly more: block by block, in its own noise, and a relevant share."""
-        before, after = (np.bincount(self._block, (one.residual / other.sigma) ** 2) for one in (now, other))
+        before = np.bincount(self._block, (now.residual / other.sigma) ** 2)
+        after = np.bincount(self._block, (other.residual / other.sigma) ** 2)
         gain = (before - after)[before > 0.0]
         error = float(np.std(gain)) * math.sqrt(len(gain))
         return float(gain.sum()) > max(_CLEAR_SE * error, (1.0 - (1.0 - least) ** 2) * float(before.sum()))
@@ -149,7 +161,8 @@ def suspicion(
         options: the given gears and torque constants.
         zero: the given zeros, rad, shape (n,); by default 0.
     """
-    fits, joints = _Fits(arm, recorded), np.flatnonzero(arm.identified).tolist()
+    fits = _Fits(arm, recorded)
+    joints = np.flatnonzero(arm.identified).tolist()
     found: tuple[Suspect, ...] = ()
     if fits.rows_per_parameter < ROWS_PER_PARAMETER:
         return found, ""
@@ -166,10 +179,12 @@ def suspicion(
         # Where the motion does not tell its direction, an effort is more often wrong than a gear.
         equal = [one for one, trial in trials.items() if not fits.explains(best, trial, _MIRRORED_GAIN)]
         same = tuple(one.joints[0] for one in equal if one[1:] == equal[0][1:])
-        found, now = (*found, equal[0]._replace(joints=same)), trials[equal[0]]
+        found = (*found, equal[0]._replace(joints=same))
+        now = trials[equal[0]]
     named = np.isin(fits.joint, [k for one in found for k in one.joints])
     size = float(np.linalg.norm(first.torque[named])) or 1.0
-    before, after = (float(np.linalg.norm(one.residual[named])) / size for one in (first, now))
+    before = float(np.linalg.norm(first.residual[named])) / size
+    after = float(np.linalg.norm(now.residual[named])) / size
     short = fits.rows_per_parameter < _SHORT_ROWS_PER_PARAMETER
     if not found or after >= before or (short and (before < _SHORT_ERROR or after > _SHORT_REMAINDER * before)):
         return (), ""
@@ -184,7 +199,8 @@ def _advice(found: Sequence[Suspect], arm: RigidArm, options: RobotOptions, zero
     given = {"gear": options.gear, "torque-constant": options.torque_constant}
     values = {name: np.array(given[name] or [1.0] * len(joints)) for name in given}
     values["zero"] = np.zeros(len(joints)) if zero is None else zero[joints]
-    words, changed = [], dict[str, str]()
+    words = []
+    changed = dict[str, str]()
     for numbers, what, turn in found:
         place = joints.index(numbers[0])
         for name in {"effort": ["torque-constant"], "position": ["gear", "torque-constant"]}.get(what, [what]):

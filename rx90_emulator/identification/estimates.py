@@ -42,7 +42,8 @@ def with_passive_fading(element: FrictionElement, fallback: FrictionElement | No
     that is below p tau_c, with p the bristles' factor: half of it is taken.
     """
     usual = _DAMPING_FADE_SPEED if fallback is None else fallback.omega_d
-    bristles, least = element.bristles, min(element.tau_c_positive, element.tau_c_negative)
+    bristles = element.bristles
+    least = min(element.tau_c_positive, element.tau_c_negative)
     factor = LUGRE_PASSIVITY if bristles is None else float(bristles.passivity_factor(element.c0, 0.0))
     passive = 0.5 * factor * math.sqrt(2.0 * math.e) * least / max(element.c1, 1e-300)
     return replace(element, omega_d=min(usual, max(passive, MIN_SPEED)))
@@ -65,7 +66,8 @@ def cluster_variances(
         power: exponent of 1 - leverage, 0.5 for CR2 and 1 for CR3.
         least: lower bound of 1 - leverage: without some clusters a parameter would not be determined.
     """
-    scaled, total = slope @ root, np.zeros(len(root))
+    scaled = slope @ root
+    total = np.zeros(len(root))
     for number in np.unique(cluster[cluster >= 0]).tolist():
         rows = cluster == number
         leverage, directions = np.linalg.eigh(scaled[rows].T @ scaled[rows])
@@ -103,7 +105,8 @@ class ParameterEstimate:
 
     def texts(self) -> tuple[str, str]:
         """Return value and deviation, rounded to the second significant digit of the deviation: 28.03 and 0.10."""
-        value, deviation = self.value, self.deviation
+        value = self.value
+        deviation = self.deviation
         decimals = 1 - math.floor(math.log10(deviation)) if 0.0 < deviation < math.inf else _MAX_DECIMALS + 1
         if decimals > _MAX_DECIMALS:
             return f"{value:.4g}", f"{deviation:.2g}"

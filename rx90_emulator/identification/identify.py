@@ -85,11 +85,7 @@ class FrictionIdentification:
 
     @property
     def friction(self) -> FrictionSet:
-        """Return the friction to simulate this project's robot with.
-
-        Raises:
-            ConfigError: for another robot's number of elements.
-        """
+        """Return the friction to simulate this project's robot with."""
         return FrictionSet(self.arm.element_names, self.lugre)
 
     @property
@@ -224,12 +220,14 @@ def check_friction(
     check_given_once(by_use)
     source = RecordedRobot.load(robot, by_use["validation"], follow=True)
     file, lugre, arm = with_friction(source.arm, friction, "a validation by recorded torques")
-    source, where = replace(source, arm=arm), str(file.path or "--friction")
+    source = replace(source, arm=arm)
+    where = str(file.path or "--friction")
     currents = (file.identification or {}).get("unit") == "A"
     records = read_records(by_use, source, progress, currents=currents)["validation"]
     if currents and any(record.unit == "Nm" for record in records):
         raise IdentificationError(f"{where}: its torques are in A; accepted: bags with efforts in A")
-    bandwidths, checks = _bandwidths(file, where), []
+    bandwidths = _bandwidths(file, where)
+    checks = []
     for record in records:
         progress(record.source.name)
         checks.append(validate(source, lugre, record, tolerances, bandwidths=bandwidths))
@@ -245,13 +243,10 @@ def with_friction(
         arm: without friction.
         friction: the file, by its content, its path or the name of a shipped one; its elements are the arm's.
         use: purpose, in words, for a refusal: it supports no parts of the friction but bristles.
-
-    Raises:
-        IdentificationError: for elements or joints that are none of the arm's.
-        ConfigError: for a file that cannot be used.
     """
     file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
-    names, where = arm.element_names, str(file.path or "friction")
+    names = arm.element_names
+    where = str(file.path or "friction")
     elements = file.select(names)
     for name in file.elements:
         if name not in names:
@@ -265,11 +260,7 @@ def with_friction(
 
 
 def _bandwidths(file: FrictionFile, where: str) -> Bandwidths | None:
-    """Return the bandwidths of the runs that a friction file was identified from; None if it does not state them.
-
-    Raises:
-        IdentificationError: for values that are no bandwidths.
-    """
+    """Return the bandwidths of the runs that a friction file was identified from; None if it does not state them."""
     found = (file.identification or {}).get("bandwidths")
     if found is None:
         return None
@@ -284,11 +275,7 @@ def _bandwidths(file: FrictionFile, where: str) -> Bandwidths | None:
 
 
 def check_given_once(bags: Mapping[str, Sequence[Path]]) -> None:
-    """Refuse a bag that is given twice for the same use.
-
-    Raises:
-        IdentificationError: naming bag and option.
-    """
+    """Refuse a bag that is given twice for the same use."""
     for use, paths in bags.items():
         for bag in paths:
             if sum(other.resolve() == bag.resolve() for other in paths) > 1:
@@ -309,11 +296,6 @@ def read_records(
         robot: that the bags come from.
         progress: called with the name of each bag before it is read.
         currents: whether efforts in A without torque constants are taken as they are, in all bags or in none.
-
-    Raises:
-        IdentificationError: for a travel of more than twice a joint's range, and for a validation bag with the content
-            of a bag of another use, whatever its name.
-        BagError: for a bag that cannot be read.
     """
     layouts = [(use, path, robot.layout(path, fast=use != "sliding")) for use, paths in bags.items() for path in paths]
     records: dict[str, list[JointRecord]] = {use: [] for use in bags}
@@ -339,11 +321,7 @@ def read_records(
 
 
 def _check_unseen(record: JointRecord, used: Sequence[JointRecord]) -> None:
-    """Refuse a validation bag that shares a part with a bag of the identification, whatever their names and stamps.
-
-    Raises:
-        IdentificationError: naming both bags and the shared part.
-    """
+    """Refuse a validation bag that shares a part with a bag of the identification, whatever their names and stamps."""
     for other in used:
         shared = 1.0 if record.sha256 == other.sha256 else 0.0
         if not shared and record.content is not None and other.content is not None:
@@ -376,9 +354,6 @@ def identify_records(
 
     Returns:
         The result, without bags and validations.
-
-    Raises:
-        IdentificationError: for data that contradict each other or do not suffice.
     """
     arm = robot.arm
     fallback = robot.fallback or (None,) * len(arm.element_names)

@@ -41,7 +41,8 @@ from rx90_emulator.identification.output.summary import (
 from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured, simulated_setup
 from rx90_emulator.loop.setup import Setup
 
-REPORT, PARAMETERS = "report.html", "parameters.yaml"
+REPORT = "report.html"
+PARAMETERS = "parameters.yaml"
 _FILES = (REPORT, PARAMETERS, *FILES.values())
 _BAR = "{desc:<40.40}{n_fmt} steps [{elapsed}]"
 
@@ -60,13 +61,7 @@ def steps() -> Iterator[Callable[[str], None]]:
 
 
 def check_targets(*files: Path | None, force: bool) -> None:
-    """Refuse files that could not be written at the end, before anything that takes long.
-
-    Raises:
-        IdentificationError: for a file that exists without `force`, a place that holds something else than a file, or a
-            missing folder.
-        Rx90Error: for a folder in which no file can be made, as `check_place` says.
-    """
+    """Refuse files that could not be written at the end, before anything that takes long."""
     for file in filter(None, files):
         check_place(file)
         if file.exists() and not file.is_file():
@@ -119,9 +114,6 @@ def run_identification(
     """Identify with a progress bar, write the files, print a summary, and return whether all validation bags agree.
 
     The arguments are those of `identify_friction` and `write_identification`; files are checked first.
-
-    Raises:
-        Rx90Error: for every refusal and failure; nothing has been written then.
     """
     _checked_targets(output, report, force=force)
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
@@ -144,9 +136,6 @@ def run_check(
     """Compare a friction file with bags, write the report if requested, and return whether all bags agree.
 
     The arguments are those of `check_friction`; the report's place is checked first.
-
-    Raises:
-        Rx90Error: for every refusal and failure; nothing has been written then.
     """
     check_targets(report, force=force)
     with steps() as step:
@@ -180,7 +169,8 @@ def write_excitation(result: ExcitationIdentification, folder: Path | str, *, fo
         IdentificationError: for files that exist without `force`, or a place where no folder can be made.
         OutputError: for files that cannot be written.
     """
-    folder, date = Path(folder), datetime.now(timezone.utc)
+    folder = Path(folder)
+    date = datetime.now(timezone.utc)
     _check_folder(folder, force=force)
     robot, note = robot_files(result, date)
     page = excitation_page(result, date, versions(), (*robot, note))
@@ -213,9 +203,6 @@ def run_excitation(
     """Identify with a progress bar, write the folder, print a summary, and return whether all validation runs agree.
 
     The arguments are those of `identify_excitation`; the folder is checked first.
-
-    Raises:
-        Rx90Error: for every refusal and failure; nothing has been written then.
     """
     _check_folder(output, force=force)
     with steps() as step:
@@ -265,9 +252,6 @@ def run_comparison(
     """Compare with a progress bar, write the report if requested, print a table, and return the verdict.
 
     The arguments are those of `compare_measured`, with the files of the robot; the report's place is checked first.
-
-    Raises:
-        Rx90Error: for every refusal and failure; nothing has been written then.
     """
     check_targets(page, force=force)
     setup = simulated_setup(files)

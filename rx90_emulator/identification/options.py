@@ -24,11 +24,7 @@ MODEL_PARTS = (*SLIDING_PARTS, "bristle", "bristle-damping")
 
 
 def model_parts(model: Sequence[str], accepted: Sequence[str] = MODEL_PARTS) -> tuple[str, ...]:
-    """Return the parts of a model beside Coulomb and viscous friction, which every model has.
-
-    Raises:
-        ConfigError: for other names than the `accepted` ones, and for bristle damping without a bristle.
-    """
+    """Return the parts of a model beside Coulomb and viscous friction, which every model has."""
     unknown = [name for name in model if name not in (COULOMB_VISCOUS, *accepted)]
     if unknown or not model:
         found = quoted(unknown[0]) if unknown else "no part"
@@ -204,11 +200,7 @@ class Wall:
 
     @classmethod
     def through(cls, numbers: Sequence[float], name: str = "") -> Wall:
-        """Return the wall n x = d for four numbers n, d, with n of any length: the arm stays where n x > d.
-
-        Raises:
-            IdentificationError: for other than four numbers, a normal of length 0, and a plane farther away than 1 km.
-        """
+        """Return the wall n x = d for four numbers n, d, with n of any length: the arm stays where n x > d."""
         name = name or f"--wall {' '.join(f'{one:g}' for one in numbers)}"
         length = math.hypot(*numbers[:3])
         if not (len(numbers) == 4 and length > 0.0 and all(map(math.isfinite, (*numbers, length)))):
@@ -231,9 +223,6 @@ class ExcitationOptions:
         torque_noise: standard deviation of the noise of each joint's torque, Nm, shape (n,); by default 1 % of the
             URDF's effort.
         validation: whether a run is planned for validation alone.
-
-    Raises:
-        ConfigError: naming option, value and what is accepted.
     """
 
     criterion: Annotated[str, Text("condition: condition number of the weighted columns; d: determinant of the "
@@ -254,7 +243,8 @@ class ExcitationOptions:
     validation: bool = True
 
     def __post_init__(self) -> None:
-        place, whole = Path("--excitation"), "period times periods"
+        place = Path("--excitation")
+        whole = "period times periods"
         given = Section({**vars(self), whole: self.period * self.periods}, place)
         for name, entry in {**DECLARED, whole: DECLARED["period"]}.items():
             entry.take(given, name)

@@ -30,11 +30,15 @@ from rx90_emulator.identification.robot import BagLayout
 
 _WALL_CLOCK = 946_684_800.0  # s, the year 2000: earlier stamps do not count from 1970
 _MEDIAN_SAMPLES = 5  # samples in the running median by which spikes are found
-_OUTLIER_FACTOR, _MIN_SPIKE_SHARE = 4.0, 0.02  # of the 99th percentile of the distances from it, and of the range
+# of the 99th percentile of the distances from it, and of the range
+_OUTLIER_FACTOR = 4.0
+_MIN_SPIKE_SHARE = 0.02
 _NEIGHBOUR_SHARE = 0.25  # share of a spike's distance that its neighbours stay below
 _BANDWIDTH_HZ = 40.0  # Hz, of velocities differentiated from positions
 _MAX_VELOCITY_RATIO = 2.0  # largest ratio between a velocity and the change of its position
-_COMPARED_S, _REST_SPEED = 0.1, 1e-2  # s of a comparison of the two; rad/s, RMS, below which they are not compared
+# s of a comparison of the two; rad/s, RMS, below which they are not compared
+_COMPARED_S = 0.1
+_REST_SPEED = 1e-2
 _MIN_DISTINCT_VELOCITIES = 1000  # distinct velocities, below which they count as quantised
 _MAX_VALUE = 1e9  # rad, rad/s, Nm or A
 _STORAGE = (".mcap", ".db3", ".bag")
@@ -91,7 +95,8 @@ class Content(NamedTuple):
         """Return the content for positions and efforts as logged, each of shape (m, n)."""
         values = np.round(np.hstack([position, effort]), _CONTENT_DECIMALS) + 0.0
         factor = np.random.default_rng(_HASH_SEED).integers(1, 2**63, (_CONTENT_ROWS, values.shape[1]), np.uint64)
-        numbers, count = values.view(np.uint64), max(0, len(values) - _CONTENT_ROWS + 1)
+        numbers = values.view(np.uint64)
+        count = max(0, len(values) - _CONTENT_ROWS + 1)
         terms = [(numbers[k : k + count] * (2 * row + 1)).sum(axis=1, dtype=np.uint64) for k, row in enumerate(factor)]
         marks = np.stack([one ^ (one >> np.uint64(31)) for one in terms]).sum(axis=0, dtype=np.uint64)
         return cls(marks, np.abs(np.diff(position, axis=0, prepend=position[:1])).sum(axis=1)[:count])
@@ -140,7 +145,9 @@ class JointRecord:
         if tuple(names) == self.names:
             return self
         place = [self.names.index(name) for name in names]
-        position, velocity, torque = (values[:, place] for values in (self.position, self.velocity, self.torque))
+        position = self.position[:, place]
+        velocity = self.velocity[:, place]
+        torque = self.torque[:, place]
         return replace(self, names=tuple(names), position=position, velocity=velocity, torque=torque)
 
     @cached_property
@@ -224,11 +231,6 @@ def read_record(
         layout: what the messages hold.
         rate: if given, block means of as many samples as leave about this rate, Hz.
         currents: whether efforts in A without torque constants are taken as they are.
-
-    Raises:
-        BagError: if the bag cannot be read, is empty, or has no such topic or names.
-        IdentificationError: if positions or efforts are missing or of a size that no joint reaches, time stamps go
-            back, or velocities are not those of the positions.
     """
     path = Path(path)
     series = read_joint_states(
@@ -250,10 +252,12 @@ def read_record(
             f"{where}: its efforts are in {plain(unit)}; accepted: Nm, or A with --torque-constant"
         )
     good = _good_rows(where, series)
-    time, fields = series.stamp_ns[good] / NANOSECONDS, {name: each[good] for name, each in series.fields.items()}
+    time = series.stamp_ns[good] / NANOSECONDS
+    fields = {name: each[good] for name, each in series.fields.items()}
     for name, values in fields.items():
         # Numbers that no joint reaches, and efforts so small that their squares are none.
-        most, least = float(np.abs(values).max(initial=0.0)), 1.0 / _MAX_VALUE if name == "effort" else 0.0
+        most = float(np.abs(values).max(initial=0.0))
+        least = 1.0 / _MAX_VALUE if name == "effort" else 0.0
         if most > _MAX_VALUE or 0.0 < most < least:
             accepted = f"{least:g} to {_MAX_VALUE:g}" if least else f"up to {_MAX_VALUE:g}"
             raise IdentificationError(f"{where}: the largest {name} is {most:.3g}; accepted: {accepted}")
@@ -261,7 +265,8 @@ def read_record(
     if "velocity" not in fields:
         fields["velocity"] = _differentiated(time, fields["position"])
     else:
-        velocity, fewest = fields["velocity"], min(_MIN_DISTINCT_VELOCITIES, len(time) / 4)
+        velocity = fields["velocity"]
+        fewest = min(_MIN_DISTINCT_VELOCITIES, len(time) / 4)
         poor = [k for k, column in enumerate(velocity.T) if len(np.unique(column)) < fewest]
         velocity[:, poor] = _differentiated(time, fields["position"][:, poor])
         no_velocity = f"those of {listed([layout.messages[k] for k in poor])} have few values" if poor else ""
@@ -273,7 +278,8 @@ def read_record(
     columns = time, together["position"], together["velocity"], together["effort"]
     time, position, velocity, torque = (block_means(values, max(size, 1)) for values in columns)
     outliers = len(series.stamp_ns) - len(good)
-    names, kind = (*layout.names, *layout.followed), "A" if unit == "A" and layout.torque_constant is None else "Nm"
+    names = (*layout.names, *layout.followed)
+    kind = "A" if unit == "A" and layout.torque_constant is None else "Nm"
     missing = _missing(series.time)
     return JointRecord(
         names, time, position, velocity, torque, path, digest(path), missing, outliers, no_velocity,
@@ -283,8 +289,10 @@ def read_record(
 
 def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
     """Return the rows without NaN, spike or repeated stamp; refuse stamps that go back."""
-    stamp, steps = series.stamp_ns / NANOSECONDS, np.diff(series.stamp_ns)
-    wrong, back = "", np.flatnonzero(steps < 0)
+    stamp = series.stamp_ns / NANOSECONDS
+    steps = np.diff(series.stamp_ns)
+    wrong = ""
+    back = np.flatnonzero(steps < 0)
     if len(steps) and not steps.any():
         wrong = f"every stamp is {stamp[0]:.9f} s"
     elif len(back):
@@ -329,7 +337,8 @@ def _check_velocity(where: str, layout: BagLayout, time: Array, position: Array,
     travelled = cumulative_trapezoid(velocity, time, axis=0, initial=0)
     lasting = np.diff(time[edges])
     whole = lasting < 2.0 * np.median(lasting) if len(lasting) else np.zeros(0, dtype=np.bool_)  # no gap in it
-    distance, integral = (np.diff(values[edges], axis=0)[whole] for values in (position, travelled))
+    distance = np.diff(position[edges], axis=0)[whole]
+    integral = np.diff(travelled[edges], axis=0)[whole]
     power = (distance**2).sum(axis=0)
     for k in np.flatnonzero(power > len(distance) * (_REST_SPEED * _COMPARED_S) ** 2).tolist():
         factor = float(distance[:, k] @ integral[:, k] / power[k])

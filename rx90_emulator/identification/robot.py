@@ -52,9 +52,6 @@ class BagLayout:
         zero: recorded joint angle in the zero pose of the URDF, rad, shape (n,); None for 0.
         mapping: the columns of a table, if the file beside it does not state them.
         followed: further joints, by their names in the messages and in the record: positions alone, joint side.
-
-    Raises:
-        IdentificationError: if a name occurs twice or `turns` is not invertible.
     """
 
     topic: str
@@ -94,11 +91,6 @@ def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMa
     Args:
         options: of a command.
         logs: bags and tables; if the options name no map, the one beside a table is used.
-
-    Raises:
-        ConfigError: for a map that is not acceptable, a key that a map and the options both state, and tables whose
-            maps contradict each other on the arm.
-        BagError: for a table without a map.
     """
     given = None if options.signals is None else LogMapping.load(Path(options.signals))
     maps = [mapping_of(log) for log in logs if is_table(log)] if given is None else [given]
@@ -122,7 +114,8 @@ def _option(name: str) -> str:
 def _check_sizes(options: MessageOptions, n: int) -> None:
     """Refuse options with another size than for n joints, and numbers that are not finite."""
     for name in (*_ONE_EACH, "coupling"):
-        values, size = getattr(options, name, None), n * n if name == "coupling" else n
+        values = getattr(options, name, None)
+        size = n * n if name == "coupling" else n
         if values is not None and len(values) != size:
             raise IdentificationError(f"{_option(name)}: {len(values)} values; accepted: {size} for {n} joints")
         if values is not None and name != "names" and not np.isfinite(values).all():
@@ -144,11 +137,9 @@ def arm_layout(
         options: deviations of the messages from these conventions.
         own_drives: returns the drives of a robot of this project; None for another robot.
         mapping: the columns of a table.
-
-    Raises:
-        IdentificationError: for options of another size, and a coupling of this project's robot without gears.
     """
-    n, own = len(joints), own_drives is not None
+    n = len(joints)
+    own = own_drives is not None
     _check_sizes(options, n)
     motors = own and topic.rpartition("/")[2] == MOTOR_STATES
     gear = own_drives().gear if own_drives is not None and motors and options.gear is None else _array(options.gear)
@@ -175,11 +166,7 @@ def _array(values: Sequence[float] | None) -> Array | None:
 
 
 def topic_names(bag: Path, mapping: LogMapping | None = None) -> set[str]:
-    """Return the absolute names of the topics of a bag or a table, without reading the table.
-
-    Raises:
-        BagError: if the bag cannot be read, or the table has no map.
-    """
+    """Return the absolute names of the topics of a bag or a table, without reading the table."""
     if is_table(bag):
         return set(map(absolute, mapping_of(bag, mapping).topics))
     with BagReader(bag) as reader:
@@ -193,10 +180,6 @@ def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None 
         bag: the bag or table.
         topics: motor_states and joint_states, the preferred one first.
         mapping: the columns of a table.
-
-    Raises:
-        BagError: if the bag cannot be read.
-        IdentificationError: if it contains neither.
     """
     there = topic_names(bag, mapping)
     if is_table(bag) and len(there) == 1:
@@ -209,11 +192,7 @@ def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None 
 
 
 def message_names(log: Path, topic: str, mapping: LogMapping | None = None) -> tuple[str, ...]:
-    """Return the names in the first message of a JointState topic of a bag, or those of a table's topic.
-
-    Raises:
-        BagError: if the log cannot be read, or the table has no map.
-    """
+    """Return the names in the first message of a JointState topic of a bag, or those of a table's topic."""
     if is_table(log):
         topics = mapping_of(log, mapping).topics.items()
         return next((tuple(one.names) for name, one in topics if absolute(name) == absolute(topic)), ())
@@ -225,7 +204,8 @@ def message_names(log: Path, topic: str, mapping: LogMapping | None = None) -> t
 
 def _of_joints(options: RobotOptions) -> RobotOptions:
     """Return options for the joints of interest alone, if a map states names, gears and so on of more joints."""
-    names, joints = options.names, options.joints
+    names = options.names
+    joints = options.joints
     if names is None or joints is None or len(names) <= len(joints) or not set(joints) <= set(names):
         return options
     place = [list(names).index(joint) for joint in joints]
@@ -287,10 +267,6 @@ class RecordedRobot:
             massless: whether links without <inertial> are accepted, because only kinematics are needed.
             follow: whether joints of another robot that all logs contain, and that carry the joints of interest or are
                 carried by them, follow the logs instead of being fixed at 0.
-
-        Raises:
-            IdentificationError: if they contradict each other.
-            ConfigError: for a file that cannot be used.
         """
         options, mapping = with_signals(options, logs)
         own = options.urdf is None
@@ -303,10 +279,13 @@ class RecordedRobot:
         if options.urdf is None:
             files = RobotFiles.of_options(options)
             setup = Setup.load(files)
-            arm, fallback_name = RigidArm.from_setup(setup), options.fallback or files.text("friction")
+            arm = RigidArm.from_setup(setup)
+            fallback_name = options.fallback or files.text("friction")
             _check_sizes(options, len(arm.names))
         else:
-            setup, fallback_name, file = None, options.fallback or "none", Path(options.urdf)
+            setup = None
+            fallback_name = options.fallback or "none"
+            file = Path(options.urdf)
             options = _of_joints(options)
             arm = RigidArm.from_urdf(file, options.joints, massless=massless)
             arm_layout(options.topic or JOINT_STATES, arm.names, options)  # refused before any bag is read
@@ -314,19 +293,22 @@ class RecordedRobot:
             more = coupling, options.rotor_inertia, options.spring
             followed = _followed(file, arm, options, logs, mapping) if follow else ()
             if options.gear is not None:
-                held, followed = followed, ()
+                held = followed
+                followed = ()
             arm = RigidArm.from_urdf(file, options.joints, *more, massless=massless, followed=followed)
         if fallback_name == "none":
             return cls(arm, setup, options, mapping=mapping, held=held)
         fallback = FrictionFile.read(resolve_config(fallback_name)).select(arm.element_names)
-        named, what = dict(zip(arm.element_names, fallback, strict=True)), "an identification with it as --fallback"
+        named = dict(zip(arm.element_names, fallback, strict=True))
+        what = "an identification with it as --fallback"
         refuse_parts(named, what, f"{fallback_name}: elements.", held=("bristles",))
         return cls(arm, setup, options, fallback, fallback_name, mapping, held)
 
     @property
     def zero(self) -> Array | None:
         """Return the recorded angle of each joint in the zero pose of its URDF, rad, shape (n,); None for 0."""
-        given, zero = _array(self.options.zero), np.zeros(len(self.arm.names))
+        given = _array(self.options.zero)
+        zero = np.zeros(len(self.arm.names))
         if given is None:
             return None
         zero[self.arm.identified] = given
@@ -343,13 +325,9 @@ class RecordedRobot:
         return None if self.setup is None else self.setup.rates.period
 
     def layout(self, bag: Path, *, fast: bool) -> BagLayout:
-        """Return the layout of a bag: the motors' states if the rate matters and the bag contains them.
-
-        Raises:
-            BagError: if the bag cannot be read, or is another robot's.
-            IdentificationError: if it holds neither motor nor joint states.
-        """
-        setup, topic = self.setup, self.options.topic
+        """Return the layout of a bag: the motors' states if the rate matters and the bag contains them."""
+        setup = self.setup
+        topic = self.options.topic
         if setup is None:
             topic = topic or JOINT_STATES
             topic = recorded_topic(bag, (topic,), self.mapping) if is_table(bag) else topic

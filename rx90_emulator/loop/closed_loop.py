@@ -60,11 +60,13 @@ def run_ticks(
         How many ticks were run, and -1; or the joint that diverged in the last of them; or TRIPPED, if the
         controller's supervision cut the power in the tick after them.
     """
-    state, law = plant_states[0], law_states[0]
+    state = plant_states[0]
+    law = law_states[0]
     n = size(state.q)
     sensed = plants[0].sensor.used
     for k in range(first, first + ticks):
-        row, setpoint = k // ratio, setpoints[k // ratio]
+        row = k // ratio
+        setpoint = setpoints[k // ratio]
         slow_tick = k % ratio == 0
         if slow_tick:
             # By lanes: assigning slices takes numba longer, an eighth of a tick in all.
@@ -190,7 +192,6 @@ def simulate_commands(
         sample: where set-points come from, in place of `setpoints_of`.
 
     Raises:
-        ConfigError: if the duration is shorter than a tick or not finite, or the arm needs more steps.
         TrajectoryError: if a trajectory is refused.
         DivergenceError: naming joint and tick.
         SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
@@ -199,7 +200,8 @@ def simulate_commands(
         setup.warn_of_friction()
     rates = setup.rates
     ticks = rates.ticks_of(duration)
-    plant, controller = setup.plant(substeps), setup.cs7b()
+    plant = setup.plant(substeps)
+    controller = setup.cs7b()
     plant.reset(initial_position)
     controller.reset(plant.motor_states()[0])
     warm = bool(plant.temperatures.elements) or setup.drives.winding.used
@@ -216,7 +218,8 @@ def simulate_commands(
 
 def setpoints_of(generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int) -> Array:
     """Return the set-points of `count` position ticks, (count, 3, n); with a correction's offsets (count, 4, n)."""
-    parts, at = [], 0
+    parts = []
+    at = 0
     for start, points in commands:
         begin = min(max(start, at), count)
         parts.append(generator.corrected(at, begin - at))

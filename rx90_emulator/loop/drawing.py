@@ -51,15 +51,14 @@ def read_columns(file: Path, names: Sequence[str]) -> tuple[Array, list[str | No
 
     Returns:
         The numbers, (n, columns), and the unit that each title has.
-
-    Raises:
-        ConfigError: naming file and line, what is there and what is accepted.
     """
-    lines, asked = _lines_of(file), ", ".join(names)
+    lines = _lines_of(file)
+    asked = ", ".join(names)
     first = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
     delimiter = next((each for each in ",;\t" if each in first), " ")
     rows: list[list[float]] = []
-    columns, units = list(range(len(names))), list[str | None]()
+    columns = list(range(len(names)))
+    units = list[str | None]()
     for number, row in enumerate(csv.reader(lines, delimiter=delimiter, skipinitialspace=True), 1):
         cells = [cell for cell in row if cell.strip()] if delimiter == " " else row
         if not any(cell.strip() for cell in cells) or cells[0].lstrip().startswith("#"):
@@ -110,11 +109,7 @@ class Drawing:
     zone: float = 0.0
 
     def read(self) -> tuple[tuple[float, ...], tuple[Segment, ...]]:
-        """Return the start, m, and the segments of a path.
-
-        Raises:
-            ConfigError: naming file, line or entity, what is wrong and what is accepted.
-        """
+        """Return the start, m, and the segments of a path."""
         kind = self.file.suffix.lower()
         if kind not in (".csv", ".dxf"):
             self._refuse(f"ends with {quoted(kind)}; accepted: .csv, .dxf")
@@ -125,7 +120,8 @@ class Drawing:
             self._refuse("holds no path; accepted: two different points or more")
         if (count := sum(len(one.points) for one in segments)) > _MOST_POINTS:
             self._refuse(f"holds {count:,} points; accepted: up to {_MOST_POINTS:,}")
-        turn, origin = rpy_rotation(self.rpy), np.array(self.origin)
+        turn = rpy_rotation(self.rpy)
+        origin = np.array(self.origin)
 
         def placed(point: Any) -> tuple[float, ...]:
             return tuple((turn @ (np.array(point, dtype=np.float64) * UNITS[unit]) + origin).tolist())
@@ -149,7 +145,8 @@ class Drawing:
         pieces = [one.piece(begin) for one, begin in zip(segments, starts[:-1], strict=True)]
         rounded = []
         for one, piece, after in zip(segments[:-1], pieces[:-1], pieces[1:], strict=True):
-            last, first = piece.at(np.array([piece.length]), 1)[0], after.at(np.zeros(1), 1)[0]
+            last = piece.at(np.array([piece.length]), 1)[0]
+            first = after.at(np.zeros(1), 1)[0]
             turn = math.atan2(float(np.linalg.norm(np.cross(last, first))), float(last @ first))
             zone = min(self.zone, 0.5 * piece.length, 0.5 * after.length) if KINK < turn < math.radians(168.0) else 0.0
             rounded.append(replace(one, zone=zone))
@@ -163,7 +160,8 @@ class Drawing:
         if len(set(units)) > 1 or units[0] not in (None, *UNITS):
             named = ", ".join(str(unit) for unit in units)
             self._refuse(f"units {named}; accepted: one of {', '.join(UNITS)} for all")
-        unit, rows = self._unit(units[0]), [tuple(row) for row in table.tolist()]
+        unit = self._unit(units[0])
+        rows = [tuple(row) for row in table.tolist()]
         if len(rows) < 2:
             self._refuse(f"holds {len(rows)} points; accepted: two or more")
         for number, (a, b) in enumerate(pairwise(rows), 1):
@@ -205,14 +203,17 @@ class Drawing:
 
     def _entity(self, entity: Any) -> list[_Drawn]:
         """Return what an entity draws, in its order."""
-        kind, dxf = entity.dxftype(), entity.dxf
+        kind = entity.dxftype()
+        dxf = entity.dxf
         if kind == "LINE":
-            start, end = tuple(dxf.start), tuple(dxf.end)
+            start = tuple(dxf.start)
+            end = tuple(dxf.end)
             return [(start, Segment((end,)))] if start != end else []
         if kind in ("ARC", "CIRCLE"):
             ocs = entity.ocs()
             if kind == "ARC":
-                first, last = tuple(entity.start_point), tuple(entity.end_point)
+                first = tuple(entity.start_point)
+                last = tuple(entity.end_point)
             else:
                 first = last = tuple(ocs.to_wcs(dxf.center + type(dxf.center)(dxf.radius, 0.0, 0.0)))
             return [(first, Segment((last,), "arc", tuple(ocs.to_wcs(dxf.center)), tuple(dxf.extrusion)))]

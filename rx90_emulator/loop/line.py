@@ -189,7 +189,8 @@ def path_accuracy(
     Raises:
         ConfigError: if the shapes do not fit together, or a joint position on the path is not finite.
     """
-    times, joint_position = np.asarray(times, dtype=np.float64), np.asarray(joint_position, dtype=np.float64)
+    times = np.asarray(times, dtype=np.float64)
+    joint_position = np.asarray(joint_position, dtype=np.float64)
     shape = (times.size, len(robot.joint_names))
     if times.ndim != 1 or joint_position.shape != shape:
         raise ConfigError(f"joint positions: shape {joint_position.shape}; accepted: {shape}, a row for each time")
@@ -230,7 +231,9 @@ def followed_accuracy(
         rows = slice(*np.searchsorted(times, [begin, end + SETTLING + _ROUNDING]))
         if len(steps) > (after := np.searchsorted(steps, moves[-1], side="right")):
             rows = slice(rows.start, min(rows.stop, int(np.searchsorted(times, setpoint_times[steps[after]]))))
-        corners, when, pose = tips[places], setpoint_times[places], forward(robot.chain, joint_position[rows])
+        corners = tips[places]
+        when = setpoint_times[places]
+        pose = forward(robot.chain, joint_position[rows])
         near = np.clip(np.searchsorted(when, times[rows], side="right") - 1, 0, len(when) - 1)
         along, across = polyline_error(pose.position, corners, near)
         way = np.concatenate([[0.0], np.cumsum(length(np.diff(corners, axis=0)))])
@@ -243,7 +246,8 @@ def followed_accuracy(
 def turned_by(robot: RobotModel, pose: Pose, asked: Pose) -> Array:
     """Return the angle between poses of the tool, rad, shape (n,); of an arm of five joints that of its axis."""
     if len(robot.joint_names) < 6:  # the arm turns its tool about the tool's axis as it likes
-        first, second = pose.rotation[..., 2], asked.rotation[..., 2]
+        first = pose.rotation[..., 2]
+        second = asked.rotation[..., 2]
         cosine = np.sum(first * second, axis=-1)
         return np.asarray(np.arctan2(length(np.cross(first, second)), cosine))
     turn = product(transposed(asked.rotation), pose.rotation)

@@ -106,8 +106,10 @@ class ControllerRun:
     @cached_property
     def series(self) -> dict[str, JointSeries]:
         """Return the series by topic, as a bag of the node holds them, for `write_joint_states` and comparisons."""
-        joints, rates = self.setup.robot.joint_names, self.setup.rates
-        slow, commands = rates.period_ns * rates.ratio, NANOSECONDS // self.command_rate
+        joints = self.setup.robot.joint_names
+        rates = self.setup.rates
+        slow = rates.period_ns * rates.ratio
+        commands = NANOSECONDS // self.command_rate
         series = (
             series_of("joint_states", joints, self.joint_states, slow),
             series_of("friction_states", self.setup.friction.names, self.friction_states, slow),
@@ -145,27 +147,34 @@ def run_controller(
     check_type(setup=(setup, Setup))
     setup.warn_of_friction()
     rates = setup.rates
-    ticks, command_hz = rates.ticks_of(duration), rates.position_hz if command_rate is None else command_rate
+    ticks = rates.ticks_of(duration)
+    command_hz = rates.position_hz if command_rate is None else command_rate
     plant = setup.plant(substeps)
     n = len(setup.robot.joint_names)
     plant.reset(np.zeros(n) if initial_position is None else initial_position)
     joints = JointInterface(plant, rates, command_hz)
-    rows, calls = -(-ticks // rates.ratio), -(-ticks // joints.ticks)
+    rows = -(-ticks // rates.ratio)
+    calls = -(-ticks // joints.ticks)
     try:
-        joint_rows, friction_rows = np.empty((rows, 3, n)), np.empty((rows, 3, len(setup.friction.names)))
-        measured, efforts, powered = np.empty((calls, 3, n)), np.zeros((calls, n)), np.zeros(calls, dtype=np.bool_)
+        joint_rows = np.empty((rows, 3, n))
+        friction_rows = np.empty((rows, 3, len(setup.friction.names)))
+        measured = np.empty((calls, 3, n))
+        efforts = np.zeros((calls, n))
+        powered = np.zeros(calls, dtype=np.bool_)
     except MemoryError as error:
         raise FailureError(f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one") from error
     no_torque = np.zeros(n)
     for k in range(calls):
         measured[k] = joints.measure()
         position, velocity = measured[k, :2].copy()
-        stamp, torques = plant.tick * rates.period_ns, no_torque
+        stamp = plant.tick * rates.period_ns
+        torques = no_torque
         # As a node computes it from header.stamp.
         time = stamp // NANOSECONDS + stamp % NANOSECONDS * 1e-9
         answer = controller(position, velocity, time)
         if answer is not None:
-            efforts[k], powered[k] = _checked(answer, n, time), True
+            efforts[k] = _checked(answer, n, time)
+            powered[k] = True
             torques = joints.motor_torques(efforts[k])
         done, diverged = hold_torques(
             plant.constants, plant.state, torques, powered[k], plant.tick, min(joints.ticks, ticks - plant.tick),
@@ -218,7 +227,8 @@ class ComputedTorque:
         from rx90_emulator.identification.arm import RigidArm  # brings Pinocchio, which other controllers do without
 
         self._arm = RigidArm.from_setup(setup)
-        self._half, self._speed = 0.5 * amplitude, 2.0 * math.pi / period
+        self._half = 0.5 * amplitude
+        self._speed = 2.0 * math.pi / period
         # Tabulated, because the curves of seven elements take longer than everything else in a call.
         self._fastest = self._half * self._speed
         speeds = np.linspace(-self._fastest, self._fastest, 2 * _TABLE_ROWS + 1)
@@ -231,7 +241,8 @@ class ComputedTorque:
         if self._begin is None:
             self._begin = time, position
         begin, home = self._begin
-        angle, w = self._speed * (time - begin), BANDWIDTH
+        angle = self._speed * (time - begin)
+        w = BANDWIDTH
         # Every joint moves alike, by a cosine.
         away = self._half * (1.0 - math.cos(angle))
         speed = self._half * self._speed * math.sin(angle)

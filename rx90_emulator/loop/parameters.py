@@ -77,11 +77,7 @@ class Place:
     unit: str
 
     def check(self, value: Value | np.generic) -> Value:
-        """Return a value, a scalar of NumPy's as one of Python's; refuse one of the wrong kind.
-
-        Raises:
-            ConfigError: with what is accepted.
-        """
+        """Return a value, a scalar of NumPy's as one of Python's; refuse one of the wrong kind."""
         switch = self.unit == SWITCH
         plain = value.item() if isinstance(value, np.generic) else value
         if not isinstance(plain, int | float) or isinstance(plain, bool) != switch:
@@ -113,14 +109,16 @@ class Catalogue:
         self._add_declared(("controller",), setup.controller)
         for field, unit in TASK_UNITS.items():
             if hasattr(task, field):
-                self._units["task", field], self._values["task", field] = unit, getattr(task, field)
+                self._units["task", field] = unit
+                self._values["task", field] = getattr(task, field)
         for name, element in zip(setup.friction.names, setup.friction.elements, strict=True):
             self._add_declared(("friction", name), element)
             for part_name, part in element.parts.items():
                 self._add_declared(("friction", name, part_name), part)
         for i, (field, unit) in itertools.product(range(len(setup.robot.joint_names)), ARM_UNITS.items()):
             key = ("arm", f"link_{i + 1}", field)
-            self._units[key], self._values[key] = unit, getattr(setup.robot.chain, field)[i]
+            self._units[key] = unit
+            self._values[key] = getattr(setup.robot.chain, field)[i]
         self._names: dict[Key, tuple[Key, ...]] = {key: (key,) for key in self._units}
         for name, parameter in itertools.product(setup.friction.names, FRICTION_PARAMETERS):
             keys = tuple(("friction", name, field) for field in parameter.attributes)
@@ -129,13 +127,16 @@ class Catalogue:
     def _add_declared(self, prefix: Key, holder: Declared) -> None:
         """Add all numbers and switches that a declared object holds, and what it holds of others."""
         for one in declarations(type(holder)).values():
-            value, key = getattr(holder, one.name), (*prefix, one.name)
+            value = getattr(holder, one.name)
+            key = (*prefix, one.name)
             if isinstance(value, Declared):
                 self._add_declared(key, value)
             elif isinstance(one.entry, Switch):
-                self._units[key], self._values[key] = SWITCH, value
+                self._units[key] = SWITCH
+                self._values[key] = value
             elif isinstance(one.entry, Number | Integer | Rows | ListOf | Other) and np.size(value):
-                self._units[key], self._values[key] = one.entry.unit or "1", value
+                self._units[key] = one.entry.unit or "1"
+                self._values[key] = value
 
     def value(self, leaf: Leaf) -> Value:
         """Return a value as the files have it."""
@@ -150,11 +151,7 @@ class Catalogue:
         return [place for key, indices in every.items() for place in self._indexed(".".join(key), key, indices)]
 
     def places(self, path: str) -> tuple[Place, ...]:
-        """Return what a path names, one place for each combination that its `*` stand for.
-
-        Raises:
-            ConfigError: if it names nothing, or values of different units; with what is accepted.
-        """
+        """Return what a path names, one place for each combination that its `*` stand for."""
         check_type(path=(path, str))
         match = _PATH.fullmatch(path)
         if match is None:
@@ -172,7 +169,8 @@ class Catalogue:
         return tuple(places)
 
     def _indexed(self, path: str, key: Key, indices: Sequence[str]) -> list[Place]:
-        keys, shape = self._names[key], np.shape(self._values[self._names[key][0]])
+        keys = self._names[key]
+        shape = np.shape(self._values[self._names[key][0]])
         if len(indices) != len(shape) or any(i != "*" and int(i) >= n for i, n in zip(indices, shape, strict=True)):
             raise ConfigError(f"{quoted(path)}: {_accepted_indices('.'.join(key), shape)}")
         chosen = (range(n) if i == "*" else (int(i),) for i, n in zip(indices, shape, strict=True))
@@ -296,7 +294,8 @@ def _fields(holder: object, tree: Mapping[str, Any], where: str = "") -> dict[st
 def _robot(robot: RobotModel, links: Mapping[str, Any]) -> RobotModel:
     """Return the robot with the bodies of some links changed, in the chain and in a copy of Pinocchio's model."""
     bodies = {name: getattr(robot.chain, name).copy() for name in ARM_UNITS}
-    turns, model = _rotations_at_zero(robot.model), robot.model.copy()
+    turns = _rotations_at_zero(robot.model)
+    model = robot.model.copy()
     for link, fields in links.items():
         row = int(link.removeprefix("link_")) - 1
         for field, entries in fields.items():

@@ -154,7 +154,6 @@ def load_motion(name: FilePath | str) -> LineTask | Path:
     """Read a task file or a path file, whichever it is.
 
     Raises:
-        ConfigError: naming file, key, value and what is accepted.
         LineError: if the values do not make a line or a path.
     """
     file = resolve_config(str(name))
@@ -166,7 +165,8 @@ def _path(file: FilePath, root: Section) -> Path:
     content = PATH.read(root)
     values: dict[str, Any] = content["path"]
     drawn = values.pop("file", None)
-    start, segments = values.pop("start", None), values.pop("segments", ())
+    start = values.pop("start", None)
+    segments = values.pop("segments", ())
     values["start_rpy"] = radians(values.pop("tool_rpy_degrees"))
     with located(file, LineError):
         if drawn is not None:

@@ -66,13 +66,13 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
         initial_position: rad, shape (6,), instead of the first one of `joint_states`.
 
     Raises:
-        BagError: if the bag cannot be read, is another robot's, lacks what is needed, or begins too late or moving.
         TrajectoryError: if a trajectory is none for this robot.
     """
     check_type(setup=(setup, Setup))
     check_robot(bag, setup.robot.model.name)
     states = read_joint_states(bag, "joint_states", setup.robot.joint_names)
-    first, last = (int(stamp) for stamp in (states.stamp_ns.min(), states.stamp_ns.max()))
+    first = int(states.stamp_ns.min())
+    last = int(states.stamp_ns.max())
     if first > _LATEST_BEGIN * NANOSECONDS:
         raise BagError(
             f"{plain(bag)}: begins at {first / NANOSECONDS:.3f} s; accepted: a bag that begins within "

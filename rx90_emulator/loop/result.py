@@ -84,7 +84,9 @@ def empty_series(
         FailureError: if they do not fit into memory.
     """
     n, e, _ = arm
-    rows, fast_rows, warm_rows = -(-ticks // ratio), ticks * record_fast, -(-ticks // warm_ticks) if warm_ticks else 0
+    rows = -(-ticks // ratio)
+    fast_rows = ticks * record_fast
+    warm_rows = -(-ticks // warm_ticks) if warm_ticks else 0
     try:
         fast = FastSeries(np.empty((fast_rows, 3, n)), np.empty((fast_rows, n)))
         of_joints = (np.empty((rows, 3, columns)) for columns in (n, e, n, n, n))
@@ -122,9 +124,12 @@ class RunResult:
     @cached_property
     def series(self) -> dict[str, JointSeries]:
         """Return the series by topic, as a bag of the nodes holds them; those on base ticks if the run kept them."""
-        joints, friction, rates = self.setup.robot.joint_names, self.setup.friction, self.setup.rates
+        joints = self.setup.robot.joint_names
+        friction = self.setup.friction
+        rates = self.setup.rates
         motors = motor_names(len(joints))
-        slow, period = self.slow, rates.period_ns * rates.ratio
+        slow = self.slow
+        period = rates.period_ns * rates.ratio
         series = [
             series_of("joint_states", joints, slow.joint_states, period),
             series_of("friction_states", friction.names, slow.friction_states, period),
@@ -171,7 +176,8 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
     # Here, because it takes as long as the plant's import.
     from rx90_common.bags.writing import parameters_message, string_message, trajectory_message, write_joint_states
 
-    names, rates = run.setup.robot.joint_names, run.setup.rates
+    names = run.setup.robot.joint_names
+    rates = run.setup.rates
     period_ns = rates.period_ns * rates.ratio
     others = [
         string_message("/robot_description", run.setup.robot.urdf),

@@ -34,12 +34,9 @@ class Arm:
 
 
 def load_arm(files: RobotFiles) -> Arm:
-    """Read the files of an arm.
-
-    Raises:
-        ConfigError: naming file, key, value and accepted range.
-    """
-    robot, drives = load_robot(files.urdf, files.tool), load_drives(files.drives)
+    """Read the files of an arm."""
+    robot = load_robot(files.urdf, files.tool)
+    drives = load_drives(files.drives)
     robot.check_count(files.drives, "gear", drives.gear)
     return Arm(robot, drives, load_friction(files.friction, drives.turning.element_names(robot.joint_names)))
 
@@ -74,9 +71,11 @@ class Setup(Arm):
             ConfigError: naming file, key, value and accepted range.
         """
         check_seed(seed)  # before files are read
-        files, rates = files or RobotFiles(), rates or Rates()
+        files = files or RobotFiles()
+        rates = rates or Rates()
         check_type(rates=(rates, Rates))
-        arm, controller = load_arm(files), load_controller(files.controller)
+        arm = load_arm(files)
+        controller = load_controller(files.controller)
         arm.robot.check_count(files.controller, "inertia", controller.inertia)
         return cls(arm.robot, arm.drives, arm.friction, controller, rates, files, seed)
 

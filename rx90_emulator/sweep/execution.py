@@ -136,9 +136,6 @@ def local_pool(sweep: Sweep, workers: int) -> Iterator[Pool]:
     """Offer processes of this machine.
 
     They are forked from this one, so that they share what it has compiled and planned.
-
-    Raises:
-        SweepError: if one of them dies.
     """
     sweep.warm_up()
     context = mp.get_context("fork")
@@ -194,7 +191,6 @@ def dask_pool(sweep: Sweep, address: str) -> Iterator[Pool]:
     """Offer the workers of a Dask cluster.
 
     Raises:
-        SweepError: if the address is none, or the cluster cannot be reached, has no workers, or loses them.
         FailureError: if Dask is not installed.
     """
     if not _ADDRESS.fullmatch(address):
@@ -214,7 +210,8 @@ def dask_pool(sweep: Sweep, address: str) -> Iterator[Pool]:
         workers = sum(client.ncores().values())
         if not workers:
             raise SweepError(f"the Dask scheduler at {address} has no workers; accepted: at least one")
-        executor, payload = client.get_executor(pure=False), pickle.dumps(sweep)
+        executor = client.get_executor(pure=False)
+        payload = pickle.dumps(sweep)
         yield Pool(workers, lambda chunk: executor.submit(_run_on_cluster, payload, chunk))
     except (distributed.KilledWorker, CancelledError, OSError) as error:
         raise SweepError(f"the Dask cluster at {address} failed ({one_line(error)}); {_RESUME_ADVICE}") from error

@@ -28,7 +28,8 @@ from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import DESCRIPTIONS, FILES, MODEL_FILES, RobotFiles
 from rx90_emulator.loop.parameters import Value
 
-MOST_VALUES, MOST_RUNS = 1_000_000, 10_000_000
+MOST_VALUES = 1_000_000
+MOST_RUNS = 10_000_000
 LARGEST_SEED = 2**63 - 1
 _ROLES = (*MODEL_FILES, "task")
 _LEAST_SHARE = 1e-3
@@ -143,7 +144,8 @@ class Normal:
             )
 
     def _ends(self) -> tuple[float, float]:
-        low, high = ((bound - self.mean) / self.deviation for bound in (self.low, self.high))
+        low = (self.low - self.mean) / self.deviation
+        high = (self.high - self.mean) / self.deviation
         return float(ndtr(low)), float(ndtr(high))
 
     def quantile(self, share: float) -> float:
@@ -292,7 +294,8 @@ class SweepPlan:
         """Return everything that decides the results, as data for JSON: the files by their content."""
 
         def described(parameter: SweptParameter) -> dict[str, Any]:
-            kind, data = type(parameter.space).__name__.lower(), asdict(parameter)
+            kind = type(parameter.space).__name__.lower()
+            data = asdict(parameter)
             return {**data, "space": {kind: data["space"]}}
 
         return {

@@ -62,7 +62,8 @@ class MainEffect:
 def main_effect(column: SweptColumn, metric: Array) -> MainEffect:
     """Return the main effect of a parameter on a metric, (runs,), NaN where a run failed."""
     known = np.isfinite(column.values) & np.isfinite(metric)
-    x, y = column.values[known], metric[known]
+    x = column.values[known]
+    y = metric[known]
     distinct = np.unique(x)
     if len(distinct) <= _MOST_LEVELS:
         level = np.searchsorted(distinct, x)
@@ -104,11 +105,7 @@ class SweepFigures:
 
     @classmethod
     def of(cls, file: Path) -> SweepFigures:
-        """Read results, finished or not.
-
-        Raises:
-            SweepError: if there are none, they cannot be read, or no run of them has succeeded.
-        """
+        """Read results, finished or not."""
         table = read_sweep(file)
         errors = {name: _MILLI * _numbers(table[name]) for name in _PATH_METRICS}
         worst = errors[_PATH_METRICS[0]]
@@ -132,11 +129,7 @@ def _column(table: pa.Table, field: pa.Field) -> SweptColumn:
 
 
 def sweep_page(file: Path) -> str:
-    """Return the text of the page on a file of results.
-
-    Raises:
-        SweepError: as `SweepFigures.of`.
-    """
+    """Return the text of the page on a file of results."""
     figures = SweepFigures.of(file)
     good = np.flatnonzero(np.isfinite(figures.worst))
     order = good[np.argsort(-figures.worst[good], kind="stable")]

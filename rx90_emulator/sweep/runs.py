@@ -59,12 +59,9 @@ class RunList:
     """
 
     def __init__(self, plan: SweepPlan, catalogue: Catalogue) -> None:
-        """Check every path and value of the plan.
-
-        Raises:
-            ConfigError: naming block, parameter and what is accepted.
-        """
-        self._plan, self._catalogue = plan, catalogue
+        """Check every path and value of the plan."""
+        self._plan = plan
+        self._catalogue = catalogue
         self._ends = list(accumulate(block.runs for block in plan.blocks))
         self._bound = [_bind(block, catalogue) for block in plan.blocks]
         columns: dict[str, Column] = {}
@@ -82,15 +79,12 @@ class RunList:
         return self._ends[-1]
 
     def describe(self, index: int) -> RunDescription:
-        """Return what run `index` is.
-
-        Raises:
-            SweepError: if there is no such run.
-        """
+        """Return what run `index` is."""
         if not 0 <= index < len(self):
             raise SweepError(f"run {index}; accepted: 0 to {len(self) - 1}")
         at = bisect_right(self._ends, index)
-        block, columns = self._plan.blocks[at], self._bound[at]
+        block = self._plan.blocks[at]
+        columns = self._bound[at]
         draw, point = divmod(index - (self._ends[at - 1] if at else 0), block.points)
         key = int.from_bytes(hashlib.sha256(block.name.encode()).digest()[:8], "big")
         sequence = np.random.SeedSequence(self._plan.seed, spawn_key=(key, draw))

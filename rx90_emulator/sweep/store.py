@@ -82,11 +82,7 @@ def table_of(sweep: Sweep, schema: pa.Schema, outcomes: Iterable[RunOutcome]) ->
 
 
 def about(schema: pa.Schema, file: Path) -> dict[str, Any]:
-    """Return what a result's metadata say of it.
-
-    Raises:
-        SweepError: if it is no result of a sweep, or has other columns than a sweep has written.
-    """
+    """Return what a result's metadata say of it."""
     try:
         found: dict[str, Any] = json.loads(schema.metadata[KEY])
         written = list(json.loads(schema.metadata[_PANDAS])["units"])
@@ -152,11 +148,7 @@ class ResultStore:
     """
 
     def __init__(self, file: Path, sweep: Sweep, *, resume: bool = False) -> None:
-        """Take up a result, or begin one.
-
-        Raises:
-            SweepError: if a result is in the way, or is not one of this sweep, or cannot be written.
-        """
+        """Take up a result, or begin one."""
         if not file.name or file.is_dir():
             raise SweepError(f"{file} is a folder; accepted: a file")
         self.file = file
@@ -262,11 +254,7 @@ def failures(table: pa.Table) -> list[tuple[str, int, str]]:
 
 
 def describe_results(file: Path) -> list[str]:
-    """Describe a sweep's results: state, plan, versions, failures, and each column with unit and range.
-
-    Raises:
-        SweepError: if there are none, or they cannot be read.
-    """
+    """Describe a sweep's results: state, plan, versions, failures, and each column with unit and range."""
     table = read_sweep(file)
     found = about(table.schema, file)
     state = f"all {found['runs']} runs"

@@ -75,7 +75,8 @@ def measure(task: TipTask, result: RunResult) -> tuple[float | int, ...]:
     first = int(np.searchsorted(result.times, begin))
     rows = slice(first, int(np.searchsorted(result.times, end, side="right")))
     slow = result.slow
-    peaks, work = np.zeros((3, slow.joint_states.shape[2])), np.zeros(slow.friction_states.shape[2])
+    peaks = np.zeros((3, slow.joint_states.shape[2]))
+    work = np.zeros(slow.friction_states.shape[2])
     peaks_and_work(
         slow.joint_states[rows], slow.friction_states[rows], slow.tracking_error[rows],
         result.setup.rates.position_period, peaks, work,

@@ -41,9 +41,6 @@ class LiveView:
         watch: what the nodes publish.
         state: the newest of the arm; None before the first.
         trace: the line with the trace of the spot, if there is one.
-
-    Raises:
-        ConfigError: if that cannot be a node's name.
     """
 
     def __init__(
@@ -76,7 +73,8 @@ class LiveView:
 
     def rests(self, seconds: float) -> bool:
         """Tell whether the last trajectory has been over for so long, in simulated time; from any thread."""
-        state, span = self.state, self.watch.trajectory
+        state = self.state
+        span = self.watch.trajectory
         return state is not None and (span is None or not span.begin <= state.time < span.end + seconds)
 
     def pace(self, now: float) -> float:
@@ -85,7 +83,8 @@ class LiveView:
             self._times.popleft()
         if len(self._times) < 2:
             return 0.0
-        (began, first), (ended, last) = self._times[0], self._times[-1]
+        (began, first) = self._times[0]
+        (ended, last) = self._times[-1]
         return (last - first) / (ended - began)
 
     def _problem(self, now: float) -> str:
@@ -144,11 +143,12 @@ class LiveView:
         problem = self._problem(now)
         rows = [("", _colored(problem, 1))]
         if self.state is not None and not problem:
-            nodes, time_s, span = watch.diagnostics.values(), self.state.time, watch.trajectory
+            nodes = watch.diagnostics.values()
+            time_s = self.state.time
+            span = watch.trajectory
             # Values that only this node has.
-            simulation, controller = (
-                next((node for node in nodes if key in node.values), None) for key in ("brakes", "enabled")
-            )
+            simulation = next((node for node in nodes if "brakes" in node.values), None)
+            controller = next((node for node in nodes if "enabled" in node.values), None)
             trajectory = "none"
             if span is not None and time_s < span.begin:
                 trajectory = f"begins in {span.begin - time_s:.1f} s"

@@ -58,9 +58,6 @@ class Page:
         tab: adds a tab with a label to the control panel, to be filled in a `with` block.
         add_lines: adds line segments to the scene, float32 (n, 2, 3) m, as thick in pixels wherever the camera is.
         address: what to open in a browser.
-
-    Raises:
-        ConfigError: if host and port cannot be bound to.
     """
 
     def __init__(self, title: str, host: str = "127.0.0.1", port: int = 8080) -> None:
@@ -153,7 +150,8 @@ class Page:
         with nullcontext(check_interrupt) if check_interrupt else deferred_interrupts() as check:
             while not until():
                 check()
-                now, wait = time.monotonic(), _LONGEST_WAIT
+                now = time.monotonic()
+                wait = _LONGEST_WAIT
                 if self._timed:
                     due, _, period, function, busy = self._timed[0]
                     wait = min(wait, max(0.0, due - now))
@@ -186,11 +184,7 @@ def block(content: str) -> str:
 
 
 def _is_open_to_others(host: str, port: int) -> bool:
-    """Bind to host and port once, and let go: viser would take another port, or wait for ever; tell who reaches it.
-
-    Raises:
-        ConfigError: if host and port cannot be bound to.
-    """
+    """Bind to host and port once, and let go: viser would take another port, or wait for ever; tell who reaches it."""
     try:
         family, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError) as error:

@@ -36,7 +36,8 @@ class ArmScene:
 
     def __init__(self, page: Page, name: str, robot: RobotModel) -> None:
         self._page = page
-        self._model, self._data = robot.model, robot.model.createData()
+        self._model = robot.model
+        self._data = robot.model.createData()
         shapes = drawn_shapes(robot)
         page.scene.add_frame(name, show_axes=False)
         self._joints: list[viser.FrameHandle] = []
@@ -48,7 +49,8 @@ class ArmScene:
             for number, shape in enumerate(shape for shape in shapes if shape.joint == index):
                 self._draw(f"{path}/shape_{number}", shape)
         placement = robot.model.frames[robot.model.getFrameId(robot.tcp_frame)].placement
-        self.tip, turn = f"{path}/tip", _quaternion(placement.rotation)
+        self.tip = f"{path}/tip"
+        turn = _quaternion(placement.rotation)
         page.scene.add_frame(self.tip, show_axes=False, position=placement.translation, wxyz=turn)
         self.show(np.zeros(len(robot.joint_names)))
 
@@ -167,7 +169,9 @@ class LineScene:
 
     def begin_again(self) -> None:
         """Forget the trace and all times, because simulated time has begun again. The newest run stays."""
-        self._span, self._asked, self._begin = _NO_SPAN, np.zeros((2, 1)), np.nan
+        self._span = _NO_SPAN
+        self._asked = np.zeros((2, 1))
+        self._begin = np.nan
         self._rows = np.empty((0, 4))  # time, distance along the line, path error, orientation error
         self.clear()
 
@@ -184,8 +188,10 @@ class LineScene:
             tips: positions of the spot at these times, m, shape (n, 3).
             at_rest: whether the arm rests at each of them, shape (n,).
         """
-        self._span, self._rows = _NO_SPAN, self._rows[-_KEPT_BEFORE:]
-        ends, whole = self._task.poses(np.array([0.0, self._task.length])).position, self._task.length
+        self._span = _NO_SPAN
+        self._rows = self._rows[-_KEPT_BEFORE:]
+        ends = self._task.poses(np.array([0.0, self._task.length])).position
+        whole = self._task.length
         way = np.concatenate([np.zeros(min(1, len(tips))), np.cumsum(length(np.diff(tips, axis=0)))])
         moves = np.diff(way) > 0.0
         begins = np.flatnonzero(at_rest[:-1] & moves)
@@ -245,8 +251,10 @@ class LineScene:
         words = f"{self._now * 1e3:.3f} mm now" if known else "not on the line"
         if self.run is None:
             return words
-        error, along = self.run.perpendicular, self.run.along
-        at, beyond = float(along[np.argmax(error)]), error[along > _START_ZONE]
+        error = self.run.perpendicular
+        along = self.run.along
+        at = float(along[np.argmax(error)])
+        beyond = error[along > _START_ZONE]
         words += f"; {'largest of this run' if known else 'last run'} {self.run.worst * 1e3:.3f} mm, "
         words += f"{at * 1e3:.0f} mm from the start"
         if at <= _START_ZONE and len(beyond):

@@ -33,7 +33,8 @@ class Tour:
 
     def __init__(self, robot: str, setup: Setup, plan: LinePlan, controller: str) -> None:
         self._command = executable("rx90_cell", "--ros-args", "-p", f"robot:={robot}")
-        limits, period = setup.controller.limits(setup.robot), setup.rates.position_period
+        limits = setup.controller.limits(setup.robot)
+        period = setup.rates.position_period
         self._line = plan, controller, limits, period, Approach()
         self._group = ProcessGroup()
         self._ending = threading.Event()

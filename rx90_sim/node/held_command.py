@@ -64,9 +64,13 @@ class HeldCommand:
         complain: Callable[[str], None],
         interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._channel, self._topic = channel, channel.subscribe_topic
-        self._decode, self._period_ns = decode, period_ns
-        self._announce, self._complain, self._interrupted = announce, complain, interrupted
+        self._channel = channel
+        self._topic = channel.subscribe_topic
+        self._decode = decode
+        self._period_ns = period_ns
+        self._announce = announce
+        self._complain = complain
+        self._interrupted = interrupted
         self.wait_for(timeout)
         self.forget()
         self._out_of_order: deque[float] = deque(maxlen=_OUT_OF_ORDER_COUNT)
@@ -180,7 +184,8 @@ class HeldCommand:
         if len(self._lines) == _LINES and now - self._lines[0] < _LINES_WINDOW:
             return
         self._lines.append(now)
-        changes, self._changes = self._changes, 0
+        changes = self._changes
+        self._changes = 0
         if opened:
             text = f"commands on {self._topic}: the brakes open"
         elif self._followed:
@@ -250,7 +255,10 @@ class JointCommands:
     """
 
     def __init__(self, joints: JointInterface, names: tuple[str, ...], topic: str, once: OnceLog) -> None:
-        self._joints, self._codec, self._topic, self._once = joints, JointStateCodec(names), topic, once
+        self._joints = joints
+        self._codec = JointStateCodec(names)
+        self._topic = topic
+        self._once = once
         self._accepted = f"{len(names)} efforts at the joints, Nm"
 
     def decode(self, raw: bytes) -> Array | None:
@@ -279,7 +287,9 @@ class CommandWatch:
     """
 
     def __init__(self, node: Node, interface: str, once: OnceLog) -> None:
-        self._node, self._once, self._interface = node, once, interface
+        self._node = node
+        self._once = once
+        self._interface = interface
         self._states, self._commands = (str(node.resolve_topic_name(one)) for one in COMMAND_INTERFACES[interface])
         self._others = {
             other: str(node.resolve_topic_name(commands))
@@ -293,7 +303,8 @@ class CommandWatch:
 
     def look(self) -> None:
         """Report problems of the publishers of commands, and of the subscribers of the states that commands answer."""
-        self._known, self._found = self._found, set()
+        self._known = self._found
+        self._found = set()
         found = self._named(self._node.get_publishers_info_by_topic(self._commands))
         for info in found:
             if info.topic_type != _JOINT_STATE:

@@ -35,11 +35,7 @@ FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
 
 @dataclass(frozen=True)
 class SimulationParameters:
-    """The node's parameters; fields other than the rates are declared here.
-
-    Raises:
-        ConfigError: naming parameter, value and what is accepted.
-    """
+    """The node's parameters; fields other than the rates are declared here."""
 
     rates: Rates
     joint_state_rate: int = option(1000, "rate of joint_states and friction_states, Hz", 1, 20000)
@@ -91,12 +87,9 @@ class SimulationParameters:
         self.check_age_limit(self.command_age_limit)
 
     def start(self, robot: RobotModel) -> Array:
-        """Return the initial position, rad, shape (n,).
-
-        Raises:
-            ConfigError: for another number of values than one, or one for each joint.
-        """
-        given, joints = np.array(self.initial_position, np.float64), len(robot.joint_names)
+        """Return the initial position, rad, shape (n,)."""
+        given = np.array(self.initial_position, np.float64)
+        joints = len(robot.joint_names)
         if len(given) not in (1, joints):
             raise ConfigError(
                 f"parameter initial_position has {counted(len(given), 'number')}; accepted: {joints}, one for each "
@@ -105,11 +98,7 @@ class SimulationParameters:
         return np.clip(given, robot.lower, robot.upper) if len(given) < joints else given
 
     def check_age_limit(self, limit: float) -> float:
-        """Return an age limit of joint commands, s, that leaves time to answer.
-
-        Raises:
-            ConfigError: if it is shorter than two periods of the commands.
-        """
+        """Return an age limit of joint commands, s, that leaves time to answer."""
         least = 2.0 / self.command_hz
         if self.command_interface == JOINT_INTERFACE and self.time_mode == FREE_RUNNING and limit < least:
             raise ConfigError(
@@ -132,11 +121,7 @@ class SimulationParameters:
 
 
 def read_parameters(node: Node) -> SimulationParameters:
-    """Declare the node's parameters, if they are not, and read them.
-
-    Raises:
-        ConfigError: naming parameter, value and accepted range.
-    """
+    """Declare the node's parameters, if they are not, and read them."""
     return SimulationParameters(declare_rates(node), **declare_options(node, SimulationParameters))
 
 
@@ -146,13 +131,10 @@ def declare_step_ticks(node: Node) -> int:
 
 
 def build_plant(node: Node, files: RobotFiles, parameters: SimulationParameters) -> tuple[RobotModel, Plant]:
-    """Read the robot's files and put the arm at its initial position.
-
-    Raises:
-        ConfigError: naming file, key, value and accepted range.
-    """
+    """Read the robot's files and put the arm at its initial position."""
     robot = load_robot(files.urdf, files.tool)
-    drives, substeps = load_drives(files.drives), parameters.substeps or None
+    drives = load_drives(files.drives)
+    substeps = parameters.substeps or None
     robot.check_count(files.drives, "gear", drives.gear)
     friction = load_friction(files.friction, drives.turning.element_names(robot.joint_names))
     for line in friction.passivity_warnings(drives.turning.reach(robot.max_velocity)):

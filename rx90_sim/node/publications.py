@@ -45,7 +45,8 @@ class SampledStates:
     """
 
     def __init__(self, node: Node, plant: Plant, rates: Rates) -> None:
-        self._plant, self._period_ns = plant, rates.period_ns
+        self._plant = plant
+        self._period_ns = rates.period_ns
         self._ticks = max(1, rates.base_hz // SAMPLED_RATE)
         self._encode_joints = JointStateCodec(plant.joint_names).encoder(*plant.joint_states())
         self._encode_friction = JointStateCodec(plant.friction_names).encoder(*plant.friction_states())
@@ -69,7 +70,8 @@ class SampledStates:
             if now >= self._due - 0.5 * _SAMPLED_PERIOD:  # in real time some ticks come a little early
                 fast = self._since > 1 and self._since * _SAMPLED_PERIOD > MAX_DISPLAY_RTF * (now - self._published)
                 self._due = max(self._due, now) + (_DISPLAY_PERIOD if fast else _SAMPLED_PERIOD)
-                self._published, self._since = now, 0
+                self._published = now
+                self._since = 0
                 self.repeat()
 
     def repeat(self) -> None:
@@ -90,9 +92,6 @@ class Transforms:
 
     Attributes:
         publisher: of /tf.
-
-    Raises:
-        ConfigError: if the rate does not divide the base rate, or tf2_msgs is not there.
     """
 
     def __init__(self, node: Node, robot: RobotModel, plant: Plant, parameters: SimulationParameters) -> None:
@@ -134,14 +133,12 @@ class Publications:
 
     Attributes:
         publishers: of all topics but /tf_static.
-
-    Raises:
-        ConfigError: if a rate does not divide the base rate, or tf2_msgs is required and missing.
     """
 
     def __init__(self, node: Node, robot: RobotModel, plant: Plant, parameters: SimulationParameters) -> None:
         rates = parameters.rates
-        self._plant, self._period_ns = plant, rates.period_ns
+        self._plant = plant
+        self._period_ns = rates.period_ns
         self._transforms = Transforms(node, robot, plant, parameters) if parameters.tf_rate else None
         self._state_ticks = ticks_per("joint_state_rate", rates.base_hz, parameters.joint_state_rate)
         self._clock_ticks = ticks_per("clock_rate", rates.base_hz, parameters.clock_rate)

@@ -73,15 +73,13 @@ class Simulation:
             publishers: returns the publishers whose messages must arrive as well before a run that is not paced goes
                 on.
         """
-        self._follow, self._also_listening = follow, publishers
+        self._follow = follow
+        self._also_listening = publishers
 
     def configure(self) -> None:
-        """Load the robot; time stands still.
-
-        Raises:
-            Rx90Error: for files and parameters that are refused, and a second simulation.
-        """
-        parameters, files = read_parameters(self.node), self.node.declare_robot_files(*FILE_PARAMETERS)
+        """Load the robot; time stands still."""
+        parameters = read_parameters(self.node)
+        files = self.node.declare_robot_files(*FILE_PARAMETERS)
         self._arm = arm = SimulatedArm(self.node, files, parameters)
         arm.ticks.listeners.others = self._also_listening
         self._allow("real_time_factor", arm.check_pace, arm.ticks.pacer.change)
@@ -141,13 +139,11 @@ class SimulatedArm:
     Attributes:
         ticks: for the ticking thread.
         time_mode: the time mode.
-
-    Raises:
-        Rx90Error: for files and parameters that are refused, and a second simulation.
     """
 
     def __init__(self, node: ManagedNode, files: RobotFiles, parameters: SimulationParameters) -> None:
-        self._node, self._parameters = node, parameters
+        self._node = node
+        self._parameters = parameters
         robot, self._plant = build_plant(node, files, parameters)
         self._warm = False
         self._robot_name = plain(robot.model.name)
@@ -164,7 +160,8 @@ class SimulatedArm:
 
     def activate(self) -> None:
         """Let time run."""
-        node, parameters = self._node, self._parameters
+        node = self._node
+        parameters = self._parameters
         text = f"ready: {self._robot_name}, {parameters.time_mode} at {parameters.rates.base_hz} Hz"
         if parameters.time_mode == LOCK_STEP:
             text += f", real_time_factor {node.get_parameter('real_time_factor').value:g}"
@@ -185,11 +182,7 @@ class SimulatedArm:
         self._node.get_logger().info(f"inactive: time stands still at {self.ticks.time:.6g} s")
 
     def check_pace(self, factor: float) -> float:
-        """Return a real-time factor that time can be paced to.
-
-        Raises:
-            ConfigError: if it cannot, or time is the wall clock's.
-        """
+        """Return a real-time factor that time can be paced to."""
         if self._parameters.time_mode != LOCK_STEP:
             raise ConfigError(f"real_time_factor: time_mode is {self._parameters.time_mode}; accepted: in {LOCK_STEP}")
         return check_factor(factor)
@@ -222,7 +215,8 @@ class SimulatedArm:
         return response
 
     def _status(self) -> tuple[bytes, str, dict[str, str]]:
-        ticks, plant = self.ticks, self._plant
+        ticks = self.ticks
+        plant = self._plant
         counts = ticks.pacer.take()
         rate = counts.ticks / counts.seconds if counts.seconds > 0 else 0.0
         values = {
@@ -264,9 +258,5 @@ class SimulatedArm:
 
 
 def spin(args: Sequence[str]) -> None:
-    """Run the node until it ends or is interrupted.
-
-    Raises:
-        Rx90Error: for parameters that are refused, or a state that diverged.
-    """
+    """Run the node until it ends or is interrupted."""
     spin_nodes(lambda: started([Simulation()]), args)

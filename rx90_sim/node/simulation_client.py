@@ -74,7 +74,8 @@ class EffortController:
     def __init__(
         self, node: Node, controller: Callable[[Array, Array, float], ArrayLike | None], names: tuple[str, ...]
     ):
-        self._controller, self._names = controller, names
+        self._controller = controller
+        self._names = names
         self._received: list[str] = []
         self._order = np.arange(len(names))
         self.time: float | None = None
@@ -90,7 +91,8 @@ class EffortController:
             self._order = np.array([self._received.index(name) for name in self._names])
         stamp = states.header.stamp
         self.time = stamp.sec + stamp.nanosec * 1e-9
-        position, velocity = np.array(states.position)[self._order], np.array(states.velocity)[self._order]
+        position = np.array(states.position)[self._order]
+        velocity = np.array(states.velocity)[self._order]
         effort = self._controller(position, velocity, self.time)
         command = JointState(name=self._names)
         command.header.stamp = stamp

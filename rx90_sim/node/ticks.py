@@ -54,7 +54,8 @@ class RunControl:
 
     def __init__(self, paused: bool, wake: Callable[[], None], last_tick: int | None = None) -> None:
         self._changed = threading.Condition()
-        self._wake, self._last_tick = wake, last_tick
+        self._wake = wake
+        self._last_tick = last_tick
         self._paused = paused
         self.held = self.stopped = self._reset = False
         self._steps = 0
@@ -173,20 +174,22 @@ class Ticks:
         listeners: who is waited for in a run that is not paced.
         held: commands in free-running time.
         lockstep: exchange in lock-step.
-
-    Raises:
-        Rx90Error: for rates that do not divide, and a second simulation.
     """
 
     def __init__(self, node: ManagedNode, robot: RobotModel, plant: Plant, parameters: SimulationParameters) -> None:
-        self._node, self._plant, self._initial_position = node, plant, parameters.start(robot)
-        rates, log = parameters.rates, node.get_logger()
+        self._node = node
+        self._plant = plant
+        self._initial_position = parameters.start(robot)
+        rates = parameters.rates
+        log = node.get_logger()
         self._period_ns = rates.period_ns
         self._lock_step = parameters.time_mode == LOCK_STEP
         self._publications = Publications(node, robot, plant, parameters)
         self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
         self._channel = channel = node.make_channel(*COMMAND_INTERFACES[parameters.command_interface])
-        self._waiting_tick, self._heartbeat_due = -1, 0.0  # the tick that does not end; s of the steady clock
+        # the tick that does not end; s of the steady clock
+        self._waiting_tick = -1
+        self._heartbeat_due = 0.0
         self._publishers = (*self._publications.publishers, self._channel.publisher)
         self._published_tick = -1
         self._torques: Array | None = None  # of the newest command; brakes closed for None
@@ -210,11 +213,14 @@ class Ticks:
             self.held: HeldCommand = NewestCommand(channel, self._decode, rates.period_ns, limit, log.info, once.say)
         else:
             motors = motor_names(len(plant.joint_names))
-            commands, throttled = JointStateCodec(motors), ThrottledLog(log.error)
+            commands = JointStateCodec(motors)
+            throttled = ThrottledLog(log.error)
             self._encode_states = JointStateCodec(motors).encoder(*plant.motor_states())
             self._decode = lambda raw: commands.decode(raw)[3]
-            self._complain, otherwise = partial(throttled.say, "command"), ""
-            timeout, interrupting = parameters.command_timeout, self.control.interrupting
+            self._complain = partial(throttled.say, "command")
+            otherwise = ""
+            timeout = parameters.command_timeout
+            interrupting = self.control.interrupting
             self.held = HeldCommand(
                 channel, self._decode, rates.period_ns, timeout, log.info, self._complain, interrupting
             )
@@ -286,12 +292,14 @@ class Ticks:
         Latching would not do: only subscribers that request it get the latched message, and they would get as many old
         samples as the queue of a recorder is deep.
         """
-        now, tick = time.monotonic(), self._plant.tick
+        now = time.monotonic()
+        tick = self._plant.tick
         if tick == self._waiting_tick:
             if now < self._heartbeat_due:
                 return
             self._publications.repeat()
-        self._waiting_tick, self._heartbeat_due = tick, now + _HEARTBEAT_PERIOD
+        self._waiting_tick = tick
+        self._heartbeat_due = now + _HEARTBEAT_PERIOD
 
     def _step_free_running(self) -> bool:
         plant = self._plant

@@ -67,7 +67,8 @@ class MessageReader(threading.Thread):
     def collect(self) -> list[Arrived]:
         """Return the messages read since the last call."""
         with self._lock:
-            queue, self._queue = self._queue, []
+            queue = self._queue
+            self._queue = []
         return queue
 
     def finish(self) -> None:
@@ -213,9 +214,7 @@ class Recorder:
         """Record until `stop` is set; the bag is made once the topics' names are known to be good.
 
         Raises:
-            BagError: if a topic cannot be recorded or the bag cannot be made.
             BagWriteError: if the bag cannot be written on, or no message can be read from the middleware any more.
-            ConfigError: if ROS refuses its arguments.
         """
         context = Context()
         try:

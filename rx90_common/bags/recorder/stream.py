@@ -64,7 +64,8 @@ class SequenceCounter:
 
     def __init__(self, matched: Callable[[], int], *, transient_local: bool) -> None:
         self.writers: list[WriterCount] = []
-        self._matched, self._transient_local = matched, transient_local
+        self._matched = matched
+        self._transient_local = transient_local
         self._known_before: int | None = None  # writers at the start
         self._current: WriterCount | None = None
 
@@ -114,9 +115,6 @@ class Streams:
 
     Attributes:
         trajectories: those that came, and those that controllers have accepted since all was ready.
-
-    Raises:
-        BagError: if ROS does not accept a name, or two are the same topic.
     """
 
     def __init__(self, node: Node, topics: Sequence[str]) -> None:
@@ -178,15 +176,14 @@ class Stream:
         definition: the text of its type, if readers of this project do not know it; else empty.
         repeated: messages that repeated the one before.
         sent_ns: time at which the newest message was sent, by its publisher's wall clock.
-
-    Raises:
-        BagError: if the publishers disagree on the type, or it is not installed.
     """
 
     def __init__(
         self, node: Node, topic: str, index: int, endpoints: Sequence[Any], trajectories: TrajectoryCount
     ) -> None:
-        self.topic, self.index, self._trajectories = topic, index, trajectories
+        self.topic = topic
+        self.index = index
+        self._trajectories = trajectories
         types = sorted({str(endpoint.topic_type) for endpoint in endpoints})
         if len(types) > 1:
             raise BagError(f"{topic} is published with the types {', '.join(types)}; accepted: one type")
@@ -226,7 +223,8 @@ class Stream:
         )
         self.counter = SequenceCounter(self.matched, transient_local=self._latched)
         self.repeated = self.sent_ns = 0
-        self._ready_ns, self._newest = _NEVER, b""
+        self._ready_ns = _NEVER
+        self._newest = b""
 
     @property
     def needs_publisher(self) -> bool:
@@ -260,7 +258,9 @@ class Stream:
             again = messages.repeats(self._newest)
             self._newest = found[-1][0]
             self.repeated += int(again.sum())
-            messages, received_ns, sent_ns = messages.take(np.flatnonzero(~again)), received_ns[~again], sent_ns[~again]
+            messages = messages.take(np.flatnonzero(~again))
+            received_ns = received_ns[~again]
+            sent_ns = sent_ns[~again]
         return Arrived(self.index, self.time_source, messages, received_ns, sent_ns if self._latched else None)
 
     def matched(self) -> int:
@@ -285,11 +285,7 @@ def _total(event: Any) -> int:
 
 
 def message_class(topic: str, msgtype: str) -> Any:
-    """Return the class of a message type.
-
-    Raises:
-        BagError: if the type is not installed, with how to get it where that is known.
-    """
+    """Return the class of a message type."""
     package, _, name = msgtype.split("/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)

@@ -127,7 +127,8 @@ def fill_load(record: Any, parts: Sequence[LoadPart | None]) -> None:
                 record["stribeck"][row, i] = getattr(part, f"stribeck_{direction}")
                 record["quadratic"][row, i] = getattr(part, f"quadratic_{direction}")
             if part.omega_s > 0.0:
-                record["fades"], record["inverse_omega_s"][i] = 1, 1.0 / part.omega_s
+                record["fades"] = 1
+                record["inverse_omega_s"][i] = 1.0 / part.omega_s
             record["rate"][i] = 1.0 / part.relax_time
 
 

@@ -27,11 +27,7 @@ class FrictionPart(Declared):
 
     @classmethod
     def read(cls, content: Mapping[str, Any]) -> FrictionPart:
-        """Return the part for the values that `entry` has read.
-
-        Raises:
-            ConfigError: as the part itself.
-        """
+        """Return the part for the values that `entry` has read."""
         return cls.of_file(content)
 
     @property

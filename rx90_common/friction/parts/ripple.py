@@ -115,7 +115,8 @@ def fill_ripple(record: Any, parts: Sequence[RipplePart | None], gear: Sequence[
             continue
         row = 0
         for angle, ratio in zip(ANGLES, (1.0, gear[i]), strict=True):
-            harmonic, amplitude = getattr(part, f"{angle}_harmonic"), getattr(part, f"{angle}_amplitude")
+            harmonic = getattr(part, f"{angle}_harmonic")
+            amplitude = getattr(part, f"{angle}_amplitude")
             phase = getattr(part, f"{angle}_phase") or (0.0,) * len(harmonic)
             for k in range(len(harmonic)):
                 sine, cosine = sines_cosines(np.array([phase[k]]))

@@ -39,11 +39,7 @@ LARGEST_SEED = 2**53
 
 
 def check_seed(seed: object) -> None:
-    """Refuse an invalid seed.
-
-    Raises:
-        ConfigError: with the accepted values.
-    """
+    """Refuse an invalid seed."""
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed <= LARGEST_SEED:
         raise ConfigError(f"seed is {quoted(seed)}; accepted: a whole number from 0 to {LARGEST_SEED}")
 

@@ -111,7 +111,8 @@ class TemperaturePart(FrictionPart):
     def weakest(self, element: Any) -> Any:
         """Return an element that has nowhere more friction than this one has at any temperature."""
         ends = np.array([self.lowest, self.highest]) - self.reference
-        speed, static = (float(np.min(1.0 + slope * ends)) for slope in (self.speed_slope, self.static_slope))
+        speed = float(np.min(1.0 + self.speed_slope * ends))
+        static = float(np.min(1.0 + self.static_slope * ends))
         return replace(
             element,
             omega_s=element.omega_s * min(1.0, speed),
@@ -185,7 +186,8 @@ def start_temperatures(part: Any, state: Any, width: int) -> None:
 @inlined
 def follow_temperatures(part: Any, state: Any, width: int) -> None:
     """Write the parameters of the elements at the present temperatures."""
-    now, highest = load(state.temperature, width), load(part.highest, width)
+    now = load(state.temperature, width)
+    highest = load(part.highest, width)
     above = select(now > highest, highest, now) - load(part.reference, width)
     store(
         state.viscous,

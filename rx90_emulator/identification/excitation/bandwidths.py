@@ -37,7 +37,9 @@ Equations = Callable[[Sequence[JointRecord], Bandwidths], ExcitationProblem]
 _MIN_BANDWIDTH = 1e-6  # Hz
 _NARROWER = 3  # largest number of bandwidths tried beside the widest
 _MIN_RATIO = 2.0  # between two of them
-_ACCEPTED_RATIO, _ACCEPTED_SE = 1.1, 2.0  # over the least error; standard errors beyond it
+# over the least error; standard errors beyond it
+_ACCEPTED_RATIO = 1.1
+_ACCEPTED_SE = 2.0
 _SINGULAR = 1e-10  # relative: directions that the remaining rows do not determine stay 0
 
 
@@ -54,22 +56,21 @@ def choose_bandwidths(
         records: of the runs to identify from.
         equations: makes the equations for bandwidths.
         given: bandwidth of the positions, Hz; that of the torque is a third of it. By default it is selected.
-
-    Raises:
-        IdentificationError: for a bandwidth too large for the sampling rate, and runs that determine none.
     """
     if given is not None:
         if not _MIN_BANDWIDTH <= given < math.inf:
             raise IdentificationError(f"--bandwidth is {given:g} Hz; accepted: a number of at least {_MIN_BANDWIDTH:g}")
         bandwidths = Bandwidths(given, given / 3.0)
         return bandwidths, equations(records, bandwidths)
-    widest, silent = Bandwidths.of(records), next(filter(None, (record.no_velocity for record in records)), "")
+    widest = Bandwidths.of(records)
+    silent = next(filter(None, (record.no_velocity for record in records)), "")
     candidates, residuals, number = _compared(widest, records, equations)
     compared = candidates[-1][1]
     if all(run.reference is not None for run in compared.runs):
         # Velocities of emulated drives' observers predict low frequencies better, but bias rotor inertias by up to 2 %.
         silent = "the set-points in the bags tell more than they"
-    (chosen, problem), reason = candidates[number], widest.reason
+    (chosen, problem) = candidates[number]
+    reason = widest.reason
     if len(candidates) > 1:
         size = np.linalg.norm(compared.torque)
         figures = ", ".join(
@@ -102,10 +103,12 @@ def _recorded_velocity(
     worse.
     """
     twin = equations(records, compared.runs[0].bandwidths._replace(recorded_velocity=True))
-    first_key, second_key = (
-        (one.run * len(one.arm.names) + one.joint) * max(len(run.rows) for run in compared.runs) + one.place
-        for one in (compared, twin)
-    )
+    first_key = (compared.run * len(compared.arm.names) + compared.joint) * max(
+        len(run.rows) for run in compared.runs
+    ) + compared.place
+    second_key = (twin.run * len(twin.arm.names) + twin.joint) * max(
+        len(run.rows) for run in compared.runs
+    ) + twin.place
     # An element may stop in one motion and not in the other.
     _, rows, its = np.intersect1d(first_key, second_key, assume_unique=True, return_indices=True)
     pair = residual[rows], _left_out(twin, twin)[its]
@@ -145,14 +148,16 @@ def _compared(
     residuals = [_left_out(problem, last[1]) for _, problem in found]
     best = _best(residuals, last[1])
     if between := list(filter(None, map(at, narrower if best else ()))):
-        found[1:1], residuals[1:1] = between, [_left_out(problem, last[1]) for _, problem in between]
+        found[1:1] = between
+        residuals[1:1] = [_left_out(problem, last[1]) for _, problem in between]
         best = _best(residuals, last[1])
     return found, residuals, best
 
 
 def _best(residuals: Sequence[Array], compared: ExcitationProblem, rows: Index | slice = slice(None)) -> int:
     """Return the first candidate whose residuals on these rows are not clearly larger than the least, joints alike."""
-    joint, block = compared.joint[rows], time_blocks(compared)[rows]
+    joint = compared.joint[rows]
+    block = time_blocks(compared)[rows]
     least = np.ones(joint.max() + 1)  # for each joint: the RMS of the candidate that predicts it best
     for number in np.unique(joint).tolist():
         own = joint == number
@@ -160,7 +165,8 @@ def _best(residuals: Sequence[Array], compared: ExcitationProblem, rows: Index |
     squares = [np.bincount(block, (one / least[joint]) ** 2) for one in residuals]
     best = min(squares, key=np.sum)
     for number, own in enumerate(squares):
-        more, deviation = float(np.sum(own - best)), float(np.std(own - best, ddof=1) * math.sqrt(len(own)))
+        more = float(np.sum(own - best))
+        deviation = float(np.std(own - best, ddof=1) * math.sqrt(len(own)))
         if own.sum() <= _ACCEPTED_RATIO**2 * best.sum() or more <= _ACCEPTED_SE * deviation:
             return number
     raise AssertionError  # the best one is no larger than itself
@@ -168,14 +174,18 @@ def _best(residuals: Sequence[Array], compared: ExcitationProblem, rows: Index |
 
 def _left_out(problem: ExcitationProblem, compared: ExcitationProblem) -> Array:
     """Return residuals of the compared rows, each block of time by the parameters fitted without it, shape (r,)."""
-    own, other = (np.hstack([one.regressor, coulomb_viscous(one)]) for one in (problem, compared))
+    own = np.hstack([problem.regressor, coulomb_viscous(problem)])
+    other = np.hstack([compared.regressor, coulomb_viscous(compared)])
     fit = solve(problem, own)
     weighted = own * (fit.weights / fit.sigma[problem.joint] ** 2)[:, None]
-    whole, right = weighted.T @ own, weighted.T @ problem.torque
-    block, residual = time_blocks(compared), np.empty(len(compared))
+    whole = weighted.T @ own
+    right = weighted.T @ problem.torque
+    block = time_blocks(compared)
+    residual = np.empty(len(compared))
     inside = block[_nearest(problem, compared)]
     for number in np.unique(block).tolist():
-        mine, rows = inside == number, block == number
+        mine = inside == number
+        rows = block == number
         gram = whole - weighted[mine].T @ own[mine]
         scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
         target = (right - weighted[mine].T @ problem.torque[mine]) / scale
@@ -187,9 +197,11 @@ def _left_out(problem: ExcitationProblem, compared: ExcitationProblem) -> Array:
 def _nearest(problem: ExcitationProblem, compared: ExcitationProblem) -> Index:
     """Return for each row the compared row of the same bag that is nearest in time, shape (r,)."""
     result = np.zeros(len(problem), dtype=np.intp)
-    paths, theirs = (np.array([str(run.source.path) for run in one.runs])[one.run] for one in (problem, compared))
+    paths = np.array([str(run.source.path) for run in problem.runs])[problem.run]
+    theirs = np.array([str(run.source.path) for run in compared.runs])[compared.run]
     for path in np.unique(paths):
-        rows, known = np.flatnonzero(paths == path), np.flatnonzero(theirs == path)
+        rows = np.flatnonzero(paths == path)
+        known = np.flatnonzero(theirs == path)
         if len(known):
             known = known[np.argsort(compared.time[known], kind="stable")]
             time = compared.time[known]

@@ -128,9 +128,6 @@ def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], A
     Pinocchio, and so the regressor, treats links that are fixed to each other as one body; a URDF lists them one by
     one.
     Each joint's own link comes before those that are fixed to it. The farthest frame may be that of the next joint.
-
-    Raises:
-        IdentificationError: for a joint that the URDF does not have.
     """
     root = ET.fromstring(urdf)
     own = {
@@ -145,18 +142,18 @@ def _moving_links(urdf: str, joints: Sequence[str]) -> tuple[list[MovingBody], A
     fixed_joints = [k for k in range(1, model.njoints) if model.names[k] not in joints]
     model = pin.buildReducedModel(model, fixed_joints, pin.neutral(model))
     number = [joints.index(name) if name in joints else -1 for name in model.names]
-    bodies, places = [], list(zip(model.parents, model.jointPlacements, strict=True))
+    bodies = []
+    places = list(zip(model.parents, model.jointPlacements, strict=True))
     for element in root.findall("link"):
-        frame, inertial = (
-            model.frames[model.getFrameId(element.get("name", ""), pin.FrameType.BODY)],
-            element.find("inertial"),
-        )
+        frame = model.frames[model.getFrameId(element.get("name", ""), pin.FrameType.BODY)]
+        inertial = element.find("inertial")
         joint = joint_of(frame)
         places.append((joint, frame.placement))
         if joint:
             pseudo = np.zeros((4, 4))
             if inertial is not None:
-                mass, inertia = inertial.find("mass"), inertial.find("inertia")
+                mass = inertial.find("mass")
+                inertia = inertial.find("inertia")
                 weight = 0.0 if mass is None else float(mass.get("value", "0"))
                 moments = [0.0 if inertia is None else float(inertia.get(key, "0")) for key in _URDF_MOMENTS]
                 to_joint = frame.placement.homogeneous @ _origin(inertial)
@@ -173,7 +170,8 @@ def _origin(parent: ET.Element) -> Array:
     """Return the homogeneous transform of an <origin>, shape (4, 4)."""
     origin = parent.find("origin")
     given = {} if origin is None else origin.attrib
-    xyz, rpy = ([float(word) for word in given.get(key, "0 0 0").split()] for key in ("xyz", "rpy"))
+    xyz = [float(word) for word in given.get("xyz", "0 0 0").split()]
+    rpy = [float(word) for word in given.get("rpy", "0 0 0").split()]
     return np.asarray(pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)).homogeneous)
 
 
@@ -231,13 +229,12 @@ class InertialPrior:
                 rotors'.
             springs: as the attribute.
             known: links whose <inertial> is known and does not change, such as a tool that was weighed.
-
-        Raises:
-            IdentificationError: for an unknown joint, and rotors or springs that are negative or too many.
         """
-        names, text = tuple(joints), urdf.read_text(encoding="utf-8") if isinstance(urdf, Path) else urdf
+        names = tuple(joints)
+        text = urdf.read_text(encoding="utf-8") if isinstance(urdf, Path) else urdf
         links, ends = _moving_links(text, names)
-        fixed_parameters, free = np.zeros((len(names), 10)), [body for body in links if body.link not in known]
+        fixed_parameters = np.zeros((len(names), 10))
+        free = [body for body in links if body.link not in known]
         for body in links:
             if body.link in known:
                 fixed_parameters[body.joint] += inertial_parameters(body.pseudo)
@@ -246,7 +243,8 @@ class InertialPrior:
         same = all(np.abs(one.pseudo - own[0].pseudo).max() <= _EQUAL for one in own)
         filled = len(own) >= _MIN_EQUAL_LINKS and bool(own[0].pseudo.any()) and same
         bodies: list[MovingBody] = []
-        guessed, words = [], []
+        guessed = []
+        words = []
         for joint, name in enumerate(names):
             of_joint = [body for body in free if body.joint == joint]
             real = [] if filled else [body for body in of_joint if is_body(body.pseudo)]
@@ -263,7 +261,8 @@ class InertialPrior:
         kept = {body.link for body in bodies}
         dropped = tuple(body.link for body in free if body.pseudo.any() and body.link not in kept)
         sizes: ArrayLike = np.zeros(len(names)) if rotors is None else rotors
-        initial, amplitudes = (np.array(values, dtype=np.float64).reshape(-1) for values in (sizes, springs))
+        initial = np.array(sizes, dtype=np.float64).reshape(-1)
+        amplitudes = np.array(springs, dtype=np.float64).reshape(-1)
         for what, values in (("rotor inertias", initial), ("springs", amplitudes)):
             if len(values) > len(names) or not np.isfinite(values).all() or (values < 0.0).any():
                 accepted = f"finite numbers >= 0, at most {len(names)}"
@@ -382,14 +381,12 @@ def consistent_inertias(
         estimate: of the base parameters.
         prior: of links and rotors.
         weight: w, of the prior.
-
-    Raises:
-        IdentificationError: if no parameter is determined.
     """
     if not estimate.determined.any():
         count = len(estimate.determined)
         raise IdentificationError(f"none of {count} base parameters is determined; accepted: runs that determine some")
-    mapping, known = estimate.mapping, estimate.mapping[estimate.determined]
+    mapping = estimate.mapping
+    known = estimate.mapping[estimate.determined]
     search = _Search(prior, estimate.information @ mapping, estimate.information @ estimate.value)
     # With accurate data the first steps would end where a body loses a dimension: the prior begins with a similar
     # weight.
@@ -424,8 +421,10 @@ class _Search:
     """
 
     def __init__(self, prior: InertialPrior, whitened: Array, target: Array) -> None:
-        self._joint, self._known = [body.joint for body in prior.bodies], prior.known.ravel()
-        self._whitened, self._target = whitened, target
+        self._joint = [body.joint for body in prior.bodies]
+        self._known = prior.known.ravel()
+        self._whitened = whitened
+        self._target = target
         self.pseudo = np.array([body.pseudo for body in prior.bodies])
         initial = np.concatenate([prior.rotors, prior.springs])
         self.behind = np.append(initial, np.zeros(whitened.shape[1] - len(self._known) - len(initial)))
@@ -457,16 +456,20 @@ class _Search:
 
     def minimise(self, weight: float) -> None:
         """Go to the minimum with this weight of the prior."""
-        count, weights = 10 * len(self.pseudo), weight * self._share
+        count = 10 * len(self.pseudo)
+        weights = weight * self._share
         near = np.sqrt(weights)
         for _ in range(_MAX_STEPS):
-            factors, residual = np.linalg.cholesky(self.pseudo), self.residual
+            factors = np.linalg.cholesky(self.pseudo)
+            residual = self.residual
             transposed = np.swapaxes(factors, 1, 2)
             slopes = np.einsum("kij,bij->bk", _BASIS, transposed @ self._inverse @ factors - np.eye(4)).ravel()
             slopes = np.append(slopes, np.where(self._positive, self.behind / self._initial - 1.0, 0.0))
             tangent = self._tangent(factors)
-            rows, sides = np.vstack([tangent, np.diag(near)]), np.append(residual, near * slopes)
-            size, step = np.linalg.norm(rows, axis=0), np.zeros(rows.shape[1])
+            rows = np.vstack([tangent, np.diag(near)])
+            sides = np.append(residual, near * slopes)
+            size = np.linalg.norm(rows, axis=0)
+            step = np.zeros(rows.shape[1])
             there = size > 0.0  # all but the rotors and offsets that no row contains
             step[there] = -np.linalg.lstsq(rows[:, there] / size[there], sides, rcond=_MIN_STEP_VALUE)[0] / size[there]
             moves = np.tensordot(step[:count].reshape(-1, 10), _BASIS, 1)
@@ -484,7 +487,8 @@ class _Search:
 
     def open_masses(self, weight: float) -> Mask:
         """Return the joints where the data leave more than half of the variance that the prior gives the mass alone."""
-        factors, near = np.linalg.cholesky(self.pseudo), np.sqrt(weight * self._share)
+        factors = np.linalg.cholesky(self.pseudo)
+        near = np.sqrt(weight * self._share)
         inverse = np.linalg.pinv(np.vstack([self._tangent(factors), np.diag(near)]))
         # The change by a step of the mass that moves with each joint.
         masses = (factors[:, None] @ _BASIS @ np.swapaxes(factors, 1, 2)[:, None])[:, :, 3, 3]
@@ -549,7 +553,8 @@ class Consistency:
     @property
     def open_text(self) -> str:
         """Return in words the joints whose masses the runs do not determine, and the values used; "" if none."""
-        prior, words = self.inertias.prior, []
+        prior = self.inertias.prior
+        words = []
         real = {body.joint for body, guess in zip(prior.bodies, prior.guessed, strict=False) if not guess}
         for described, near in ((True, "the description's"), (False, "plausible ones, ellipsoids along the links")):
             joints = [name for k, name in enumerate(prior.joints) if self.inertias.open[k] and (k in real) == described]
@@ -580,21 +585,21 @@ def make_consistent(
         friction: the fit.
         robot: whose description gives the initial inertias, rotors and springs.
         options: that describe it.
-
-    Raises:
-        IdentificationError: if there are none.
     """
-    arm, n = problem.arm, len(problem.arm.names)
+    arm = problem.arm
+    n = len(problem.arm.names)
     description: Path | str = Path(str(options.urdf))
     rotors: ArrayLike | None = problem.columns.values()[10 * n : 11 * n] if problem.columns.rotors else None
     known: tuple[str, ...] = ()
     if robot.setup is not None:
-        description, rotors = robot.setup.robot.urdf, robot.setup.drives.rotor_inertia
+        description = robot.setup.robot.urdf
+        rotors = robot.setup.drives.rotor_inertia
         known = () if (robot.setup.files or RobotFiles()).tool is None else (_TOOL,)
     prior = InertialPrior.of_urdf(description, arm.names, rotors, arm.spring[problem.columns.springs], known)
     estimate = BaseEstimate.of(problem, linear_columns(friction, problem)[1], friction.fit)
     inertias = consistent_inertias(estimate, prior)
-    residual, change = problem.torque - friction.predicted, problem.regressor @ inertias.shift
+    residual = problem.torque - friction.predicted
+    change = problem.regressor @ inertias.shift
     rows = np.maximum(np.bincount(problem.joint, minlength=n), 1)
     squares = [np.bincount(problem.joint, one**2, n) for one in (change, residual, residual - change)]
     before, after = (math.sqrt(float(one.sum() / np.sum(problem.torque**2))) for one in squares[1:])
@@ -603,8 +608,11 @@ def make_consistent(
 
 def written_arm(problem: ExcitationProblem, consistency: Consistency) -> RigidArm:
     """Return the arm that the files describe, with the offsets of its torques."""
-    arm, columns, values = problem.arm, problem.columns, consistency.inertias.parameters
-    n, spring = len(arm.names), arm.spring.copy()
+    arm = problem.arm
+    columns = problem.columns
+    values = consistency.inertias.parameters
+    n = len(arm.names)
+    spring = arm.spring.copy()
     spring[columns.springs] = values[11 * n : 11 * n + len(columns.springs)]
     bodies = arm.with_bodies(values[: 10 * n], values[10 * n : 11 * n])
     return replace(bodies, spring=spring, offset=values[-n:])

@@ -43,7 +43,9 @@ from rx90_emulator.identification.excitation.law import (
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 _CORRELATION_TIMES = 4.0  # in a block
-_MIN_BLOCKS, _MAX_BLOCKS = 8, 60  # of all runs together
+# of all runs together
+_MIN_BLOCKS = 8
+_MAX_BLOCKS = 60
 _MAX_LAG_SHARE = 0.2  # of a run
 _CUTOFF = 1e-10  # relative: directions that the remaining rows do not determine keep their values
 
@@ -62,10 +64,12 @@ def left_out(residual: Array, tangent: Array, folds: Folds) -> Array:
         tangent: shape (r, k), as `WeightedProblem.linearised` returns them.
         folds: the groups.
     """
-    whole, gradient = tangent.T @ tangent, tangent.T @ residual
+    whole = tangent.T @ tangent
+    gradient = tangent.T @ residual
     result = np.empty_like(residual)
     for rows, near in folds:
-        gram, right = whole - tangent[near].T @ tangent[near], gradient - tangent[near].T @ residual[near]
+        gram = whole - tangent[near].T @ tangent[near]
+        right = gradient - tangent[near].T @ residual[near]
         # A Cholesky factor takes a hundredth of the time of singular values, which are used where it fails.
         factor, failed = dpotrf(gram, lower=1)
         if failed or np.diag(factor).min() ** 2 < _CUTOFF:
@@ -197,7 +201,8 @@ class Scored:
     def of(cls, weighted: WeightedProblem, fit: SeparableFit, time: TimeBlocks) -> Scored:
         """Score a fit."""
         residual, tangent = weighted.linearised(fit)
-        problem, folds = weighted.problem, {"blocks": time.folds}
+        problem = weighted.problem
+        folds = {"blocks": time.folds}
         if len(problem.runs) > 1:
             folds["runs"] = [(rows, rows) for rows in _grouped(np.arange(len(problem)), problem.run)]
         held_out = {}
@@ -209,7 +214,8 @@ class Scored:
 
     def validations(self, against: Scored | None = None) -> dict[str, CrossValidation]:
         """Return the figures by "blocks", and by "runs" where both have them, with the gain over another model."""
-        other, found = self if against is None else against, {}
+        other = self if against is None else against
+        found = {}
         for kind, (own, relative) in self.held_out.items():
             if kind in other.held_out:
                 errors = HeldOutErrors({"own": own, "other": other.held_out[kind][0]}, self.rows)
@@ -224,14 +230,16 @@ class Scored:
         there is one, must lie within that error: few runs contain less information than many blocks.
         """
         figures = self.validations(other)
-        blocks, runs = figures["blocks"], figures.get("runs")
+        blocks = figures["blocks"]
+        runs = figures.get("runs")
         return blocks.gain > blocks.gain_deviation and (runs is None or runs.gain > -runs.gain_deviation)
 
     def verdict(self, against: Scored) -> str:
         """Return by how much the model predicts better than another one, in words."""
         texts = []
         for kind, one in self.validations(against).items():
-            share, deviation = (100.0 * size / (one.error + one.gain) for size in (one.gain, one.gain_deviation))
+            share = 100.0 * one.gain / (one.error + one.gain)
+            deviation = 100.0 * one.gain_deviation / (one.error + one.gain)
             way = f"{'rises' if share < 0.0 else 'falls'} by {abs(share):.2f} %"
             texts.append(f"by {kind} the error {way} with a standard error of {deviation:.2f} %")
         return "; ".join(texts)
@@ -309,7 +317,8 @@ class Selection:
     """
 
     def __init__(self, problem: ExcitationProblem, parts: Sequence[Part], *, fixed: bool = False) -> None:
-        self._problem, self._fixed = problem, fixed
+        self._problem = problem
+        self._fixed = fixed
         more = Part.STRIBECK in parts and not fixed
         self._allowed = frozenset({*parts, Part.BRISTLE, Part.DAMPING} if more else parts)
         self._groups = [group.elements for group in joint_groups(problem.arm)]
@@ -352,7 +361,8 @@ class Selection:
             reason = "kept on some elements, see below" if kept else none
             self._add(f"+ {part.value}: all", everywhere, before, kept=False, reason=reason)
         if remaining:
-            text, names = "asked for; " * self._fixed + trimmed.verdict(before), self._problem.arm.element_names
+            text = "asked for; " * self._fixed + trimmed.verdict(before)
+            names = self._problem.arm.element_names
             where = "all" if len(remaining) == len(given) else ", ".join(names[e] for e in remaining)
             self._add(f"+ {part.value}: {where}", trimmed, before, kept=kept, reason=text)
             self.refused |= {} if kept else {(e, part): text for e in remaining}
@@ -392,7 +402,8 @@ class Selection:
 
     def _inside(self, fit: SeparableFit, e: int, bound: Sequence[str], part: Part | None) -> ElementShape:
         """Return another shape for an element whose parameters `bound` lie at a bound."""
-        shape, before = fit.shapes[e], self.now.fit.shapes[e]
+        shape = fit.shapes[e]
+        before = self.now.fit.shapes[e]
         if Part.STRIBECK in shape.parts and "delta" not in shape.fixed:
             exponent_one = replace(shape, delta=1.0, fixed=shape.fixed | {"delta"}, alpha=before.alpha)
             return best_start(self.weighted, fit.shapes, e, candidates(self.weighted, exponent_one, e, Part.STRIBECK))
@@ -405,7 +416,8 @@ class Selection:
             and whose in _COMPANIONS.get(part, ())
             and (part is Part.BRISTLE or whose not in before.parts)
         )
-        dropped, element = whose if is_companion else tried or whose, self._problem.arm.element_names[e]
+        dropped = whose if is_companion else tried or whose
+        element = self._problem.arm.element_names[e]
         at = f"{round(getattr(shape, name), 6):.3g}"
         if name in fit.at_bound[e]:
             why = f"{name} of {element} ends at the bound of its range, {at}"
@@ -423,7 +435,8 @@ class Selection:
 
     def _indeterminate_exponents(self, fit: SeparableFit) -> list[frozenset[str]]:
         """Return "alpha" for each element whose exponent is too near its bound to differ from Coulomb torque."""
-        inner, found = fit.inner(), [frozenset[str]()] * len(fit.shapes)
+        inner = fit.inner()
+        found = [frozenset[str]()] * len(fit.shapes)
         places = [(k, e) for k, (e, name) in enumerate(inner) if name == "alpha"]
         # An exponent that the user requested is kept: its deviation shows how well it is determined.
         if places and not self._fixed:
@@ -469,7 +482,6 @@ class Selection:
         return min(gains, key=lambda key: gains[key], default=None)
 
     def _add(self, name: str, model: Scored, against: Scored | None, *, kept: bool, reason: str) -> None:
-        """Add a row to the table of models."""
         relative = float(np.linalg.norm(model.residual) / np.linalg.norm(self._problem.torque))
         count = self.weighted.basis.shape[1] + len(model.fit.inner())
         figures = model.validations(against)
@@ -480,10 +492,12 @@ def _wants_bristles(problem: ExcitationProblem, model: Scored) -> bool:
     """Return whether a model has a Stribeck rise, or fits reversals of a joint worse than its other rows."""
     if any(Part.STRIBECK in shape.parts for shape in model.fit.shapes):
         return True
-    squares, turns = model.residual**2, problem.reversal
+    squares = model.residual**2
+    turns = problem.reversal
     for joint in range(len(problem.arm.names)):
         own = problem.joint == joint
-        at, other = squares[own & turns], squares[own & ~turns]
+        at = squares[own & turns]
+        other = squares[own & ~turns]
         if len(at) and len(other) and np.mean(at) > _REVERSAL_MISFIT**2 * np.mean(other):
             return True
     return False

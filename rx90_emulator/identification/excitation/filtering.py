@@ -82,9 +82,6 @@ class Bandwidths(NamedTuple):
         0.96). Long runs with hardly any noise would give more rows than a fit needs: then the torque's bandwidth is the
         one that gives 30,000 rows, but at least a third of ten times the motion's band. If torques were smoothed before
         they were recorded, the bandwidth is at most that of the smoothing (`smoothed_above`).
-
-        Raises:
-            IdentificationError: if no joint moves, or the runs are too short.
         """
         found = [pair for record in records for pair in _crossings(record)]
         if not found:
@@ -107,9 +104,11 @@ class Bandwidths(NamedTuple):
         least = min(_POSITION_OVER_MOTION_BAND * motion / 3.0, torque)
         carried = max(_MAX_ROWS / (_ROWS_PER_HZ * float(lasting)), least)
         gets = f"what {_MAX_ROWS} rows carry" if carried < torque else "a third of it"
-        torque, edge = min(carried, torque), smoothed_above(records)
+        torque = min(carried, torque)
+        edge = smoothed_above(records)
         if edge is not None and edge < torque:
-            torque, gets = edge, f"{edge:.3g} Hz, for above it falls too steeply: it was smoothed before"
+            torque = edge
+            gets = f"{edge:.3g} Hz, for above it falls too steeply: it was smoothed before"
         return cls(position, torque, f"{source}; the torque gets {gets}")
 
     def at_most(self, highest: float, of: str) -> Bandwidths:
@@ -175,7 +174,8 @@ def _spectrum(record: JointRecord, values: Array, degree: int, window: str) -> t
     start, stop = max(_pieces(record.time), key=lambda piece: piece[1] - piece[0])
     if stop - start < _MIN_SPECTRUM_SAMPLES:
         return np.empty(0), np.empty((0, 0)), np.empty(0, dtype=np.intp)
-    time, rate = record.time[start:stop], _rate(record.time[start:stop])
+    time = record.time[start:stop]
+    rate = _rate(record.time[start:stop])
     even = _even(time, rate)
     segment = min(len(even), max(_MIN_SPECTRUM_SAMPLES, round(_SPECTRUM_TIME * rate)))
     resampled = _resampled(time, values[start:stop], even, degree)
@@ -244,7 +244,8 @@ class FilteredRun:
     @property
     def whole(self) -> Mask:
         """Return the rows that lie outside of all shocks, by a quarter of a period of the torque's bandwidth, (k,)."""
-        time, margin = self.time[self.rows], 0.25 / self.bandwidths.torque
+        time = self.time[self.rows]
+        margin = 0.25 / self.bandwidths.torque
         inside = [(time > begin - margin) & (time < end + margin) for begin, end in self.shocks]
         return np.asarray(~np.any([np.zeros(len(time), dtype=np.bool_), *inside], axis=0))
 
@@ -266,7 +267,8 @@ class FilteredRun:
 
     def blocks(self) -> Iterator[tuple[slice, slice]]:
         """Yield pairs of samples and of the rows that `parallel` makes of them, so that memory stays bounded."""
-        count, size = len(self.rows), max(1, _BLOCK_SAMPLES // self.down)
+        count = len(self.rows)
+        size = max(1, _BLOCK_SAMPLES // self.down)
         for first in range(0, count, size):
             last = min(first + size, count)
             yield slice(first * self.down, (last - 1) * self.down + len(self.taps)), slice(first, last)
@@ -283,10 +285,6 @@ def filter_record(
         reference: position set-points at the record's samples, shape (m, n).
         torque_lead: by how much a torque acted before its stamp, s. With viscous friction c2, a torque that is late by
             d makes a rotor inertia appear too small by c2 d.
-
-    Raises:
-        IdentificationError: for bandwidths that are too large for the sampling rate, and if all pieces are shorter than
-            the edges of the filters.
     """
     rate = _rate(record.time)
     if bandwidths.position > 0.45 * rate or bandwidths.torque > 0.22 * rate:
@@ -321,16 +319,21 @@ def _filtered(
         resampled = _resampled(*_bridged(time, values[piece]), even, 5)
         return np.asarray(sosfiltfilt(sections, resampled, axis=0, padlen=min(3 * edge, len(even) - 1)))
 
-    position, order = smoothed(record.position), int(not bandwidths.recorded_velocity)
+    position = smoothed(record.position)
+    order = int(not bandwidths.recorded_velocity)
     curve = make_interp_spline(count, position if order else smoothed(record.velocity), k=5)
     ours = np.full(len(time), fill_value=True)
     for begin, end in record.shocks:
         ours &= (time < begin) | (time > end)
-    stamps, torque, samples = time[ours] - torque_lead, record.torque[piece][ours], even[inner]
-    velocity, resampling = np.asarray(curve(count[inner], order)), None
+    stamps = time[ours] - torque_lead
+    torque = record.torque[piece][ours]
+    samples = even[inner]
+    velocity = np.asarray(curve(count[inner], order))
+    resampling = None
     torque_velocity = velocity
     if not _is_even(stamps, even):
-        first, last = np.searchsorted(stamps, samples[0], "right") - 1, np.searchsorted(stamps, samples[-1]) + 1
+        first = np.searchsorted(stamps, samples[0], "right") - 1
+        last = np.searchsorted(stamps, samples[-1]) + 1
         around = stamps[max(int(first), 0) : last]
         resampling = BSpline.design_matrix(samples, np.pad(around, 1, "edge"), 1, extrapolate=True)
         torque_velocity = np.asarray(curve(around - even[0], order))
@@ -383,7 +386,8 @@ def _bridged(time: Array, values: Array) -> tuple[Array, Array]:
     """
     added: list[tuple[int, Array, Array]] = []
     for k in gaps(time).tolist():
-        begin, end = time[k - 1], time[k]
+        begin = time[k - 1]
+        end = time[k]
         period = float(np.median(np.diff(time)))
         missing = np.linspace(begin, end, max(2, round((end - begin) / period)) + 1)[1:-1]
         reach = max(_MIN_GAP_CONTEXT, len(missing))
@@ -477,7 +481,9 @@ def filter_columns(columns: Array, taps: Array, down: int, result: Array) -> Non
 _SHOCK_RATE = 250.0  # approximate rate for the search of shocks, samples per second: means of 4 ms
 _SHOCK_WINDOW = 0.06  # s, of the running median: pulses of up to half of it stand out
 _SHOCK_OVER_SCATTER = 6.0  # least size over the 97.5th percentile of the scatter
-_SHOCK_OVER_RANGE, _REVERSING_SHOCK_OVER_RANGE = 0.1, 0.5  # least size over the torque's range; at reversals
+# least size over the torque's range; at reversals
+_SHOCK_OVER_RANGE = 0.1
+_REVERSING_SHOCK_OVER_RANGE = 0.5
 _SHOCK_MARGIN = 5e-3  # s, excluded on both sides, too
 _LOW_RATE = 67.0  # samples per second, of the slowest recordings for which intervals were validated
 SLOW_SPEED, SLOW_SHARE = 0.05, 0.1
@@ -497,7 +503,9 @@ def without_shocks(record: JointRecord, elements: Array) -> tuple[JointRecord, t
     """
     rate = (len(record.time) - 1) / max(float(record.time[-1] - record.time[0]), 1e-9)
     size = max(1, round(rate / _SHOCK_RATE))
-    time, velocity, torque = (block_means(values, size) for values in (record.time, record.velocity, record.torque))
+    time = block_means(record.time, size)
+    velocity = block_means(record.velocity, size)
+    torque = block_means(record.torque, size)
     width = round(_SHOCK_WINDOW * rate / size) // 2 * 2 + 1
     if width < 5 or len(time) <= width:  # a pulse would be one sample or none
         return record, ()
@@ -512,10 +520,12 @@ def without_shocks(record: JointRecord, elements: Array) -> tuple[JointRecord, t
                 least = max(_SHOCK_OVER_SCATTER * usual, share * float(high[joint] - low[joint]))
                 far[:, joint] |= rows & (distance[:, joint] > least)
     found: list[tuple[float, float]] = []
-    texts, half = [], 0.5 * size / rate
+    texts = []
+    half = 0.5 * size / rate
     for start, stop in stretches(np.asarray(far.any(axis=1))):
         joint = int(np.argmax(np.where(far[start:stop], distance[start:stop], 0.0).max(axis=0)))
-        begin, end = float(time[start]) - half - _SHOCK_MARGIN, float(time[stop - 1]) + half + _SHOCK_MARGIN
+        begin = float(time[start]) - half - _SHOCK_MARGIN
+        end = float(time[stop - 1]) + half + _SHOCK_MARGIN
         if found and begin <= found[-1][1]:
             found[-1] = (found[-1][0], end)
             continue
@@ -540,10 +550,12 @@ def _near_rest(velocity: Array, width: int) -> Mask:
 
 def recording_notes(records: Sequence[JointRecord], bandwidths: Bandwidths) -> tuple[str, ...]:
     """Return, in words, which gaps are bridged or split runs, that torques were smoothed, and which rates are low."""
-    found, longest = [], bridged_gap(bandwidths)
+    found = []
+    longest = bridged_gap(bandwidths)
     for record in records:
         steps = np.array([record.time[k] - record.time[k - 1] for k in gaps(record.time).tolist()])
-        short, name = steps[steps <= longest], record.source.name
+        short = steps[steps <= longest]
+        name = record.source.name
         if len(short):
             found.append(
                 f"{name}: {len(short)} gap{'s' * (len(short) > 1)} of up to {1e3 * short.max():.3g} ms interpolated, "

@@ -71,9 +71,12 @@ class FinalFit:
     """
 
     def __init__(self, selected: Selection, parts: Sequence[Part], prior: Prior | None = None) -> None:
-        self._selected, self._prior = selected, prior
-        weighted, fit = selected.weighted, selected.fit
-        problem, inner = weighted.problem, fit.inner()
+        self._selected = selected
+        self._prior = prior
+        weighted = selected.weighted
+        fit = selected.fit
+        problem = weighted.problem
+        inner = fit.inner()
         released = tuple(
             (e, "alpha")
             for e, shape in enumerate(fit.shapes)
@@ -112,7 +115,9 @@ class FinalFit:
 
         A linear parameter is named by a string.
         """
-        weighted, shapes, name = self._selected.weighted, list(self._selected.fit.shapes), str(part)
+        weighted = self._selected.weighted
+        shapes = list(self._selected.fit.shapes)
+        name = str(part)
         if isinstance(part, Part):
             name = "rise" if part is Part.STRIBECK else "c1"
             extended = replace(shapes[element], parts=shapes[element].parts | {part})
@@ -127,7 +132,8 @@ class FinalFit:
 
         All of these are limited to their bounds.
         """
-        selected, q = self._selected, self._columns.shape[1]
+        selected = self._selected
+        q = self._columns.shape[1]
         table: dict[PartKey | Key, Array] = {}
         for e, part in sorted(selected.refused, key=lambda key: (key[1].value, key[0])):
             there = selected.fit.shapes[e].parts
@@ -154,8 +160,11 @@ class FinalFit:
 
         All tau_c and c2 that came out as 0 are fitted once more without that bound.
         """
-        selected, q = self._selected, self._columns.shape[1]
-        problem, fit, unbounded_fit = selected.weighted.problem, selected.fit, self._wide
+        selected = self._selected
+        q = self._columns.shape[1]
+        problem = selected.weighted.problem
+        fit = selected.fit
+        unbounded_fit = self._wide
         bound = [
             (e, LINEAR[place])
             for e, rows in enumerate(selected.weighted.elements)
@@ -181,7 +190,8 @@ class FinalFit:
             return np.zeros(q)
         one = self._augmented(*(self._column(e, "c2") for e in falling))
         for k, e in enumerate(falling):
-            place, name = len(problem.names) + fit.inner().index((e, "tau_c")), problem.arm.element_names[e]
+            place = len(problem.names) + fit.inner().index((e, "tau_c"))
+            name = problem.arm.element_names[e]
             low, high = selected.weighted.elements[e].speed_range
             self.warnings.append(
                 f"the friction of {name} falls with speed, and c2 is at its bound 0: without it c2 would be "
@@ -194,7 +204,9 @@ class FinalFit:
 
     def _load_dependence(self) -> Array:
         """Return the shift of the parameters if friction may grow with the load, shape (q,); 0 where it does not."""
-        problem, fit, unbounded_fit = self._selected.weighted.problem, self._selected.fit, self._wide
+        problem = self._selected.weighted.problem
+        fit = self._selected.fit
+        unbounded_fit = self._wide
         bare = np.abs(problem.regressor @ unbounded_fit.value[: len(problem.names)])
         coulomb = joint_columns(problem, fit.shapes)[:, :, COULOMB] * fit.linear[:, COULOMB]
         column = np.zeros(len(bare))
@@ -206,7 +218,8 @@ class FinalFit:
                 load[problem.sample[own]] = bare[own]
                 column += coulomb[:, e] * load[problem.sample] / max(float(np.sqrt(np.mean(bare[own] ** 2))), _MIN_LOAD)
         with_load = self._augmented(column)
-        value, deviation = float(with_load.value[-1]), float(with_load.deviation[-1])
+        value = float(with_load.value[-1])
+        deviation = float(with_load.deviation[-1])
         if abs(value) <= _UPPER_SE * deviation:
             return np.zeros(len(unbounded_fit.value))
         size = f"{100.0 * value:.2g} % with a standard deviation of {100.0 * deviation:.2g} %"

@@ -97,10 +97,12 @@ def solve(
     target = problem.torque if torque is None else torque
     joints = [np.flatnonzero(problem.joint == joint) for joint in range(len(problem.arm.names))]
     own_columns = [columns[rows] for rows in joints]
-    precision, known = np.zeros((columns.shape[1],) * 2), np.zeros(columns.shape[1])
+    precision = np.zeros((columns.shape[1],) * 2)
+    known = np.zeros(columns.shape[1])
     if prior is not None:
         count = len(prior.value)
-        precision[:count, :count], known[:count] = prior.precision, prior.precision @ prior.value
+        precision[:count, :count] = prior.precision
+        known[:count] = prior.precision @ prior.value
 
     def solved(weights: Array) -> tuple[Array, Array, Mask, Array]:
         """Return values, the inverse of the equations' derivative, determined parameters, and joints' leverages.
@@ -125,7 +127,8 @@ def solve(
     weights = np.ones(len(target))
     value, inverse, determined, leverage = solved(weights / sigma[problem.joint] ** 2)
     for _ in range(_MAX_ROUNDS):
-        before, residual = value, target - columns @ value
+        before = value
+        residual = target - columns @ value
         for joint, rows in enumerate(joints):
             if len(rows):
                 size = 1.4826 * np.median(np.abs(residual[rows]))
@@ -135,7 +138,8 @@ def solve(
         deviation = np.sqrt(np.maximum(np.abs(np.diag(inverse)), 1e-300))
         if np.max(np.abs(value - before) / deviation, initial=0.0) < _CONVERGED:
             break
-    residual, per_row = target - columns @ value, 1.0 / sigma[problem.joint] ** 2
+    residual = target - columns @ value
+    per_row = 1.0 / sigma[problem.joint] ** 2
     weighted = columns * (per_row * weights)[:, None]
     outside = outside_residuals(columns, weighted, residual, time_blocks(problem))
     # Huber's criterion is quadratic where the weight is 1 and linear beyond.
@@ -202,7 +206,8 @@ def hac(series: Sequence[Array]) -> Array:
     """
     lagged = np.sum([np.sum(values[1:] * values[:-1], axis=0) for values in series], axis=0)
     power = np.sum([np.sum(values**2, axis=0) for values in series], axis=0)
-    known, width = power > 0.0, _MIN_BANDWIDTH
+    known = power > 0.0
+    width = _MIN_BANDWIDTH
     if known.any():
         rho = np.clip(lagged[known] / power[known], -_MAX_AUTOCORRELATION, _MAX_AUTOCORRELATION)
         curvature = float(np.sum(4.0 * rho**2 / (1.0 - rho) ** 8) / np.sum(1.0 / (1.0 - rho) ** 4))
@@ -335,7 +340,8 @@ class WeightedProblem:
             key: the parameter, which need not be free.
         """
         element, name = key
-        result, rows = np.zeros(len(self.weight)), self.elements[element].rows
+        result = np.zeros(len(self.weight))
+        rows = self.elements[element].rows
         if name in LINEAR:
             result[rows] = self._columns(element, shapes[element]).values[:, LINEAR.index(name)]
         else:
@@ -464,7 +470,8 @@ def _projected(
     for column, (e, first) in enumerate(free):
         slopes[first : first + len(LINEAR), column] = linear[e]
     # A root of the inner products of derivatives and residual, with the active linear columns projected out.
-    active, values = columns[values > 0.0], values[values > 0.0]
+    active = columns[values > 0.0]
+    values = values[values > 0.0]
     mixed = gram[active] @ slopes
     inverse = np.linalg.pinv(gram[np.ix_(active, active)], rcond=_MIN_EIGENVALUE, hermitian=True)
     cost = max(float(weighted.rest @ weighted.rest) - float(product[active] @ values), 0.0)

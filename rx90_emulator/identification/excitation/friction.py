@@ -114,7 +114,8 @@ def steady_columns(shape: ElementShape, velocity: Array) -> tuple[Array, dict[st
         Columns of LINEAR, and by each other parameter the derivative of the column that it shapes, as in SHAPED.
     """
     speeds = Speeds.of(velocity)
-    (dry, slopes), (wet, by_alpha) = coulomb(shape, speeds), viscous(shape, speeds)
+    (dry, slopes) = coulomb(shape, speeds)
+    (wet, by_alpha) = viscous(shape, speeds)
     return np.column_stack([dry, wet, np.zeros_like(velocity)]), {"alpha": by_alpha, **slopes}
 
 
@@ -178,7 +179,8 @@ def identify_friction_parts(
     """
     selected = select_parts(problem, parts, progress, fixed=fixed)
     final = FinalFit(selected, parts, prior)
-    names, models = problem.arm.element_names, zip(selected.fit.shapes, selected.weighted.elements, strict=True)
+    names = problem.arm.element_names
+    models = zip(selected.fit.shapes, selected.weighted.elements, strict=True)
     nothing = np.zeros(len(LINEAR)), np.zeros((len(FITTED),) * 2)
     initial = [
         FittedElement(name, shape, *nothing, rows.speeds) for name, (shape, rows) in zip(names, models, strict=True)
@@ -211,11 +213,13 @@ def _with_values(
         values: of the fit, shape (q,).
         covariance: of these, shape (q, q).
     """
-    found, first = [], len(values) - len(inner)
+    found = []
+    first = len(values) - len(inner)
     for e, one in enumerate(elements):
         rows = [first + k for k, (element, _) in enumerate(inner) if element == e]
         names = [inner[row - first][1] for row in rows]
-        places, known = [FITTED.index(name) for name in names], dict(zip(names, values[rows].tolist(), strict=True))
+        places = [FITTED.index(name) for name in names]
+        known = dict(zip(names, values[rows].tolist(), strict=True))
         block = np.zeros((len(FITTED), len(FITTED)))
         block[np.ix_(places, places)] = covariance[np.ix_(rows, rows)]
         shape = one.shape.with_values(one.shape.values + np.array([known.get(name, 0.0) for name in one.shape.free]))

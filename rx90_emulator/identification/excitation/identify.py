@@ -138,7 +138,9 @@ def identify_excitation(
         identified = predicted_torque(friction, other)
         with_bodies = identified + other.regressor @ consistency.inertias.shift
         by_files = written_torque(other, written, [one.element for one in elements])
-        torques, consistent, files = (run_torques(other, one)[0] for one in (identified, with_bodies, by_files))
+        torques = run_torques(other, identified)[0]
+        consistent = run_torques(other, with_bodies)[0]
+        files = run_torques(other, by_files)[0]
         checks.append(TorqueValidation(torques, consistent, tolerances, files))
     fitted = run_torques(problem, friction.predicted)
     return ExcitationIdentification(
@@ -169,12 +171,10 @@ def _without_shock_rows(records: Mapping[str, list[JointRecord]], robot: Recorde
 
 
 def log_warnings(problem: ExcitationProblem, held: Sequence[str] = ()) -> list[str]:
-    """Return warnings of fewer instants than parameters, which leave no redundancy, and of joints fixed at 0.
-
-    Raises:
-        IdentificationError: for no more equations than parameters.
-    """
-    instants, parameters, found = len(np.unique(problem.sample)), problem.parameters, []
+    """Return warnings of fewer instants than parameters, which leave no redundancy, and of joints fixed at 0."""
+    instants = len(np.unique(problem.sample))
+    parameters = problem.parameters
+    found = []
     if len(problem) <= parameters:
         raise IdentificationError(
             f"{len(problem)} equations ({instants} instants below {problem.runs[0].bandwidths.torque:.3g} Hz) for "
@@ -312,7 +312,9 @@ def predict_torque(
         IdentificationError: for uneven times, arrays of another shape, and a file of another arm.
         ConfigError: for a file that cannot be used.
     """
-    arm, at, angle = RecordedRobot.load(robot).arm, np.asarray(time, dtype=np.float64), np.asarray(position, np.float64)
+    arm = RecordedRobot.load(robot).arm
+    at = np.asarray(time, dtype=np.float64)
+    angle = np.asarray(position, np.float64)
     if at.ndim != 1 or len(at) < 3 or not np.allclose(np.diff(at), at[1] - at[0], rtol=1e-3) or at[1] <= at[0]:
         raise IdentificationError(f"time has shape {at.shape}; accepted: three or more even, increasing times")
     speed = np.gradient(angle, at, axis=0) if velocity is None else np.asarray(velocity, dtype=np.float64)

@@ -188,7 +188,9 @@ def deflect_bristles(speed: Array, logarithm: Array, parameters: Array, step: fl
     """
     count = len(speed)
     whole = count - count % 8
-    products, phis, psis = np.empty(count), np.empty(count), np.empty(count)
+    products = np.empty(count)
+    phis = np.empty(count)
+    psis = np.empty(count)
     for number in range(len(parameters)):
         rise, begin, delta, stiffness = parameters[number]
         reach = stiffness * step
@@ -201,11 +203,13 @@ def deflect_bristles(speed: Array, logarithm: Array, parameters: Array, step: fl
         for row in range(whole, count):
             products[row] = _product(speed[row], logarithm[row], rise, begin, delta, reach)
             phis[row], psis[row] = decay(products[row])
-        torque, rate = result[number, 0], result[number, 1]
+        torque = result[number, 0]
+        rate = result[number, 1]
         u = 0.0
         for row in range(count):
             # u_1 = u + (stiffness v step - x u) phi, written so that few operations depend on u.
-            push, phi = reach * speed[row], phis[row]
+            push = reach * speed[row]
+            phi = phis[row]
             started = push - products[row] * u
             torque[row] = u + started * psis[row]
             rate[row] = started * phi
@@ -307,7 +311,8 @@ class ElementRows:
         first = 0
         for motion in self.motions:
             # Only columns that are not 0 are filtered, each contiguous in memory.
-            columns, last = motion.columns(shape), first + len(motion.run.rows)
+            columns = motion.columns(shape)
+            last = first + len(motion.run.rows)
             low[first:last, list(columns)] = motion.run.parallel(np.array(list(columns.values())).T)
             first = last
         return np.asarray(low[self.place] * self.factor[:, None])

@@ -44,7 +44,8 @@ class StandardColumns:
     """
 
     def __init__(self, arm: RigidArm, *, rotors: bool = True) -> None:
-        self.arm, self.rotors = arm, rotors
+        self.arm = arm
+        self.rotors = rotors
         self.springs = np.flatnonzero(arm.spring).tolist()
 
     @property
@@ -56,12 +57,14 @@ class StandardColumns:
         """
         joints = range(1, len(self.arm.names) + 1)
         links = [f"{kind}_{joint}" for joint in joints for kind in _LINK]
-        rotors, offsets = ([f"{kind}_{joint}" for joint in joints] for kind in ("Ia", "offset"))
+        rotors = [f"{'Ia'}_{joint}" for joint in joints]
+        offsets = [f"{'offset'}_{joint}" for joint in joints]
         return (*links, *rotors, *(f"k_{joint + 1}" for joint in self.springs), *offsets)
 
     def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return the columns along a motion, whose arrays have shape (m, n): shape (m, n, P)."""
-        n, turns = len(self.arm.names), self.arm.coupling
+        n = len(self.arm.names)
+        turns = self.arm.coupling
         links = self.arm.regressor(position, velocity, acceleration)
         # Motor j turns with row j of the coupling; its inertia acts back on every joint of that row.
         rotors = (acceleration @ turns.T)[:, None, :] * turns.T * self.rotors
@@ -101,11 +104,13 @@ class BaseGroups:
     @classmethod
     def of(cls, columns: StandardColumns) -> BaseGroups:
         """Find the groups of an arm, from random positions, velocities and accelerations (always the same ones)."""
-        rng, names = np.random.default_rng(_SEED), columns.names
+        rng = np.random.default_rng(_SEED)
+        names = columns.names
         motion = (rng.uniform(-width, width, (_RANDOM_MOTIONS, len(columns.arm.names))) for width in (np.pi, 2.0, 5.0))
         matrix = columns.torque(*motion)[:, columns.arm.identified].reshape(-1, len(names))
         size = np.linalg.norm(matrix, axis=0)
-        basis, chosen = np.zeros((len(matrix), 0)), []
+        basis = np.zeros((len(matrix), 0))
+        chosen = []
         for k in sorted(range(len(names)), key=lambda k: (names[k].startswith(_REGROUPED_KINDS), k)):
             remainder = matrix[:, k] - basis @ (basis.T @ matrix[:, k])
             remainder = remainder - basis @ (basis.T @ remainder)  # once more: rounding of the first pass
@@ -161,14 +166,12 @@ def described_inertials(columns: StandardColumns, base: BaseGroups, relative: fl
             times radius, that of its inertia of mass times radius squared. The radius is that of gyration about the
             joint, at least 1 cm. Rotors and springs vary by the same share if they are given; offsets, and rotors that
             are not given, are unknown.
-
-    Raises:
-        IdentificationError: for a deviation that is not positive, and for a description without inertials.
     """
     low, high = _PRIOR_BOUNDS
     if not low <= relative <= high:
         raise IdentificationError(f"relative deviation of the prior: {relative:g}; accepted: {low:g} to {high:g}")
-    value, count = columns.values(), 10 * len(columns.arm.names)
+    value = columns.values()
+    count = 10 * len(columns.arm.names)
     if not value[:count].any():
         raise IdentificationError("a prior from a description without <inertial>; accepted: no --prior, or inertials")
     links = value[:count].reshape(-1, 10)
@@ -221,23 +224,17 @@ class ExcitationProblem:
             arm: kinematics, couplings and elements; springs are identified on the joints that have one in it.
             runs: of this arm.
             rotors: as in `StandardColumns`.
-
-        Raises:
-            IdentificationError: for runs of other joints, and if no joint moves.
         """
         bare = cls.without_columns(arm, runs, rotors=rotors)
         return replace(bare, regressor=bare._base_columns())
 
     @classmethod
     def without_columns(cls, arm: RigidArm, runs: Sequence[FilteredRun], *, rotors: bool = True) -> ExcitationProblem:
-        """Return the rows of runs with their torque and no regressor; arguments as in `of`.
-
-        Raises:
-            IdentificationError: as `of`.
-        """
+        """Return the rows of runs with their torque and no regressor; arguments as in `of`."""
         for one in runs:
             if one.names != arm.names:
-                there, wanted = ", ".join(one.names), ", ".join(arm.names)
+                there = ", ".join(one.names)
+                wanted = ", ".join(arm.names)
                 raise IdentificationError(f"{one.source.path}: joints {there}; accepted: {wanted}")
         columns = StandardColumns(arm, rotors=rotors)
         acts = arm.element_matrix != 0.0
@@ -245,7 +242,8 @@ class ExcitationProblem:
         for number, one in enumerate(runs):
             resting, passes = element_states(one, arm.element_matrix)
             joint, place = np.nonzero((~(resting @ acts) & arm.identified).T & one.whole)
-            time, reversal = one.time[one.rows[place]], (passes @ acts)[place, joint]
+            time = one.time[one.rows[place]]
+            reversal = (passes @ acts)[place, joint]
             found.append((np.full(len(joint), number), joint, place, time, reversal))
         run, joint, place, time, reversal = (np.concatenate(parts) for parts in zip(*found, strict=True))
         if not len(run):
@@ -369,7 +367,8 @@ def element_states(run: FilteredRun, elements: Array) -> tuple[Mask, Mask]:
 def _slow_stretches(velocity: Array, threshold: float) -> tuple[Mask, Mask]:
     """Return where an element rests and where it passes through rest, each of shape (m,)."""
     slow = np.abs(velocity) < threshold
-    resting, passes = np.zeros_like(slow), np.zeros_like(slow)
+    resting = np.zeros_like(slow)
+    passes = np.zeros_like(slow)
     for start, stop in stretches(slow):
         inner = float(np.mean(np.abs(velocity[start:stop]) < 0.25 * threshold))
         whole = start > 0 and stop < len(velocity)
@@ -398,12 +397,14 @@ def phases(runs: Sequence[FilteredRun]) -> list[tuple[int, Index]]:
     motions: list[tuple[Array, float, int]] = []  # velocity, rate and period of the first run of each motion
     found = []
     for run in runs:
-        velocity, rate = run.velocity[run.rows] / scale, run.rate / run.down
+        velocity = run.velocity[run.rows] / scale
+        rate = run.rate / run.down
         repeated = ((k, _shift(velocity, rate, *motion[:2])) for k, motion in enumerate(motions))
         number, shift = next((pair for pair in repeated if pair[1] is not None), (len(motions), 0))
         if number == len(motions):
             motions.append((velocity, rate, _period(velocity)))
-        place, period = np.arange(len(velocity)) + (shift or 0), motions[number][2]
+        place = np.arange(len(velocity)) + (shift or 0)
+        period = motions[number][2]
         found.append((number, place % period if period else place))
     # A run that began earlier than the first run of its motion has indices below 0.
     earliest = {number: min(int(p.min()) for k, p in found if k == number and len(p)) for number, _ in found}
@@ -440,9 +441,12 @@ def _similarity(first: Array, second: Array) -> tuple[Array, Array]:
     At lag number l, row k of `second` lies on row k + l - (len(second) - 1) of `first`.
     """
     product = sum(correlate(a, b, method="fft") for a, b in zip(first.T, second.T, strict=True))
-    energy, other = (np.concatenate([[0.0], np.cumsum((values**2).sum(axis=1))]) for values in (first, second))
+    energy = np.concatenate([[0.0], np.cumsum((first**2).sum(axis=1))])
+    other = np.concatenate([[0.0], np.cumsum((second**2).sum(axis=1))])
     lag = np.arange(-(len(second) - 1), len(first))
-    begin, end = np.maximum(lag, 0), np.minimum(lag + len(second), len(first))
-    own, its = energy[end] - energy[begin], other[end - lag] - other[begin - lag]
+    begin = np.maximum(lag, 0)
+    end = np.minimum(lag + len(second), len(first))
+    own = energy[end] - energy[begin]
+    its = other[end - lag] - other[begin - lag]
     least = max(min(energy[-1], other[-1]), 1e-300)
     return 2.0 * product / np.maximum(own + its, 1e-300 + 1e-9 * least), np.minimum(own, its) / least

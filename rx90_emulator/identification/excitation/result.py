@@ -80,7 +80,8 @@ class TorqueValidation:
     @property
     def criteria(self) -> tuple[Criterion, ...]:
         """Return the criteria of the verdict, by the identified parameters and by the files."""
-        limits, by = self.tolerances, {"": self.torques, " by the files": self.files}
+        limits = self.tolerances
+        by = {"": self.torques, " by the files": self.files}
         groups = (
             torque_criteria(one.names, one.total_share, one.share, limits.total, limits.joint, words)
             for words, one in by.items()
@@ -105,9 +106,11 @@ def unexplained(runs: Sequence[RunTorques]) -> dict[str, str]:
     for number, name in enumerate(runs[0].names):
         own = [run.joints[number] for run in runs if len(run.joints[number].recorded)]
         if own:
-            residual, varying = (
-                math.sqrt(sum(float(np.sum((values - values.mean()) ** 2)) for values in series))
-                for series in ([one.residual for one in own], [one.recorded for one in own])
+            residual = math.sqrt(
+                sum(float(np.sum((values - values.mean()) ** 2)) for values in [one.residual for one in own])
+            )
+            varying = math.sqrt(
+                sum(float(np.sum((values - values.mean()) ** 2)) for values in [one.recorded for one in own])
             )
             if residual > _UNEXPLAINED_SHARE * varying:
                 share = min(residual / varying, 1.0) if varying else 1.0
@@ -189,7 +192,8 @@ class ExcitationIdentification:
     @property
     def element_notes(self) -> dict[str, str]:
         """Return the warnings on the friction of single elements, by their names."""
-        arm, poor = self.problem.arm, unexplained(self.torques)
+        arm = self.problem.arm
+        poor = unexplained(self.torques)
         last = [arm.names[np.flatnonzero(row)[-1]] for row in arm.element_matrix]
         found = {name: poor[joint] for name, joint in zip(arm.element_names, last, strict=True) if joint in poor}
         return found | {name: "; ".join(filter(None, (text, found.get(name)))) for name, text in self._assumed.items()}
@@ -236,7 +240,8 @@ def undetermined(problem: ExcitationProblem, fit: LinearFit) -> tuple[str, ...]:
         problem: r rows.
         fit: of the base parameters, and of others behind them.
     """
-    count, size = len(problem.names), float(np.sqrt(np.mean(problem.torque**2)))
+    count = len(problem.names)
+    size = float(np.sqrt(np.mean(problem.torque**2)))
     known = fit.determined[:count]
     effect = np.where(known, fit.deviation[:count], 0.0) * np.sqrt(np.mean(problem.regressor**2, axis=0))
     good = (known & (effect < size)).tolist()
@@ -263,9 +268,6 @@ def simulated_elements(
     Args:
         estimates: by the names of FrictionElement.
         fallback: elements in the same order; None if there are none.
-
-    Raises:
-        IdentificationError: naming the elements, if no Coulomb torque is identified and there is no fallback.
     """
     known = [one.parameters[_COULOMB[0]].value for one in estimates if _slides(one.parameters)]
     if not known and fallback is None:
@@ -368,8 +370,10 @@ def trends(runs: Sequence[RunTorques], block: float) -> tuple[Trend, ...]:
         if len(filled) < _MIN_TREND_BLOCKS:
             continue
         opposing = joint.residual * np.sign(joint.velocity)
-        means, times = (np.bincount(number, values)[filled] / count[filled] for values in (opposing, joint.time))
-        line, span = linregress(times, means), float(joint.time[-1] - joint.time[0])
+        means = np.bincount(number, opposing)[filled] / count[filled]
+        times = np.bincount(number, joint.time)[filled] / count[filled]
+        line = linregress(times, means)
+        span = float(joint.time[-1] - joint.time[0])
         if line.pvalue < _TREND_LEVEL / len(tests):
             found.append(Trend(run.source.path.name, name, float(line.slope) * span, float(line.stderr) * span))
     return tuple(found)
@@ -411,7 +415,8 @@ def residuals_by_speed(problem: ExcitationProblem, residual: Array) -> tuple[Spe
     result = []
     for e, (name, acts) in enumerate(zip(problem.arm.element_names, problem.arm.element_matrix != 0.0, strict=True)):
         rows = np.flatnonzero((problem.joint == np.flatnonzero(acts)[-1]) & ~problem.reversal)
-        velocity, bins = problem.velocity[rows, e], []
+        velocity = problem.velocity[rows, e]
+        bins = []
         if len(rows):
             edges = np.quantile(velocity, np.linspace(0.0, 1.0, _SPEED_BINS + 1))
             number = np.clip(np.searchsorted(edges, velocity, "right") - 1, 0, _SPEED_BINS - 1)

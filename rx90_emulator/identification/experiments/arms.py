@@ -70,13 +70,10 @@ class PlannedArm:
 
     @classmethod
     def from_setup(cls, setup: Setup, home: Sequence[float] | None = None) -> PlannedArm:
-        """Return the arm of a setup; home is the given one, else that of the robot's poses, else `middle_of_ranges`.
-
-        Raises:
-            IdentificationError: for a home beyond the limits.
-            ConfigError: for poses that cannot be used.
-        """
-        controller, elements, robot = setup.controller, setup.friction.elements, setup.robot
+        """Return the arm of a setup; home is the given one, else that of the robot's poses, else `middle_of_ranges`."""
+        controller = setup.controller
+        elements = setup.friction.elements
+        robot = setup.robot
         poses = None if home is not None or setup.files is None or setup.files.poses is None else Poses.of(setup)
         coulomb = np.array([0.5 * (one.tau_c_positive + one.tau_c_negative) for one in elements])
         return cls(
@@ -110,20 +107,18 @@ class PlannedArm:
             tool: a tool file.
             home: rad, shape (n,); by default `middle_of_ranges`.
             acceleration: limits, rad/s², one for all joints or one each; by default the joint's speed limit in 0.5 s.
-
-        Raises:
-            IdentificationError: for a URDF that cannot be used, and values that do not belong to it.
-            ConfigError: for a tool that cannot be used.
         """
         robot = robot_of_urdf(urdf, joints, tool)
-        names, n = robot.joint_names, len(robot.joint_names)
+        names = robot.joint_names
+        n = len(robot.joint_names)
         most = robot.max_velocity / FULL_SPEED_TIME
         if acceleration is not None:
             if len(acceleration) not in (1, n):
                 raise IdentificationError(f"--acceleration: {len(acceleration)} values; accepted: 1, or {n}")
             most = np.broadcast_to(np.array(acceleration, dtype=np.float64), (n,)).copy()
         limits = JointLimits(names, robot.lower, robot.upper, robot.max_velocity, most, _START_TOLERANCE)
-        one, zero = np.eye(n), np.zeros(n)
+        one = np.eye(n)
+        zero = np.zeros(n)
         rigid = RigidArm(names, names, one, robot.model, np.zeros((n, n)), zero, one)
         remarks = [
             f"accelerations up to {', '.join(f'{value:.3g}' for value in most)} rad/s^2; torques are those of the "
@@ -157,7 +152,8 @@ class PlannedArm:
         """
         position, velocity, acceleration = motion
         robot = self.robot
-        middle, reach = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower) - margin
+        middle = 0.5 * (robot.lower + robot.upper)
+        reach = 0.5 * (robot.upper - robot.lower) - margin
         return {
             "position": (position - middle) / reach,
             "speed": velocity / (speed * robot.max_velocity),
@@ -183,7 +179,8 @@ class PlannedArm:
             without Coulomb friction, whose sign jumps.
         """
         motors = velocity @ self.turns.T
-        speed, exponent = np.abs(motors), self.exponent
+        speed = np.abs(motors)
+        exponent = self.exponent
         sign = np.tanh(motors / smooth) if smooth else np.sign(motors)
         slope = self.viscous * exponent * np.maximum(speed, 1e-6) ** (exponent - 1.0)
         if smooth:
@@ -201,10 +198,6 @@ class PlannedArm:
 
         Returns:
             Shares by the names of `limit_shares`, each of shape (n,), and set-points, shape (m, 3, n).
-
-        Raises:
-            IdentificationError: if it exceeds a limit of a joint or motor, torque included, naming which, amount and
-                limit.
         """
         points = experiment.points
         generator = TrajectoryGenerator(self.limits, _PERIOD, points.position[0])
@@ -222,7 +215,8 @@ class PlannedArm:
             ("torque", self.robot.max_effort, "Nm"),
             ("motor_torque", self.motor_torque, "Nm, through its gear"),
         ):
-            share, k = shares[name], int(np.argmax(shares[name]))
+            share = shares[name]
+            k = int(np.argmax(shares[name]))
             if share[k] > 1.0:
                 raise IdentificationError(
                     f"{experiment.name}: {self.whose(name)[k]} would need {share[k] * most[k]:.3g} {unit}; accepted: "
@@ -263,17 +257,14 @@ def robot_of_urdf(urdf: Path, joints: Sequence[str] | None = None, tool: Path | 
         urdf: the robot's description.
         joints: of interest, from base to tip; by default all revolute ones with a drive of their own.
         tool: a tool file.
-
-    Raises:
-        IdentificationError: for a URDF, joints or limits that cannot be used.
-        ConfigError: for a tool that cannot be used.
     """
     there = movable_joints(urdf)  # refuses a file that is no URDF
     root = ET.fromstring(urdf.read_text(encoding="utf-8"))
     sliding = {joint.get("name") for joint in root.findall("joint") if joint.get("type") == "prismatic"}
     names = [str(name) for name in joint_model(urdf, joints or [one for one in there if one not in sliding]).names][1:]
     for joint in root.findall("joint"):
-        name, kind = str(joint.get("name")), joint.get("type")
+        name = str(joint.get("name"))
+        kind = joint.get("type")
         if name not in names:
             joint.set("type", "fixed")
         elif kind == "continuous":
@@ -327,11 +318,14 @@ def _check_bodies(model: Any, urdf: Path) -> None:
 
 def _chain(model: Any, tip: str) -> RigidChain:
     """Return the kinematics of Pinocchio's model, without its bodies."""
-    data, n = model.createData(), model.nv
+    data = model.createData()
+    n = model.nv
     pin.computeJointJacobians(model, data, np.zeros(n))
     pin.updateFramePlacements(model, data)
-    position, last = np.array([data.oMi[k].translation for k in range(1, n + 1)]), data.oMf[model.getFrameId(tip)]
-    axis, nothing = data.J[3:].T.copy(), np.zeros(n)
+    position = np.array([data.oMi[k].translation for k in range(1, n + 1)])
+    last = data.oMf[model.getFrameId(tip)]
+    axis = data.J[3:].T.copy()
+    nothing = np.zeros(n)
     return RigidChain(
         np.diff(position, axis=0, prepend=np.zeros((1, 3))), axis / np.linalg.norm(axis, axis=1, keepdims=True),
         nothing, np.zeros((n, 3)), np.zeros((n, 6)), model.gravity.linear.copy(),

@@ -50,7 +50,9 @@ _SHARE_MARGIN = 0.02  # of a limit, that a search keeps for the motion between i
 _CHECK_STEP_S = 0.01  # s between samples at which a motion is checked for the limits
 _SEARCH_APPROACH = np.linspace(0.0, 1.0, 12)  # parts of the way from home to the beginning of the series, in the search
 _CHECKED_APPROACH = np.linspace(0.0, 1.0, 201)
-_SHRINK_FACTOR, _BISECTIONS, _MIN_SHRINK = 0.85, 5, 0.02
+_SHRINK_FACTOR = 0.85
+_BISECTIONS = 5
+_MIN_SHRINK = 0.02
 _DEFAULT_NOISE_SHARE = 0.01  # of the URDF's effort: deviation of the torque's noise where none is given
 
 
@@ -68,8 +70,10 @@ def series_basis(harmonics: int, period: float, time: Array) -> Array:
     number = np.arange(1, harmonics + 1)
     omega = 2.0 * math.pi * number / period
     # Speed a cos + b sin: zero at the ends if the sum of a is zero, without acceleration if that of omega b is.
-    cosine, sine = null_space(np.ones((1, harmonics))), null_space(number[None, :].astype(np.float64))
-    c, s = np.cos(np.outer(time, omega)), np.sin(np.outer(time, omega))
+    cosine = null_space(np.ones((1, harmonics)))
+    sine = null_space(number[None, :].astype(np.float64))
+    c = np.cos(np.outer(time, omega))
+    s = np.sin(np.outer(time, omega))
     one = np.ones((len(time), 1))
     return np.stack([
         np.hstack([one, (s / omega) @ cosine, (-c / omega) @ sine]),
@@ -98,14 +102,15 @@ class ExcitationPlan:
         information: of all runs for the identification together, shape (p, p).
         experiments: in the order of their recording; one for a validation last.
         coefficients: of their series.
-
-    Raises:
-        IdentificationError: if the number of noises is not that of the joints.
     """
 
     def __init__(self, arm: PlannedArm, options: ExcitationOptions) -> None:
-        self.arm, self.options, self.home, robot = arm, options, arm.home, arm.robot
-        n, self.noise = len(robot.joint_names), _DEFAULT_NOISE_SHARE * robot.max_effort
+        self.arm = arm
+        self.options = options
+        self.home = arm.home
+        robot = arm.robot
+        n = len(robot.joint_names)
+        self.noise = _DEFAULT_NOISE_SHARE * robot.max_effort
         if options.torque_noise is not None:
             self.noise = np.array(options.torque_noise)
             if len(self.noise) != n:
@@ -138,7 +143,8 @@ class ExcitationPlan:
             velocity: rad/s, shape (m, n).
             smooth: speed over which the sign changes, rad/s.
         """
-        share, inputs = self.arm.rigid.element_matrix.T, velocity @ self.arm.rigid.element_matrix.T
+        share = self.arm.rigid.element_matrix.T
+        inputs = velocity @ self.arm.rigid.element_matrix.T
         sign = np.tanh(inputs / smooth) if smooth else np.sign(inputs)
         friction = [value[:, None, :] * share for value in (sign, inputs)]
         return np.asarray(np.concatenate([standard[:, :, self._leading], *friction], axis=2) / self.noise[:, None])
@@ -154,9 +160,6 @@ class ExcitationPlan:
         Args:
             rng: of the random motions.
             step: called after each of the search's steps.
-
-        Raises:
-            IdentificationError: if it cannot be scaled down to the limits.
         """
         first = min((one.ravel() for one in self.random_starts(rng)), key=lambda x: self.cost(x)[0])
 
@@ -172,12 +175,9 @@ class ExcitationPlan:
         return self.within(first.reshape(len(self.home), -1))
 
     def random_starts(self, rng: np.random.Generator) -> list[Array]:
-        """Return the coefficients of the random motions that can be scaled down to the limits, one or more.
-
-        Raises:
-            IdentificationError: if none can.
-        """
-        starts, refusals = [], []
+        """Return the coefficients of the random motions that can be scaled down to the limits, one or more."""
+        starts = []
+        refusals = []
         for _ in range(_RANDOM_STARTS):
             try:
                 starts.append(self._shrunk(self.random(rng), self.samples, _SEARCH_APPROACH))
@@ -189,13 +189,16 @@ class ExcitationPlan:
 
     def random(self, rng: np.random.Generator) -> Array:
         """Return a random motion within ranges, speeds and accelerations, except for those of coupled motors."""
-        robot, n = self.arm.robot, len(self.home)
+        robot = self.arm.robot
+        n = len(self.home)
         coefficients = rng.normal(size=(n, self.samples.shape[2]))
         coefficients[:, 0] = 0.0
         motion = self.samples @ coefficients.T
         shares = self._shares(motion, np.zeros_like(motion[0]))
-        center, reach = 0.5 * (robot.lower + robot.upper), self._reach
-        low, high = center - reach, center + reach
+        center = 0.5 * (robot.lower + robot.upper)
+        reach = self._reach
+        low = center - reach
+        high = center + reach
         middle = self.home + rng.uniform(-_MIDDLE_SPREAD, _MIDDLE_SPREAD, n) * reach
         middle = np.clip(middle, low + 0.2 * reach, high - 0.2 * reach)
         size = np.minimum(middle - low, high - middle) / np.abs(motion[0]).max(axis=0)
@@ -212,7 +215,8 @@ class ExcitationPlan:
             x: coefficients, shape (n c,).
             limit: cost of exceeding a limit by its whole size at one sample.
         """
-        options, coefficients = self.options, x.reshape(len(self.home), -1)
+        options = self.options
+        coefficients = x.reshape(len(self.home), -1)
         motion = self.samples @ coefficients.T
         standard = self.standard.torque(*motion)
         rows = self.rows(standard, motion[1], _SMOOTH)
@@ -231,7 +235,8 @@ class ExcitationPlan:
 
     def _slopes(self, motion: Array, standard: Array, by_rows: Array, by_torque: Array) -> Array:
         """Return the derivatives by the motion of a function of smoothed rows and rigid torque, shape (3, m, n)."""
-        weighted, count = by_rows / self.noise[:, None], len(self._leading)
+        weighted = by_rows / self.noise[:, None]
+        count = len(self._leading)
         by_standard = by_torque[:, :, None] * self.standard.values()
         by_standard[:, :, self._leading] += weighted[:, :, :count]
         now = np.einsum("mnp,mnp->m", by_standard, standard)
@@ -250,7 +255,9 @@ class ExcitationPlan:
 
     def _penalty(self, motion: Array, rigid: Array) -> tuple[float, tuple[Array, Array, Array], Array]:
         """Return the squares of exceeded limits, with derivatives by motion and torque; friction is smooth."""
-        arm, robot, share = self.arm, self.arm.robot, self.options.share
+        arm = self.arm
+        robot = self.arm.robot
+        share = self.options.share
         friction, by_speed = arm.friction_torque(motion[1], _SMOOTH)
         over = {
             name: np.sign(one) * np.maximum(np.abs(one) - 1.0 + _SHARE_MARGIN, 0.0)
@@ -271,11 +278,7 @@ class ExcitationPlan:
         return self.arm.limit_shares(motion, torque, self.options.share, self.speed, _RANGE_MARGIN)
 
     def within(self, coefficients: Array) -> Array:
-        """Return the motion, scaled down until it keeps all limits, also between the samples.
-
-        Raises:
-            IdentificationError: if even a small motion exceeds one.
-        """
+        """Return the motion, scaled down until it keeps all limits, also between the samples."""
         fine = self.basis(np.arange(0.0, self.options.period, _CHECK_STEP_S))
         return self._shrunk(coefficients, fine, _CHECKED_APPROACH)
 
@@ -319,8 +322,10 @@ class ExcitationPlan:
 
     def trajectory(self, coefficients: Array) -> TrajectoryPoints:
         """Return a run: home, beginning of the series, its periods, home."""
-        robot, options = self.arm.robot, self.options
-        speed, acceleration = min(_APPROACH_SPEED, options.share), min(_APPROACH_ACCELERATION, options.share)
+        robot = self.arm.robot
+        options = self.options
+        speed = min(_APPROACH_SPEED, options.share)
+        acceleration = min(_APPROACH_ACCELERATION, options.share)
         way = (robot.max_velocity * speed, float(self.arm.limits.acceleration.min()) * acceleration)
         motion = Motion(self.home)
         motion.move((self._begin[0] @ coefficients.T)[0], *way)
@@ -341,7 +346,8 @@ def _criterion(kind: str, information: Array) -> tuple[float, Array]:
     `condition`: the logarithm of the condition number of the columns, each of length 1. `d`: the mean logarithm of the
     parameters' deviations, -log det(information) / (2 p).
     """
-    p, size = len(information), np.sqrt(np.maximum(np.diag(information), 1e-300))
+    p = len(information)
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information / np.outer(size, size) + _FLOOR * np.eye(p)
     if kind == "d":
         factor = np.linalg.cholesky(scaled)
@@ -357,7 +363,9 @@ def _criterion(kind: str, information: Array) -> tuple[float, Array]:
 
 _RUN_SPEEDS = (1.0, 0.5, 0.2)  # of the allowed speed, in turn: friction is not linear in it
 _VALIDATION_SPEED = 0.7
-_APPROACH_SPEED, _APPROACH_ACCELERATION = 0.25, 0.5  # shares of the limits on the way from and to home
+# shares of the limits on the way from and to home
+_APPROACH_SPEED = 0.25
+_APPROACH_ACCELERATION = 0.5
 _REST_S = 0.3  # s, before and after the series
 _KNOT_ANGLE = 0.3  # of the fastest sine between knots, rad: quintics between exact knots miss it by 1e-7 of its size
 _INFORMATION_RATE = 100.0  # per second, for the sum of the information
@@ -373,10 +381,6 @@ def plan_excitation(
         arm: for a setup `PlannedArm.from_setup`.
         options: of the plan.
         step: called with the name of a run after each step of its search, `options.steps` times at most.
-
-    Raises:
-        IdentificationError: if home is beyond a limit, or no motion is found within the limits.
-        ConfigError: for poses that cannot be used.
     """
     plan = ExcitationPlan(PlannedArm.from_setup(arm) if isinstance(arm, Setup) else arm, options)
     for wall, (distance, name) in zip(options.walls, plan.workspace.lowest(plan.home[None, :]), strict=True):
@@ -400,7 +404,9 @@ def plan_excitation(
         ).T  # fmt: skip
         plan.information = plan.information + plan.information_of(plan.rows(plan.standard.torque(*motion), motion[1]))
     if options.validation:
-        known, plan.information = plan.information, np.zeros_like(plan.information)  # as for a first run
+        # as for a first run
+        known = plan.information
+        plan.information = np.zeros_like(plan.information)
         add("validation", Kind.VALIDATION, _VALIDATION_SEED, _VALIDATION_SPEED)
         plan.information = known
     return plan

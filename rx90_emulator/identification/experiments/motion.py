@@ -73,16 +73,19 @@ class Motion:
             tones: their frequencies, Hz.
             duration: s.
         """
-        omega, amplitude = 2.0 * np.pi * np.asarray(tones), np.asarray(amplitudes)
+        omega = 2.0 * np.pi * np.asarray(tones)
+        amplitude = np.asarray(amplitudes)
         period = math.floor(1e3 * min(_LONGEST_KNOT_PERIOD, _KNOT_ANGLE / (2.0 * math.pi * max(tones)))) / 1e3
         time: Array = np.arange(1, math.ceil(duration / period) + 1, dtype=np.float64) * period
-        phase, whole = np.outer(time, omega), len(time) * period
+        phase = np.outer(time, omega)
+        whole = len(time) * period
         s = np.sin(phase) @ amplitude
         s_dot = np.cos(phase) @ (amplitude * omega)
         s_ddot = -np.sin(phase) @ (amplitude * omega**2)
         quarter = whole / 4.0
         x = np.clip(np.minimum(time, whole - time) / quarter, 0.0, 1.0)
-        sign, inside = np.where(time < whole / 2.0, 1.0, -1.0) / quarter, x < 1.0
+        sign = np.where(time < whole / 2.0, 1.0, -1.0) / quarter
+        inside = x < 1.0
         w = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
         w_dot = np.where(inside, 30.0 * x**2 * (1.0 - x) ** 2, 0.0) * sign
         w_ddot = np.where(inside, 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x), 0.0) * sign**2
@@ -101,7 +104,8 @@ class Motion:
             acceleration: rad/s², shape (k, n).
         """
         self._knots += zip((self.duration + time).tolist(), position, velocity, acceleration, strict=True)
-        self.pose, self.duration = position[-1].copy(), self._knots[-1][0]
+        self.pose = position[-1].copy()
+        self.duration = self._knots[-1][0]
         self._knots[-1] = (self.duration, self.pose, self._rest, self._rest)
 
     def points(self, names: Sequence[str]) -> TrajectoryPoints:

@@ -31,7 +31,8 @@ from rx90_emulator.loop.setup import Setup
 _ATTEMPTS = 3  # of an experiment whose recorder loses messages
 _PATIENCE = 5.0  # s of the controller's time and of the wall clock, until a trajectory begins and beyond its end
 _AT_REST = 1e-6  # rad
-_APPROACH_SPEED, _APPROACH_ACCELERATION = 0.25, 2.0
+_APPROACH_SPEED = 0.25
+_APPROACH_ACCELERATION = 2.0
 
 
 def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, controller: str, timeout: float) -> None:
@@ -45,11 +46,11 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
         timeout: longest wait for a node, and for simulated time to go on, s.
 
     Raises:
-        ConfigError: if that cannot be a node's name.
         ExchangeError: if a node does not appear, time stands still, or the controller refuses a trajectory.
         ProcessError: if the recorder repeatedly loses messages, or ends early.
     """
-    names, total = setup.robot.joint_names, sum(experiment.duration for experiment in plan)
+    names = setup.robot.joint_names
+    total = sum(experiment.duration for experiment in plan)
     layout = "{l_bar}{bar}| {n:.0f}/{total:.0f} s [{elapsed}<{remaining}]"
     # A recorder that still runs at the end is stopped properly.
     with (
@@ -63,7 +64,8 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
         def follow(points: TrajectoryPoints, show: Callable[[float], object]) -> float:
             return follow_trajectory(client, trajectory, names, set_points, points, show)
 
-        here, start = set_points.position, plan[0].points.position[0]
+        here = set_points.position
+        start = plan[0].points.position[0]
         assert here is not None  # the client has waited for the first
         gap = float(np.abs(start - here).max())
         if gap > setup.controller.start_tolerance:
@@ -77,7 +79,9 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
                 bar.update(done + elapsed - bar.n)
 
             for number, experiment in enumerate(plan):
-                name, bag, done = experiment.name, folder / experiment.name, float(bar.n)
+                name = experiment.name
+                bag = folder / experiment.name
+                done = float(bar.n)
                 bar.set_description_str(name)
                 # Repeated if the recorder lost messages: the machine was busy for a moment.
                 for attempt in range(1, _ATTEMPTS + 1):
@@ -154,12 +158,19 @@ class FollowedTrajectory:
     """
 
     def __init__(self, points: TrajectoryPoints, before: Array, timeout: float) -> None:
-        self._before, self._end, self._timeout = before, points.position[-1], timeout
+        self._before = before
+        self._end = points.position[-1]
+        self._timeout = timeout
         leaves = int(np.argmax((np.abs(points.position - before) > _AT_REST).any(axis=1)))
-        self._rest, self._duration = float(points.times[max(leaves - 1, 0)]), float(points.times[-1])
+        self._rest = float(points.times[max(leaves - 1, 0)])
+        self._duration = float(points.times[-1])
         self._began: float | None = None
-        self._last_time, self._last_advance, self._due = -math.inf, 0.0, (0.0, 0.0)
-        self.elapsed, self.end, self.done = 0.0, math.inf, False
+        self._last_time = -math.inf
+        self._last_advance = 0.0
+        self._due = (0.0, 0.0)
+        self.elapsed = 0.0
+        self.end = math.inf
+        self.done = False
 
     def see(self, now: float, position: Array, clock: float) -> None:
         """Evaluate the newest set-point.
@@ -179,7 +190,8 @@ class FollowedTrajectory:
         if self._last_time == -math.inf:
             self._due = now + _PATIENCE, clock + _PATIENCE
         if now > self._last_time:
-            self._last_time, self._last_advance = now, clock
+            self._last_time = now
+            self._last_advance = clock
         elif clock - self._last_advance > self._timeout:
             raise ExchangeError(f"the controller's time stood still at {now:.3f} s for {self._timeout:g} s")
         if self._began is None and not near(self._before):

@@ -101,22 +101,13 @@ class Poses:
 
     @classmethod
     def load(cls, file: Path) -> Poses:
-        """Read a poses file.
-
-        Raises:
-            ConfigError: naming file, key, value and what is accepted.
-        """
+        """Read a poses file."""
         content = POSES.read(load_yaml(file))
         return cls(content["home"]["position"], content["sweeps"]["positions"], content["validation"]["positions"])
 
     @classmethod
     def of(cls, setup: Setup) -> Poses:
-        """Return the poses of a robot, checked to be within its limits.
-
-        Raises:
-            IdentificationError: for a setup that was not read from files, and a pose beyond a joint's limits.
-            ConfigError: if the robot has no poses.
-        """
+        """Return the poses of a robot, checked to be within its limits."""
         if setup.files is None:
             raise IdentificationError("the setup was not read from files; accepted: one of load_setup")
         poses = cls.load(setup.files.required("poses"))
@@ -124,11 +115,7 @@ class Poses:
         return poses
 
     def check(self, robot: RobotModel) -> None:
-        """Check that an arm reaches the poses.
-
-        Raises:
-            IdentificationError: naming pose, joint, value and limits.
-        """
+        """Check that an arm reaches the poses."""
         poses = {"home": self.home} | {f"pose {i}": pose for i, pose in enumerate(self.sweeps, 1)}
         poses |= {f"pose {i} of the validation": pose for i, pose in enumerate(self.validation, 1)}
         for what, pose in poses.items():
@@ -139,11 +126,7 @@ class Poses:
 
 
 def check_pose(what: str, pose: Sequence[float], robot: RobotModel) -> None:
-    """Check that an arm reaches a pose, rad, with one position for each joint.
-
-    Raises:
-        IdentificationError: naming it by `what`, joint, value and limits.
-    """
+    """Check that an arm reaches a pose, rad, with one position for each joint."""
     for name, value, low, high in zip(robot.joint_names, pose, robot.lower, robot.upper, strict=True):
         if not low <= value <= high:
             raise IdentificationError(
@@ -206,7 +189,8 @@ def plan_experiments(
     poses = Poses.of(setup)
     how: dict[str, Any] = {} if speeds is None else {"speeds": speeds}
     if quick:
-        poses, how = replace(poses, sweeps=poses.sweeps[:1]), _QUICK | how
+        poses = replace(poses, sweeps=poses.sweeps[:1])
+        how = _QUICK | how
     return make_plan(setup.robot, setup.drives, PlanOptions(poses=poses, groups=tuple(groups), **how))
 
 
@@ -263,20 +247,20 @@ def sweep_speeds(direction: Array, lowest: float, highest: float, count: int, dr
     return np.array(quietest)
 
 
-_LOWEST_SPEED, _HIGHEST_SHARE = 0.004, 0.4  # rad/s of the slowest sweep; of the joint's speed limit of the fastest
+# rad/s of the slowest sweep; of the joint's speed limit of the fastest
+_LOWEST_SPEED = 0.004
+_HIGHEST_SHARE = 0.4
 _ACCELERATION = 5.0  # rad/s², of sweeps and moves
 _TONES = (3.0, 9.0, 19.0, 33.0)  # Hz, of a micro-oscillation
-_MIN_HOLD_S, _MAX_HOLD_S = 0.7, 4.0  # s at a speed: the servo loops need 0.25 s to settle
+# s at a speed: the servo loops need 0.25 s to settle
+_MIN_HOLD_S = 0.7
+_MAX_HOLD_S = 4.0
 _VALIDATION_SPEED_SHARES = (0.3, 0.12, 0.04)  # of the joints' speeds, in turn
 _LIMIT_MARGIN = 0.02  # rad, from a sweep to the joints' limits
 
 
 def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions | None = None) -> tuple[Experiment, ...]:
-    """Plan all experiments for an arm.
-
-    Raises:
-        IdentificationError: for an unknown group, and a pose that the arm does not reach.
-    """
+    """Plan all experiments for an arm."""
     chosen = options or PlanOptions()
     chosen.poses.check(robot)
     known = directions(robot.joint_names, drives.turning)
@@ -301,7 +285,8 @@ def _sweeps(robot: RobotModel, drives: DriveParameters, options: PlanOptions, na
     The error by ripple that is synchronous with the sampling differs between speeds, not between poses, and changes its
     sign with the direction.
     """
-    motion, poses = Motion(options.poses.home), options.poses.sweeps
+    motion = Motion(options.poses.home)
+    poses = options.poses.sweeps
 
     def sweep(motion: Motion, speed: float) -> Motion:
         held = float(np.clip(options.travel / abs(speed), _MIN_HOLD_S, _MAX_HOLD_S))
@@ -312,7 +297,8 @@ def _sweeps(robot: RobotModel, drives: DriveParameters, options: PlanOptions, na
         return sweep(Motion(np.zeros(direction.size)), speed).pose
 
     fastest = _HIGHEST_SHARE * float(robot.max_velocity[direction != 0.0].min())
-    low, high = robot.lower + _LIMIT_MARGIN, robot.upper - _LIMIT_MARGIN
+    low = robot.lower + _LIMIT_MARGIN
+    high = robot.upper - _LIMIT_MARGIN
     while np.any(np.abs(travel(fastest)) > robot.upper - robot.lower - 2.0 * _LIMIT_MARGIN):
         fastest *= 0.98
     speeds = sweep_speeds(direction, _LOWEST_SPEED, fastest, 2 * options.speeds, drives)
@@ -346,7 +332,8 @@ def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction:
 
 def _validation(robot: RobotModel, options: PlanOptions) -> _Planned:
     """Return moves of all joints at once that no other experiment contains: fast, slow, with reversals."""
-    motion, poses = Motion(options.poses.home), options.poses.validation
+    motion = Motion(options.poses.home)
+    poses = options.poses.validation
     for number, pose in enumerate(poses):
         share = _VALIDATION_SPEED_SHARES[number % len(_VALIDATION_SPEED_SHARES)]
         motion.move(pose, robot.max_velocity * share, _ACCELERATION)
@@ -411,45 +398,28 @@ class IdentificationBags:
 
 
 def write_index(folder: Path, done: Sequence[Experiment]) -> None:
-    """Write the uses of the bags recorded so far; after each experiment, so that a series may be interrupted.
-
-    Raises:
-        Rx90Error: if it cannot be written.
-    """
+    """Write the uses of the bags recorded so far; after each experiment, so that a series may be interrupted."""
     there = [kind for kind in Kind if kind is not Kind.EXCITATION or any(one.kind is kind for one in done)]
     content = {str(kind): [e.name for e in done if e.kind is kind] for kind in there}
     write_text(folder / INDEX, yaml_text(content))
 
 
 def write_emulated(folder: Path, friction: FrictionSet) -> None:
-    """Write the friction that runs were made with, for comparison with the identified one.
-
-    Raises:
-        Rx90Error: if it cannot be written.
-    """
+    """Write the friction that runs were made with, for comparison with the identified one."""
     elements = dict(zip(friction.names, friction.elements, strict=True))
     text = FrictionFile(elements, "assumed", "the emulator made the runs beside this file with it").text()
     write_text(folder / EMULATED, text)
 
 
 def read_emulated(bags: Iterable[Path]) -> dict[str, FrictionElement]:
-    """Return the friction that all bags were made with, by element; empty if it is not known for all of them.
-
-    Raises:
-        ConfigError: if it is no friction file.
-    """
+    """Return the friction that all bags were made with, by element; empty if it is not known for all of them."""
     places = {bag.absolute().parent / EMULATED for bag in bags}
     found = [dict(FrictionFile.read(place).elements) if place.is_file() else {} for place in sorted(places)]
     return found[0] if all(one == found[0] for one in found) else {}
 
 
 def read_index(folder: Path) -> IdentificationBags:
-    """Return the bags of a series.
-
-    Raises:
-        IdentificationError: if the folder contains no index, or a bag is missing.
-        ConfigError: if the index is not such a file.
-    """
+    """Return the bags of a series."""
     if not os.path.lexists(folder / INDEX):
         raise IdentificationError(f"{folder}: no {INDEX}; accepted: a folder that rx90_experiment wrote, or --sliding, "
                                   "--presliding and --validation")  # fmt: skip

@@ -28,11 +28,7 @@ from rx90_emulator.loop.setup import Setup
 
 
 def describe(plan: Sequence[Experiment], arm: PlannedArm) -> str:
-    """Return a table of the plan: runs, time, and the largest use of the arm's limits in each experiment.
-
-    Raises:
-        IdentificationError: if an experiment leaves a limit.
-    """
+    """Return a table of the plan: runs, time, and the largest use of the arm's limits in each experiment."""
     lines = [f"{'experiment':<30}{'runs':>6}{'time s':>9}   most of the speed limit   most of the torque limit"]
     names = (*arm.robot.joint_names, *arm.motors)
     for one in plan:
@@ -53,12 +49,10 @@ _SMALL = 1e-3  # of the largest parameter of its kind: a smaller expected value 
 
 
 def describe_excitation(plan: ExcitationPlan) -> str:
-    """Return the table of a plan: use of the limits by each run, and the expected deviations.
-
-    Raises:
-        IdentificationError: if a run leaves a limit.
-    """
-    information, workspace, arm = plan.information, plan.workspace, plan.arm
+    """Return the table of a plan: use of the limits by each run, and the expected deviations."""
+    information = plan.information
+    workspace = plan.workspace
+    arm = plan.arm
     home = ", ".join(f"{angle:.4g}" for angle in arm.home)
     lines = [
         f"home {home} rad: {arm.chosen_home}",
@@ -133,11 +127,9 @@ def write_motions(folder: Path, plan: Sequence[Experiment], arm: PlannedArm, rat
         plan: the motions.
         arm: for the joints' names.
         rate: of the set-points, Hz.
-
-    Raises:
-        Rx90Error: if a file cannot be written.
     """
-    names, files = arm.robot.joint_names, dict[Path, bytes]()
+    names = arm.robot.joint_names
+    files = dict[Path, bytes]()
     quantities = ("position [rad]", "velocity [rad/s]", "acceleration [rad/s^2]")
     head = ",".join(["time [s]", *(plain(f"{name} {what}") for what in quantities for name in names)])
     for one in plan:
@@ -154,11 +146,7 @@ def write_motions(folder: Path, plan: Sequence[Experiment], arm: PlannedArm, rat
 
 
 def plan_with_progress(arm: PlannedArm, options: ExcitationOptions) -> ExcitationPlan:
-    """Plan excitation runs with a progress line.
-
-    Raises:
-        Rx90Error: as `plan_excitation`.
-    """
+    """Plan excitation runs with a progress line."""
     with tqdm(unit="step", disable=None, delay=1e-9) as bar:  # what is refused before the first step needs none
 
         def step(name: str) -> None:
@@ -175,7 +163,6 @@ def run_on_engine(setup: Setup, experiment: Experiment, bag: Path, storage: str 
     """Simulate one experiment and write its bag.
 
     Raises:
-        BagError: if the bag exists or cannot be written.
         DivergenceError: naming joint and tick.
     """
     topics = TOPICS[experiment.kind]
@@ -205,11 +192,7 @@ def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | st
 def record_on_nodes(
     setup: Setup, plan: Sequence[Experiment], folder: Path, controller: str = "rx90_controller", timeout: float = 60.0
 ) -> None:
-    """Run experiments on a controller node, each into a bag of a new folder; waits for the nodes for `timeout`, s.
-
-    Raises:
-        Rx90Error: for every refusal and failure; complete bags stay.
-    """
+    """Run experiments on a controller node, each into a bag of a new folder; waits for the nodes for `timeout`, s."""
     with _new_folder(folder):
         from rx90_common.exchange.ros_start import prepare
 

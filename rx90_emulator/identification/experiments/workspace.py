@@ -46,8 +46,11 @@ class Workspace:
 
     def __init__(self, robot: RobotModel, walls: Sequence[Wall], home: ArrayLike) -> None:
         self.walls = tuple(walls)
-        self._robot, self._model, frames = robot, robot.model, robot.model.frames
-        root, meshes = ET.fromstring(robot.urdf), []
+        self._robot = robot
+        self._model = robot.model
+        frames = robot.model.frames
+        root = ET.fromstring(robot.urdf)
+        meshes = []
         for link in root.findall("link"):
             for collision in link.findall("collision"):
                 if collision.find("geometry/mesh") is not None:
@@ -76,16 +79,22 @@ class Workspace:
         A shape is a box with half-lengths, rounded by a ball, and a disk around its z axis: a cylinder is a disk with a
         height, a sphere only a ball; joints and tool centre point are points.
         """
-        chain, model, data = self._robot.chain, self._model, self._shapes.createData()
+        chain = self._robot.chain
+        model = self._model
+        data = self._shapes.createData()
         pin.updateGeometryPlacements(model, model.createData(), self._shapes, data, pin.neutral(model))
-        centers, point = np.cumsum(chain.origin, axis=0), (np.eye(3), np.zeros(3), 0.0, 0.0)
+        centers = np.cumsum(chain.origin, axis=0)
+        point = (np.eye(3), np.zeros(3), 0.0, 0.0)
         rows = [(name, joint, np.zeros(3), *point) for joint, name in enumerate(self._robot.joint_names)]
         rows.append((self._robot.tcp_frame, len(centers) - 1, chain.tcp_position, *point))
         for one, placed in zip(self._shapes.geometryObjects, data.oMg, strict=True):
-            frame, shape, kind = model.frames[one.parentFrame], one.geometry, type(one.geometry).__name__
+            frame = model.frames[one.parentFrame]
+            shape = one.geometry
+            kind = type(one.geometry).__name__
             if (joint := joint_of(frame) - 1) >= 0:
                 half = np.array(shape.halfSide) if kind == "Box" else np.zeros(3)
-                disk, ball = (shape.radius if kind == name else 0.0 for name in ("Cylinder", "Sphere"))
+                disk = shape.radius if kind == "Cylinder" else 0.0
+                ball = shape.radius if kind == "Sphere" else 0.0
                 if kind == "Cylinder":
                     half[2] = shape.halfLength
                 rotation = placed.rotation.copy()
@@ -98,8 +107,10 @@ class Workspace:
 
         A convex body's nearest point gives the derivative, whichever point it is (envelope theorem).
         """
-        chain, normal = self._robot.chain, np.array(wall.normal)
-        rotation, center = np.broadcast_to(np.eye(3), (len(position), 3, 3)), np.zeros((len(position), 3))
+        chain = self._robot.chain
+        normal = np.array(wall.normal)
+        rotation = np.broadcast_to(np.eye(3), (len(position), 3, 3))
+        center = np.zeros((len(position), 3))
         frames: list[tuple[Array, Array, Array]] = []
         for joint, (origin, turn) in enumerate(zip(chain.origin, chain.axis, strict=True)):
             center = center + rotation @ origin
@@ -132,7 +143,8 @@ class Workspace:
 
     def nearness(self, position: Array, clearance: float) -> tuple[float, Array]:
         """Return the cost of being too near to walls or to itself, and its derivative by position, shape (m, n)."""
-        value, slope = 0.0, np.zeros_like(position)
+        value = 0.0
+        slope = np.zeros_like(position)
         for wall, counts in zip(self.walls, self._movable, strict=True):
             distance, by_position = (each[:, counts] for each in self._to_wall(position, wall))
             missing = np.maximum((clearance + _DISTANCE_MARGIN - distance) / _WALL_SCALE, 0.0)

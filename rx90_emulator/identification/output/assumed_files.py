@@ -22,9 +22,13 @@ from rx90_common.description.robot import RobotModel
 from rx90_controller.law.parameters import CS7BParameters
 
 _POSES: Final = 200
-_GEAR, _COUNTS, _OBSERVER_HZ = 100.0, 65536, 400.0
+_GEAR = 100.0
+_COUNTS = 65536
+_OBSERVER_HZ = 400.0
 _TORQUE_CONSTANT = 0.1  # Nm/A
-_BRAKE_HZ, _STOP_HZ, _HALF_CRITICAL = 50.0, 10.0, 0.5
+_BRAKE_HZ = 50.0
+_STOP_HZ = 10.0
+_HALF_CRITICAL = 0.5
 _FASTEST = 1000.0  # 1/s, of all velocity loops together in the arm's lightest pose; the observer has 2500
 _HIGHEST_KV = 400.0  # 1/s
 FULL_SPEED_TIME: Final = 0.5
@@ -51,12 +55,13 @@ def assumed_files(
             give the same torques at the joints.
         acceleration: of the joints in the recorded motions, rad/s^2, shape (n,), or 0.
     """
-    (mean, nominal, least, most), n = _inertias(robot, model, turning, rotors), len(rotors)
+    (mean, nominal, least, most) = _inertias(robot, model, turning, rotors)
+    n = len(rotors)
     effort = np.abs(turning.joint_turns.T) @ robot.max_effort
     kv = min(_HIGHEST_KV, _FASTEST / most)
-    gear, constant = (
-        np.array(known[key].value if key in known else [usual] * n)
-        for key, usual in ((("transmission", "gear"), _GEAR), (("motor", "torque_constant"), _TORQUE_CONSTANT))
+    gear = np.array(known["transmission", "gear"].value if ("transmission", "gear") in known else [_GEAR] * n)
+    constant = np.array(
+        known["motor", "torque_constant"].value if ("motor", "torque_constant") in known else [_TORQUE_CONSTANT] * n
     )
     current = effort / np.abs(gear * constant)
     # A light link could reach thousands of rad/s^2: the accelerations of plans and recorded motions are enough.
@@ -101,7 +106,8 @@ def weight_warning(robot: RobotModel, turning: Coupling, law: CS7BParameters) ->
 
     Before the integrator compensates it, a weight g deflects a motor by up to g / (inertia kv kp).
     """
-    data, back = robot.model.createData(), turning.joint_turns.T
+    data = robot.model.createData()
+    back = turning.joint_turns.T
     shares = np.random.default_rng(0).uniform(size=(_POSES, len(robot.lower)))
     poses = robot.lower + shares * (robot.upper - robot.lower)
     weight = np.max([np.abs(back @ pin.computeGeneralizedGravity(robot.model, data, pose)) for pose in poses], axis=0)
@@ -131,15 +137,19 @@ def _inertias(robot: RobotModel, model: Any, turning: Coupling, rotors: Array) -
     Mean over poses with the other joints at rest, that for the controller, and the least in any pose with the other
     joints free; and the largest ratio of that for the controller to the inertia in a motion of several motors.
     """
-    data, back = model.createData(), turning.joint_turns
-    with_held, free, masses = [], [], []
+    data = model.createData()
+    back = turning.joint_turns
+    with_held = []
+    free = []
+    masses = []
     for share in np.random.default_rng(0).uniform(size=(_POSES, len(rotors))):
         upper = np.triu(pin.crba(model, data, robot.lower + share * (robot.upper - robot.lower)))
         mass = back.T @ (upper + np.triu(upper, 1).T) @ back + np.diag(rotors)
         with_held.append(np.diag(mass))
         free.append(1.0 / np.diag(np.linalg.inv(mass)))
         masses.append(mass)
-    mean, least = np.mean(with_held, axis=0), np.min(free, axis=0)
+    mean = np.mean(with_held, axis=0)
+    least = np.min(free, axis=0)
     nominal = np.sqrt(mean * least)
     root = np.sqrt(nominal)
     most = max(float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(mass) * root)[-1]) for mass in masses)

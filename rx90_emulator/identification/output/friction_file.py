@@ -71,10 +71,6 @@ def elements_text(
         unit: of the torques, if they are currents.
         warnings: why an element's values cannot be trusted, by its name.
         speeds: least and greatest speed with data, rad/s, by element; with `result` those of its sweeps.
-
-    Raises:
-        IdentificationError: for a value that no arm has, or that is not a number.
-        ConfigError: for an absurd deviation.
     """
     date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
     named = dict(zip(names, elements, strict=True))
@@ -99,7 +95,8 @@ def elements_text(
     if speeds:
         identification["speeds"] = {name: [digits(speed, 3) for speed in pair] for name, pair in speeds.items()}
     if result is not None:
-        usage, fits = result.sliding.usage, zip(names, result.sliding.quality, strict=True)
+        usage = result.sliding.usage
+        fits = zip(names, result.sliding.quality, strict=True)
         identification["sweeps"] = {labels[use.bag]: use.text(names) for use in usage if use.bag in labels}
         identification["fit"] = {name: one.content for name, one in fits if one is not None}
     identification["parameters"] = {
@@ -118,7 +115,8 @@ def elements_text(
 def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:
     """Return an element with the identified values rounded to six digits; refuse values that no arm has."""
     for parameter, unit in FRICTION_UNITS.items():
-        value, estimate = getattr(one.element, parameter), one.estimates.get(parameter)
+        value = getattr(one.element, parameter)
+        estimate = one.estimates.get(parameter)
         most = math.inf if parameter == "omega_d" else _LARGEST[unit]
         spread = estimate.deviation if estimate is not None and estimate.identifiable else 0.0
         if not (value <= most and math.isfinite(spread)):

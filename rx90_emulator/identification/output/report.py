@@ -29,8 +29,11 @@ from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import JointTorque, RunTorques
 
 _DRAWN_S = 60.0  # s of a run in a plot: more could not be resolved
-_RECORDED, _PREDICTED, _DIFFERENCE = COLOURS[5], COLOURS[1], COLOURS[6]
-_TIME, _SPEED = "time since the first motion, s", "velocity of the element, rad/s"
+_RECORDED = COLOURS[5]
+_PREDICTED = COLOURS[1]
+_DIFFERENCE = COLOURS[6]
+_TIME = "time since the first motion, s"
+_SPEED = "velocity of the element, rad/s"
 _INTERVAL = 1.96  # standard deviations, 95 %
 _DRAWN_SHARE = 20  # one of so many parts of a micro-oscillation is drawn: more loops would cover each other
 _ACROSS = 2  # columns of plots with a panel for each joint
@@ -82,7 +85,8 @@ def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, Plot]]:
     """Return validations with the names of their bags, and torques and distance of the tips along each."""
     found = []
     for check in checks:
-        torque, tips = check.torque, len(check.tip_distance) > 0
+        torque = check.torque
+        tips = len(check.tip_distance) > 0
         rows = zip(check.names, torque.recorded.T, torque.predicted.T, torque.difference.T, strict=True)
         panels = [
             _compared(name, torque.time, {"recorded": recorded, "predicted": predicted}, "Nm",
@@ -114,9 +118,11 @@ def measured_page(result: MeasuredComparison, files: tuple[str, ...]) -> str:
         result: of the comparison.
         files: that the robot was read from.
     """
-    time, torque = result.time - result.time[0], result.agreement
+    time = result.time - result.time[0]
+    torque = result.agreement
     shown = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
-    torques, positions = [], []
+    torques = []
+    positions = []
     for k, name in enumerate(result.names):
         below = "time since the comparison began, s" if name == result.names[-1] else ""
         both = {"measured": torque.recorded[shown, k], "simulated": torque.predicted[shown, k]}
@@ -143,7 +149,9 @@ def report_page(result: FrictionIdentification, friction_file: str) -> str:
         result: the identification.
         friction_file: name of the file with the values.
     """
-    names, sliding, presliding = result.arm.element_names, result.sliding, result.presliding
+    names = result.arm.element_names
+    sliding = result.sliding
+    presliding = result.presliding
     named = dict(zip(names, result.elements, strict=True))
     curves = [(name, curve) for name, curve in zip(names, sliding.curves, strict=True) if len(curve.velocity)]
     return _render(
@@ -177,12 +185,11 @@ def _curve_plot(name: str, curve: CurvePoints) -> Plot:
         above.append(Curve(velocity, torque, "identified", INK, 0.9))
         far = _INTERVAL * deviation
         below.append(Band(velocity, -far, far, "95 % of the identified curve", GREY))
-    label, bars = "measured - identified, 95 % of the noise", _INTERVAL * curve.deviation
+    label = "measured - identified, 95 % of the noise"
+    bars = _INTERVAL * curve.deviation
     below.append(Dots(curve.velocity, curve.torque - curve.fitted, label, COLOURS[0], bars))
-    speeds, smallest = (
-        "velocity of the element, rad/s (logarithmic on either side)",
-        float(np.abs(curve.velocity).min()),
-    )
+    speeds = "velocity of the element, rad/s (logarithmic on either side)"
+    smallest = float(np.abs(curve.velocity).min())
     panels = [
         Panel(above, name, "", "friction torque, Nm", "symlog", smallest=smallest),
         Panel(below, "", speeds, "residual, Nm", "symlog", smallest=smallest),
@@ -207,7 +214,8 @@ def _correlation_plots(result: FrictionIdentification) -> list[Plot]:
     pairs = zip(result.arm.element_names, result.sliding.estimates, result.presliding.estimates, strict=True)
     for name, sliding, presliding in pairs:
         names = (*sliding.parameters, *presliding.parameters)
-        first, matrix = len(sliding.parameters), np.full((len(names), len(names)), np.nan)
+        first = len(sliding.parameters)
+        matrix = np.full((len(names), len(names)), np.nan)
         matrix[:first, :first] = sliding.correlation
         matrix[first:, first:] = presliding.correlation
         if np.isfinite(matrix).any():
@@ -332,7 +340,8 @@ def _time_plot(runs: Sequence[RunTorques], block: float) -> Plot:
     """Show the mean of the residual against the motion over blocks of time, each run with its colour."""
     marks: dict[str, list[Mark]] = {name: [Level(0.0, colour=_DIFFERENCE)] for name in runs[0].names}
     for which, run in enumerate(runs):
-        label, colour = run.source.path.name if 1 < len(runs) <= len(COLOURS) else "", COLOURS[which % len(COLOURS)]
+        label = run.source.path.name if 1 < len(runs) <= len(COLOURS) else ""
+        colour = COLOURS[which % len(COLOURS)]
         for own, joint in zip(marks.values(), run.joints, strict=True):
             if len(joint.time):
                 place = ((joint.time - _start(run)) / block).astype(np.intp)
@@ -350,14 +359,16 @@ def _friction_plot(result: ExcitationIdentification) -> Plot:
     The means belong to the joint's own element: its curve plus the mean residual, in bins of each sign with about the
     same number of samples.
     """
-    problem, marks = result.problem, {}
+    problem = result.problem
+    marks = {}
     residual = problem.torque - result.friction.predicted
     joints = np.flatnonzero(problem.arm.identified)
     for number, curve in enumerate(result.friction.curves()):
         own: list[Mark] = [Level(0.0, colour=_DIFFERENCE), Level(0.0, colour=_DIFFERENCE, upright=True)]
         has_own_joint = number < len(joints)  # a coupled element has no joint of its own
         rows = np.flatnonzero((problem.joint == joints[number]) & ~problem.reversal) if has_own_joint else joints[:0]
-        velocity, residual_torque = problem.velocity[rows, number], residual[rows]
+        velocity = problem.velocity[rows, number]
+        residual_torque = residual[rows]
         low, high = (curve.velocity.min(), curve.velocity.max()) if len(curve.velocity) else (0.0, 0.0)
         points = []
         for sign in (-1.0, 1.0):

@@ -82,11 +82,9 @@ def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -
         urdf: a well-formed description.
         bodies: by its links, the pseudo-inertia in the frame of the link, shape (4, 4), or None for no <inertial>.
         remark: a comment to put before the first element.
-
-    Raises:
-        IdentificationError: for a body that no link can be.
     """
-    data, parser = urdf.encode("utf-8"), expat.ParserCreate("utf-8")
+    data = urdf.encode("utf-8")
+    parser = expat.ParserCreate("utf-8")
     first: list[int] = []  # where elements inside the root begin
     links: dict[str, int] = {}  # by link: beginning of its end tag, or end of an empty element
     inertials: dict[str, tuple[int, int]] = {}  # by link: beginning and end of the <inertial>
@@ -98,7 +96,8 @@ def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -
         path.append((name, parser.CurrentByteIndex, attributes.get("name", "")))
 
     def end(name: str) -> None:
-        at, names = parser.CurrentByteIndex, [one[0] for one in path[1:]]
+        at = parser.CurrentByteIndex
+        names = [one[0] for one in path[1:]]
         if names == ["link"]:
             links[path[1][2]] = at
         elif names == ["link", "inertial"]:
@@ -107,11 +106,13 @@ def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -
             inertials[path[1][2]] = path[2][1], data.index(b">", at) + 1 if tag else at
         path.pop()
 
-    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
     parser.Parse(data, True)
     edits = [(first[0], first[0], f"<!-- {remark.strip().replace('--', '- -')} -->\n  ")]
     for link, pseudo in bodies.items():
-        at, text = links[link], "" if pseudo is None else _inertial(link, pseudo)
+        at = links[link]
+        text = "" if pseudo is None else _inertial(link, pseudo)
         if link in inertials:
             edits.append((*inertials[link], text))
         elif text and data[at - 2 : at] == b"/>" and not data[at:].startswith(b"</link"):
@@ -172,7 +173,8 @@ def viscous_sum(elements: Sequence[FrictionElement], speed: float) -> tuple[floa
     """Return c2 and alpha of one viscous part that equals the sum of several at the speed and at a share of it."""
     if len({one.alpha for one in elements}) == 1:
         return sum(one.c2 for one in elements), elements[0].alpha
-    fast, slow = (sum(one.c2 * v**one.alpha for one in elements) for v in (speed, _SECOND_SPEED_SHARE * speed))
+    fast = sum(one.c2 * speed**one.alpha for one in elements)
+    slow = sum(one.c2 * (_SECOND_SPEED_SHARE * speed) ** one.alpha for one in elements)
     alpha = float(np.clip(np.log(slow / fast) / np.log(_SECOND_SPEED_SHARE), *ALPHA_BOUNDS)) if slow > 0.0 else 1.0
     return fast / speed**alpha, alpha
 
@@ -195,11 +197,7 @@ class FolderBase(NamedTuple):
 
     @classmethod
     def of(cls, files: RobotFiles) -> FolderBase:
-        """Return that of a robot's files.
-
-        Raises:
-            ConfigError: for files that cannot be read.
-        """
+        """Return that of a robot's files."""
         return cls(load_robot(files.urdf, files.tool), load_drives(files.drives).turning, files)
 
 
@@ -211,7 +209,8 @@ def folder_base(arm: RigidArm, urdf: Path) -> tuple[FolderBase | None, str]:
         return None, f"{alone}{followed} only followed the recording; the simulation needs friction of every joint"
     held = tuple(name for name in all_joints(urdf) if name not in arm.names)
     try:
-        robot, turning = load_robot(urdf, held=held, replaced=True), Coupling(arm.coupling)
+        robot = load_robot(urdf, held=held, replaced=True)
+        turning = Coupling(arm.coupling)
     except ConfigError as error:
         return None, f"{alone}{error}"
     fixed = f"; {listed(held)} fixed at 0, as in the identification" if held else ""
@@ -234,12 +233,10 @@ def robot_texts(
         base: basis of a whole folder; None for URDF and friction file alone.
         given: other values for the drives file, by block and key, such as ("motor", "torque_constant").
         now: date of the identification; by default the present.
-
-    Raises:
-        IdentificationError: for a body that no link can be, and a value that no file may contain.
-        ConfigError: for a file of the basis that cannot be used.
     """
-    arm, inertias, standard = result.problem.arm, result.consistency.inertias, result.problem.columns.names
+    arm = result.problem.arm
+    inertias = result.consistency.inertias
+    standard = result.problem.columns.names
     names = arm.names
     if not np.isfinite(inertias.parameters).all():
         raise IdentificationError("inertial parameters that are not finite; nothing is written")
@@ -311,7 +308,8 @@ def _compensation(
     """Return the controller's compensation for the identified friction of the elements with these names."""
     joints = len(base.robot.joint_names)
     # The friction that each motor works against, at speeds up to the nominal ones.
-    moved_elements, speed = [[one.element] for one in found[:joints]], base.robot.max_velocity.tolist()
+    moved_elements = [[one.element] for one in found[:joints]]
+    speed = base.robot.max_velocity.tolist()
     for motor, one in zip(base.turning.sums, found[joints:], strict=True):
         moved_elements[motor].append(one.element)
     viscous, exponent = zip(
@@ -343,7 +341,8 @@ def _joints(result: ExcitationIdentification) -> dict[str, dict[str, float]]:
 
     Rotors and springs of another arm may be in a drives file, too: its URDF alone is held against bags with these.
     """
-    names, standard = result.problem.arm.names, result.problem.columns.names
+    names = result.problem.arm.names
+    standard = result.problem.columns.names
     values = dict(zip(standard, result.consistency.inertias.parameters.tolist(), strict=True))
     kinds = {"offset": "offset"} | ({} if result.robot.setup else {"rotor_inertia": "Ia", "spring": "k"})
     found = {
@@ -359,15 +358,15 @@ def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[
     Args:
         result: the identification.
         date: of the identification.
-
-    Raises:
-        Rx90Error: for a value that no file may contain.
     """
-    problem, options, setup = result.problem, result.options, result.robot.setup
+    problem = result.problem
+    options = result.options
+    setup = result.robot.setup
     drives: dict[tuple[str, str], Identified] = {}
     if setup is not None:
         base: FolderBase | None = FolderBase.of(setup.files or RobotFiles())
-        urdf, note = (setup.files or RobotFiles()).urdf, "a robot folder; what the runs do not determine is as it was"
+        urdf = (setup.files or RobotFiles()).urdf
+        note = "a robot folder; what the runs do not determine is as it was"
     else:
         urdf = Path(str(options.urdf))
         base, note = folder_base(problem.arm, urdf)
@@ -395,7 +394,8 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         date: of the identification.
         versions: of interpreter and libraries.
     """
-    friction, bandwidths = result.friction, result.problem.runs[0].bandwidths
+    friction = result.friction
+    bandwidths = result.problem.runs[0].bandwidths
     bodies = result.consistency.inertias
 
     def checked(prefix: str, check: CrossValidation | None) -> dict[str, Any]:

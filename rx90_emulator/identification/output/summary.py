@@ -51,7 +51,9 @@ def together(values: Iterable[tuple[str, _Value]]) -> list[tuple[str, _Value]]:
 
 def identification_summary(result: FrictionIdentification) -> str:
     """Return values with deviations, true values below, unidentifiable parameters with reasons, and the verdicts."""
-    parameters, names, sliding = shown_parameters(result), result.arm.element_names, result.sliding
+    parameters = shown_parameters(result)
+    names = result.arm.element_names
+    sliding = result.sliding
     rows = []
     for name, one in zip(names, result.elements, strict=True):
         if name in result.identified_elements:
@@ -142,7 +144,8 @@ def measured_summary(result: MeasuredComparison) -> str:
 
 def excitation_summary(result: ExcitationIdentification) -> str:
     """Return friction with deviations, goodness of fit, the selected model, and what was left out and why."""
-    names, joints = result.problem.arm.element_names, result.torques[0].names
+    names = result.problem.arm.element_names
+    joints = result.torques[0].names
     shown = [friction_columns(one.estimates) for one in result.elements]
     columns = list(dict.fromkeys(name for row in shown for name, one in row.items() if one.identifiable))
     rows = [[name, *(_with_deviation(row.get(c)) for c in columns)] for name, row in zip(names, shown, strict=True)]
@@ -167,7 +170,8 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         fits.append(["  chi^2 over noise", *chi])
         if run.noiseless.any():
             fits.append(["  (>1e4: next to no noise beside the difference, as in smoothed torques; no information)"])
-    width, places = max(8, *(len(run.source.path.name) + 9 for _, run in runs)), [max(10, len(n) + 2) for n in joints]
+    width = max(8, *(len(run.source.path.name) + 9 for _, run in runs))
+    places = [max(10, len(n) + 2) for n in joints]
     lines += _table(["torque RMS", *joints, "all"], [width, *places, 8], fits)
     lines += [f"warning: {result.doubt}"] if result.doubt else []
     bandwidths = result.problem.runs[0].bandwidths
@@ -199,7 +203,8 @@ def unseen_verdict(check: TorqueValidation, *said: str) -> str:
 
 def kept_parts(result: ExcitationIdentification) -> str:
     """Return in words the parts of the selected friction, and which elements have them."""
-    names, texts = result.problem.arm.element_names, ["Coulomb + viscous"]
+    names = result.problem.arm.element_names
+    texts = ["Coulomb + viscous"]
     for part in Part:
         having = [name for name, own in zip(names, result.friction.parts, strict=True) if part in own]
         if having:
@@ -236,7 +241,8 @@ def friction_columns(estimates: Mapping[str, ParameterEstimate]) -> dict[str, Pa
         if name in estimates:
             found[name] = estimates[name]
         elif f"{name}_positive" in estimates:
-            positive, negative = (estimates[f"{name}_{sign}"] for sign in ("positive", "negative"))
+            positive = estimates[f"{name}_{'positive'}"]
+            negative = estimates[f"{name}_{'negative'}"]
             unknown = not positive.identifiable and not negative.identifiable and positive.reason == negative.reason
             both = {name: positive} if unknown or positive == negative else {f"{name}+": positive, f"{name}-": negative}
             found |= both

@@ -132,9 +132,11 @@ class GroupMotion:
             inputs: as the attribute.
             sliding: the elements' sliding regime; c0 and c1 are not used.
         """
-        speed, acceleration = motion.velocity @ inputs.T, motion.acceleration[:, list(motion.joints)]
+        speed = motion.velocity @ inputs.T
+        acceleration = motion.acceleration[:, list(motion.joints)]
         traces = tuple(ElementTrace.of(one, speed[:, n], motion.step) for n, one in enumerate(sliding))
-        torques, scale = [motion.friction], motion.inertia_scale
+        torques = [motion.friction]
+        scale = motion.inertia_scale
         for j, i in zip(*np.triu_indices(len(scale)), strict=True):
             torques.append(np.zeros_like(torques[0]))
             torques[-1][:, j] = scale[j, i] * acceleration[:, i]
@@ -239,11 +241,13 @@ class GroupModel:
         first_start = self.inertial.stop + index * self.elements
         starts = self.starts(x)[index].tolist()
         for n, ((c0, c1), start) in enumerate(zip(self.values(x).tolist(), starts, strict=True)):
-            trace, row = motion.traces[n], motion.inputs[n]
+            trace = motion.traces[n]
+            row = motion.inputs[n]
             here = trace.spectra(c0, start)
             stiffer = trace.spectra(c0 * (1.0 + _PARAMETER_STEP), start)
             deflected = trace.spectra(c0, start + _PARAMETER_STEP)
-            by_stiffness, by_start = ((one - here) @ (1.0, c1) / _PARAMETER_STEP for one in (stiffer, deflected))
+            by_stiffness = (stiffer - here) @ (1.0, c1) / _PARAMETER_STEP
+            by_start = (deflected - here) @ (1.0, c1) / _PARAMETER_STEP
             slopes[:, :, 2 * n] = np.outer(by_stiffness, row)
             slopes[:, :, 2 * n + 1] = np.outer(c1 * here[:, 1], row)
             slopes[:, :, first_start + n] = np.outer(by_start, row)

@@ -32,8 +32,12 @@ from rx90_emulator.identification.presliding.micro_motion import (
 )
 from rx90_emulator.identification.records import JointRecord, block_means
 
-_PASSES, _MAX_EVALUATIONS = 3, 30  # passes, each with the noise found in the previous one; evaluations in each pass
-_ROUGH, _FINE = 1e-3, 1e-6  # relative tolerance of the parameters, in a pass and in the last fit
+# passes, each with the noise found in the previous one; evaluations in each pass
+_PASSES = 3
+_MAX_EVALUATIONS = 30
+# relative tolerance of the parameters, in a pass and in the last fit
+_ROUGH = 1e-3
+_FINE = 1e-6
 _RELATIVE_STEP = 1e-4  # of difference quotients
 _MIN_MOTION_CLUSTERS = 3  # motions, below which they are too few to be clusters
 _MIN_RESIDUAL_LEVERAGE = 1e-3  # lower bound of 1 - leverage: a motion's own start deflection has none
@@ -85,9 +89,6 @@ def identify_presliding(
             known exactly.
         plant_period: tick of the simulation that made the records, s, whose bristles use a velocity predicted by half a
             tick; None for a real robot.
-
-    Raises:
-        IdentificationError: for a record that is too slow, and no reversal at all.
     """
     groups = joint_groups(arm)
     joints = [group.joints for group in groups]
@@ -117,7 +118,8 @@ def identify_presliding(
             loads = fit.loads.max(axis=1)
             far = [motion for motion, load in zip(chosen, loads, strict=True) if load < _NEARLY_SLIDING_LOAD]
             if 0 < len(far) < len(chosen):
-                chosen, fit = far, _GroupFit(far, group, elements, plant_period)
+                chosen = far
+                fit = _GroupFit(far, group, elements, plant_period)
         used += len(chosen)
         spread = None
         if sliding_covariances is not None:
@@ -146,7 +148,9 @@ class _GroupFit:
         sliding: Sequence[FrictionElement],
         plant_period: float | None,
     ) -> None:
-        self._motions, self._group, self._sliding = motions, group, sliding
+        self._motions = motions
+        self._group = group
+        self._sliding = sliding
         scale = 0.1 * group.break_away(sliding)  # first guess of the noise
         model = GroupModel(tuple(GroupMotion.of(motion, group.inputs, sliding) for motion in motions), scale)
         self._pairs = tuple(np.triu_indices(len(group.joints)))
@@ -158,7 +162,8 @@ class _GroupFit:
             model = replace(model, scale=model.scale * np.maximum(1e-9, spread))
             if plant_period is not None:
                 model = self._with_predicted_speeds(model, x, plant_period)
-        self.model, self.x = model, model.minimised(x, _MAX_EVALUATIONS, _FINE, _FINE**1.5).x
+        self.model = model
+        self.x = model.minimised(x, _MAX_EVALUATIONS, _FINE, _FINE**1.5).x
         self.values = model.values(self.x)
 
     def _symmetric(self, pairs: Array) -> Array:
@@ -173,7 +178,8 @@ class _GroupFit:
         The plant predicts the middle of its tick with the friction of the tick before, which is off by half a tick
         squared times the rate of the friction over the mass: 1 % of the stiffness of a light joint.
         """
-        changed, errors = [], self._symmetric(x[model.inertial])
+        changed = []
+        errors = self._symmetric(x[model.inertial])
         for index, motion in enumerate(self._motions):
             mass = motion.mass[:, list(motion.joints)] + errors * motion.inertia_scale
             rate = np.gradient(model.friction(x, index), BLOCK * motion.step, axis=0)
@@ -198,7 +204,8 @@ class _GroupFit:
 
     def estimates(self, arm: RigidArm, sliding: Array | None) -> list[ElementEstimate]:
         """Return the elements' estimates, by the covariance of the sliding regime, shape (7 e, 7 e), if it has any."""
-        values, jacobian = self.model.residual(self.x), self.model.jacobian(self.x)
+        values = self.model.residual(self.x)
+        jacobian = self.model.jacobian(self.x)
         covariance = _cluster_robust(jacobian, values, self._clusters())
         if sliding is not None:
             slopes = np.linalg.lstsq(jacobian, -self._by_sliding(values), rcond=None)[0]
@@ -206,7 +213,8 @@ class _GroupFit:
         floor = np.zeros(self.x.size)
         floor[: self.model.inertial.start] = np.tile(_MIN_RELATIVE_SD, len(self._sliding))
         covariance += np.diag(floor) ** 2
-        doubts, found = self._doubts(arm, jacobian, covariance), []
+        doubts = self._doubts(arm, jacobian, covariance)
+        found = []
         sources = tuple(dict.fromkeys(motion.record.bag for motion in self._motions))
         for place, (e, doubt) in enumerate(zip(self._group.elements, doubts, strict=True)):
             block = covariance[2 * place : 2 * place + 2, 2 * place : 2 * place + 2]
@@ -231,8 +239,10 @@ class _GroupFit:
         least = (_MIN_INFORMATION * INERTIA_SD) ** 2
         score = self.x[own] / np.sqrt(np.maximum(INERTIA_SD**2 - posterior, least) + beyond)
         # A wrong inertia of one joint also biases the elements that it shares with its neighbours.
-        scores, inertia = np.abs(self._symmetric(score)).max(axis=1), self._symmetric(self.x[own])
-        names, worst = [arm.names[joint] for joint in self._group.joints], int(np.argmax(scores))
+        scores = np.abs(self._symmetric(score)).max(axis=1)
+        inertia = self._symmetric(self.x[own])
+        names = [arm.names[joint] for joint in self._group.joints]
+        worst = int(np.argmax(scores))
         error = 100.0 * float(np.abs(inertia[worst]).max())
         # The torque residuals beyond noise over the friction, RMS, of each joint.
         residual = self.model.of_all(self.x)
@@ -269,7 +279,8 @@ class _GroupFit:
         Errors may be correlated over the line of a tone, 1 Hz widened by its fade. The prior of a start deflection
         belongs to its motion, that of the inertia to the first motion.
         """
-        motions, width = self.model.motions, len(self.model.scale)
+        motions = self.model.motions
+        width = len(self.model.scale)
         index = np.repeat(np.arange(len(motions)), [width * len(motion.line) for motion in motions])
         line = np.concatenate([np.repeat(motion.line, width) for motion in motions])
         number = np.unique(np.column_stack([index, line]), axis=0, return_inverse=True)[1].ravel()
@@ -315,13 +326,12 @@ def _first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequenc
 
     A bristle's stiffness falls with its deflection, so this c0 is low; it is the start value of the fit.
     """
-    matrix, torque = [], []
+    matrix = []
+    torque = []
     for motion in motions:
         deflection = np.cumsum(motion.velocity, axis=0) * motion.step @ inputs.T
-        rest, columns = (
-            band_spectrum(block_means(values, BLOCK), motion.step)[0]
-            for values in (motion.friction, np.hstack([deflection, motion.velocity @ inputs.T]))
-        )
+        rest = band_spectrum(block_means(motion.friction, BLOCK), motion.step)[0]
+        columns = band_spectrum(block_means(np.hstack([deflection, motion.velocity @ inputs.T]), BLOCK), motion.step)[0]
         for own, column in zip(inputs.T, rest.T, strict=True):
             matrix.append(columns * np.tile(own, 2))
             torque.append(column)

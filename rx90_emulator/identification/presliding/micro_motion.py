@@ -27,14 +27,17 @@ _TAPER_SHARE = 0.2  # share of a motion under the window's cosine flanks, agains
 _SPAN_S = 0.5  # s, over which excursions and oscillations are measured
 _MAX_EXCURSION = 4e-3  # rad within a span; beyond it the bristles slide, and drift dominates
 _MIN_OSCILLATION = 5e-6  # rad, RMS; smaller ones are below the resolution of usual encoders
-_MIN_MOTION_S, _MAX_MOTION_S = 0.8, 10.0
+_MIN_MOTION_S = 0.8
+_MAX_MOTION_S = 10.0
 _BREAK_AWAY_SHARE = 0.7  # beyond it bristles slide, and their torque depends little on c0 and c1
 _MIN_RELATIVE_LOAD = 0.25  # of the strongest motion of a group
 _MIN_OWN_TORQUE = 2.0  # least ratio to the torque of the other joints' accelerations: more than a reaction
 _MAX_MOTIONS_PER_BAG = 3  # of a group
 _MIN_STEP_S = 0.00025  # s, least step of the simulation: torques that were recorded faster are averaged over it
 _LOW_PASS_HZ = 200.0  # Hz, above which positions contain little but the encoder's noise
-_MAX_GAP_S, _MAX_GAP_SAMPLES = 3e-3, 2.5  # longest gap that is interpolated: s or, if longer, sample periods
+# longest gap that is interpolated: s or, if longer, sample periods
+_MAX_GAP_S = 3e-3
+_MAX_GAP_SAMPLES = 2.5
 _TRANSIENT_S = 0.01  # s on both sides of a gap that its transient reaches through the low-pass
 _SPIKE_BLOCK_S = 1.0  # s, over which spikes are compared with the range: in a small motion small spikes show
 _POSE_STEP = 1e-4  # rad, of differences of the weight
@@ -131,15 +134,14 @@ def find_micro_motions(
         arm: for weight and mass matrix; its joints are the record's.
         groups: indices of joints that share friction elements.
         torque_delay: how much later than recorded the torque acted, s.
-
-    Raises:
-        IdentificationError: if the record is too slow.
     """
     step, time, position, torque, known = _on_grid(record, torque_delay)
     # Central differences of fourth order; those of second order are 0.5 % low at 40 Hz and 0.5 ms.
     velocity = np.gradient(position, step, axis=0)
     velocity[2:-2] = (8.0 * (position[3:-1] - position[1:-3]) - (position[4:] - position[:-4])) / (12.0 * step)
-    active, unit, found = _active(position, step) & known[:, None], np.eye(len(arm.names)), []
+    active = _active(position, step) & known[:, None]
+    unit = np.eye(len(arm.names))
+    found = []
     for joints in map(list, groups):
         for first, last in stretches(np.asarray(active[:, joints].any(axis=1))):
             if last - first < round(_MIN_MOTION_S / step):
@@ -148,11 +150,13 @@ def find_micro_motions(
             pose = position[part].mean(axis=0)[None]
             weight = arm.torque(pose, 0.0 * pose, 0.0 * pose)[0]
             mass = arm.torque(np.repeat(pose, len(unit), axis=0), 0.0 * unit, unit) - weight
-            ahead, behind = (arm.torque(pose + s * unit, 0.0 * unit, 0.0 * unit) for s in (_POSE_STEP, -_POSE_STEP))
+            ahead = arm.torque(pose + _POSE_STEP * unit, 0.0 * unit, 0.0 * unit)
+            behind = arm.torque(pose + -_POSE_STEP * unit, 0.0 * unit, 0.0 * unit)
             stiffness = (ahead - behind).T / (2.0 * _POSE_STEP)  # of the weight, Nm/rad
             middle = 0.5 * (position[part][:-1] + position[part][1:])
             drive = torque[part][1:, joints] - weight[joints] - (middle - pose) @ stiffness[joints].T
-            mean, acceleration = (np.diff(values[part], axis=0) / step for values in (position, velocity))
+            mean = np.diff(position[part], axis=0) / step
+            acceleration = np.diff(velocity[part], axis=0) / step
             found.append(
                 MicroMotion(
                     joints=tuple(joints),
@@ -202,7 +206,8 @@ def _on_grid(record: JointRecord, torque_delay: float) -> tuple[float, Array, Ar
             f"{record.source}: {1.0 / step:.4g} samples per second; accepted: {LOWEST_RATE:g} or more for the "
             "presliding regime, such as motor_states"
         )
-    size, values = max(1, round(_SPIKE_BLOCK_S / step)), np.hstack([record.position, record.torque])
+    size = max(1, round(_SPIKE_BLOCK_S / step))
+    values = np.hstack([record.position, record.torque])
     rows = ~np.concatenate([spikes(values[first : first + size]) for first in range(0, len(values), size)])
     there = record.time[rows]
     time = there[0] + step * np.arange(round((there[-1] - there[0]) / step) + 1)
@@ -212,9 +217,13 @@ def _on_grid(record: JointRecord, torque_delay: float) -> tuple[float, Array, Ar
     # Set-points are constant between updates, which makes images of an oscillation near multiples of their rate;
     # without the low-pass, coarser steps would alias them onto it.
     sections = butter(4, min(_LOW_PASS_HZ, 0.4 / step), fs=1.0 / step, output="sos")
-    position, torque = (
-        np.asarray(sosfiltfilt(sections, np.column_stack([np.interp(at, there, c) for c in columns[rows].T]), axis=0))
-        for at, columns in ((time, record.position), (time - torque_delay, record.torque))
+    position = np.asarray(
+        sosfiltfilt(sections, np.column_stack([np.interp(time, there, c) for c in record.position[rows].T]), axis=0)
+    )
+    torque = np.asarray(
+        sosfiltfilt(
+            sections, np.column_stack([np.interp(time - torque_delay, there, c) for c in record.torque[rows].T]), axis=0
+        )
     )
     # The torque is averaged over the simulation's steps; it acts until its stamp.
     factor = max(1, int(_MIN_STEP_S / step + 1e-6))
@@ -226,7 +235,8 @@ def _on_grid(record: JointRecord, torque_delay: float) -> tuple[float, Array, Ar
 
 def _active(position: Array, step: float) -> Mask:
     """Return where each joint oscillates with small excursions, shape (m, n)."""
-    span, rate = max(3, round(_SPAN_S / step)), 1.0 / step
+    span = max(3, round(_SPAN_S / step))
+    rate = 1.0 / step
     excursion = maximum_filter1d(position, span, axis=0) - minimum_filter1d(position, span, axis=0)
     band = butter(2, _DETECTION_HZ, btype="band", fs=rate, output="sos")
     centred = position - position.mean(axis=0)

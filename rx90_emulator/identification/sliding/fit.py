@@ -101,11 +101,6 @@ def identify_sliding(
         arm: rigid-body model.
         zero: zeros of the encoders that were subtracted from the records, rad, shape (n,); by default 0.
         model: names of the parts in SLIDING_PARTS that all elements have; by default the significant ones.
-
-    Raises:
-        ConfigError: for a model with other parts.
-        IdentificationError: for no sweep; for too few speeds or a single direction of all elements; and for torques
-            that do not oppose the motion.
     """
     names = arm.element_names
     where = ", ".join(str(record.source) for record in records)
@@ -133,7 +128,9 @@ def identify_sliding(
     requested = None if model is None else model_parts(model, SLIDING_PARTS)
     fit = _with_shown_parameters(fit) if requested is None else _with_parts(fit, requested)
     sources = tuple(record.bag for record in records)
-    estimates, curves, quality = [], [], []
+    estimates = []
+    curves = []
+    quality = []
     for e, name in enumerate(names):
         if name in lacking:
             estimates.append(ElementEstimate.unknown(name, SLIDING, lacking[name], sources))
@@ -147,7 +144,8 @@ def identify_sliding(
             else None
         )
     # The covariance of the inertial errors is that of the prior where nothing is observed.
-    scale, directions = arm.inertial_scale(), rows.directions
+    scale = arm.inertial_scale()
+    directions = rows.directions
     scaled = directions / scale[:, None]
     covariance = directions @ fit.nuisance_covariance @ directions.T
     covariance += scale[:, None] * (np.eye(len(scale)) - scaled @ scaled.T) * scale
@@ -185,7 +183,8 @@ def _speeds(velocity: Array) -> tuple[int, int]:
         least = 0.0
         for value in np.sort(np.abs(velocity[sign * velocity > 0.0])).tolist():
             if value > least:
-                counts[side], least = counts[side] + 1, _SAME_SPEED_RATIO * value
+                counts[side] = counts[side] + 1
+                least = _SAME_SPEED_RATIO * value
     return counts[0], counts[1]
 
 
@@ -207,7 +206,8 @@ def _least_speeds(fit: CurveFit) -> list[int]:
 
 def _with_shown_parameters(fit: CurveFit) -> CurveFit:
     """Return the fit with the significant parameters: Stribeck effects, and exponents that differ from 1."""
-    rows, free = fit.rows, fit.free.copy()
+    rows = fit.rows
+    free = fit.free.copy()
     linear = _drop_insignificant_stribeck(fit)
     # Most data are linear in velocity, which a step from the linear solution shows at a fraction of a fit's cost.
     free[:, EXPONENT] = (np.array(_least_speeds(fit)) > MIN_SPEEDS) & (linear.exponent_score > _MIN_EXPONENT_SCORE)
@@ -278,10 +278,10 @@ def _estimate(
     *,
     rising: bool,
 ) -> ElementEstimate:
-    """Return the estimates of one fitted element."""
     chosen = (*SLIDING, VISCOUS_EXPONENT) if fit.free[element, EXPONENT] else SLIDING
     covariance = _natural_covariance(fit, element)[: len(chosen), : len(chosen)]
-    values, estimates = natural(fit.parameters[element]), {}
+    values = natural(fit.parameters[element])
+    estimates = {}
     for name, deviation in zip(chosen, np.sqrt(np.diag(covariance)).tolist(), strict=True):
         estimate = ParameterEstimate(values[name], deviation)
         missing = name in _STRIBECK and not rising
@@ -320,21 +320,18 @@ def _reason(
 
 def _curve(fit: CurveFit, element: int) -> CurvePoints:
     """Subtract everything but one element from the equations, and average over each plateau."""
-    rows, parameters = fit.rows, fit.parameters[element]
+    rows = fit.rows
+    parameters = fit.parameters[element]
     own_rows = np.flatnonzero(rows.gain[:, element])
-    gain, along = rows.gain[own_rows, element], rows.velocity[own_rows, element]
+    gain = rows.gain[own_rows, element]
+    along = rows.velocity[own_rows, element]
     own_torque = fit.residual[own_rows] + gain * torque(along, parameters)
     number = np.unique(rows.plateau[own_rows], return_inverse=True)[1]
-    power, weighted, pull, noise, time = (
-        np.bincount(number, values)
-        for values in (
-            gain**2,
-            gain**2 * along,
-            gain * own_torque,
-            (gain * fit.noise[own_rows]) ** 2,
-            rows.time[own_rows],
-        )
-    )
+    power = np.bincount(number, gain**2)
+    weighted = np.bincount(number, gain**2 * along)
+    pull = np.bincount(number, gain * own_torque)
+    noise = np.bincount(number, (gain * fit.noise[own_rows]) ** 2)
+    time = np.bincount(number, rows.time[own_rows])
     velocity = weighted / power
     line = np.zeros((3, 0))
     if len(own_rows):  # velocity, torque and standard deviation of the identified curve

@@ -45,25 +45,35 @@ _NOISE_SD = 6.0  # standard deviations of a bin's velocity that end a plateau
 _VELOCITY_CHANGE = 0.02  # largest change within a plateau, as a share of its velocity, or
 _REST_SHARE = 0.01  # of the fastest joint's velocity: moving joints shake those at rest
 _MAX_VELOCITY_ERROR = 0.75  # of the plateau's mean, for any noise: the velocity keeps its sign
-_NOISE_CAP_SHARE, _MIN_NOISE_CAP = 0.01, 3e-3  # of the joint's own fastest velocity, or rad/s, that noise may explain
-_NOISE_WINDOW_S, _NOISE_WINDOW_BINS = 1.0, 10  # over which the noise is estimated
+# of the joint's own fastest velocity, or rad/s, that noise may explain
+_NOISE_CAP_SHARE = 0.01
+_MIN_NOISE_CAP = 3e-3
+# over which the noise is estimated
+_NOISE_WINDOW_S = 1.0
+_NOISE_WINDOW_BINS = 10
 _END_S = 0.06  # s at the end of a plateau in which the next change of velocity may have begun
 # The trend of velocity within a plateau.
 _TREND_BINS = 5  # least number of bins for a test of acceleration
-_MAX_TREND, _P_VALUE = 0.003, 0.01  # of the velocity, and probability below which such a change is significant
+# of the velocity, and probability below which such a change is significant
+_MAX_TREND = 0.003
+_P_VALUE = 0.01
 _HALF_S = 1.0  # s, least length of a plateau whose second half is tried alone: the first may be a slow start
 _CONTEXT_S = (0.2, 1.0)  # s before and after a short stretch, at least and at most, for the test whether it is constant
 _CONTEXT_CHANGE = 0.15  # largest change of the velocity there
 # The blocks of a settled plateau.
 _SETTLE_S = 0.25  # s, for the servo loops after a change of velocity; their integrators' pole is near 20 /s
 _SETTLE_SHARE = 0.5  # of a plateau, within which the bristles must settle for the element to count as sliding
-_BLOCK_S, _BLOCK_TRAVEL = 0.25, 0.02  # largest size, s and rad: the rigid torque is nearly linear within it
+# largest size, s and rad: the rigid torque is nearly linear within it
+_BLOCK_S = 0.25
+_BLOCK_TRAVEL = 0.02
 _BLOCK_SAMPLES = 8  # least size
 _BLOCK_CHANGE = 0.75  # largest deviation of a block's velocity, as a share of the plateau's
 _OUTLIER_SD = 5.0  # standard deviations from a block's median
 # The account.
 _REST_TRAVEL = 1e-3  # rad below which nothing moves
-_LISTED_S, _UNUSED_S = 0.05, 0.5  # s from which a reason is listed, and from which an unused stretch is
+# s from which a reason is listed, and from which an unused stretch is
+_LISTED_S = 0.05
+_UNUSED_S = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +98,8 @@ class BagUse:
 
     def text(self, names: Sequence[str]) -> str:
         """Return it as a line, with the elements by these names."""
-        used, rest = "NOTHING", self.reasons
+        used = "NOTHING"
+        rest = self.reasons
         if self.stretches:
             ranges = [
                 f"{name} {low:.3g}" + (f" to {high:.3g}" if f"{low:.3g}" != f"{high:.3g}" else "")
@@ -139,12 +150,10 @@ def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks
     Args:
         records: of the same joints.
         elements: E, joint velocities to input velocities of the friction elements, shape (n_el, n).
-
-    Raises:
-        IdentificationError: if no record contains a plateau in which an element slides.
     """
     parts: list[dict[str, Array]] = []
-    usage, covariances = [], []
+    usage = []
+    covariances = []
     # Records begin by their stamps or, if these overlap, one after the other.
     order = sorted(records, key=lambda record: float(record.time[0]))
     disjoint = all(a.time[-1] <= b.time[0] for a, b in pairwise(order))
@@ -198,7 +207,8 @@ def _plateaus(record: JointRecord, elements: Array) -> tuple[Array, list[tuple[N
                     continue
                 state[kept] = REASONS.index(SHORT)
                 blocks, steady = _blocks(record, elements, kept, sliding)
-                state[blocks], state[blocks[steady]] = REASONS.index(UNSTEADY), REASONS.index(USED)
+                state[blocks] = REASONS.index(UNSTEADY)
+                state[blocks[steady]] = REASONS.index(USED)
                 if steady.any():
                     cut.append((blocks[steady], sliding))
     return state, cut
@@ -206,7 +216,8 @@ def _plateaus(record: JointRecord, elements: Array) -> tuple[Array, list[tuple[N
 
 def _travel(record: JointRecord, elements: Array, rows: slice) -> tuple[float, Array]:
     """Return duration, s, and the elements' travel, rad: over time more precise than the drives' mean velocities."""
-    first, last = rows.start, rows.stop - 1
+    first = rows.start
+    last = rows.stop - 1
     return float(record.time[last] - record.time[first]), np.abs(
         elements @ (record.position[last] - record.position[first])
     )
@@ -221,7 +232,9 @@ def _steady_stretches(record: JointRecord, rows: slice, size: int, fastest: Arra
         size: samples in a bin.
         fastest: velocity of each joint in the whole record, rad/s, shape (n,).
     """
-    time, velocity, period = record.time[rows], block_means(record.velocity[rows], size), record.period
+    time = record.time[rows]
+    velocity = block_means(record.velocity[rows], size)
+    period = record.period
     count = len(velocity)
     if count < _MIN_BINS:
         return []
@@ -255,7 +268,8 @@ def _number_plateaus(
     bins, joints = velocity.shape
     relative, at_rest, steady = shares
     mean = velocity[0].copy()
-    samples, current = 1, 0
+    samples = 1
+    current = 0
     number[0] = 0
     for k in range(1, bins):
         same = not gap[k] and not gap[k - 1]
@@ -309,7 +323,8 @@ def _accelerates(record: JointRecord, rows: slice, size: int, moving: Mask) -> b
     count = len(velocity)
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, count), 3))[0]
     fitted = basis @ (basis.T @ velocity)
-    residual, mean = velocity - fitted, velocity.mean(axis=0)
+    residual = velocity - fitted
+    mean = velocity.mean(axis=0)
     power = np.maximum(np.sum(residual**2, axis=0), 1e-24)
     repeated = np.clip(np.sum(residual[1:] * residual[:-1], axis=0) / power, 0.0, 0.95)
     free = np.maximum((count - 3) * (1.0 - repeated) / (1.0 + repeated), 1.0)
@@ -346,18 +361,22 @@ def _blocks(record: JointRecord, elements: Array, kept: slice, sliding: Mask) ->
 
     Either the mean velocity or the travel over time suffices: the first is noisy, the second has encoder steps.
     """
-    count, time, position = kept.stop - kept.start, record.time, record.position
+    count = kept.stop - kept.start
+    time = record.time
+    position = record.position
     if count < _BLOCK_SAMPLES:
         return np.zeros((0, 1), dtype=np.int64), np.zeros(0, dtype=np.bool_)
     duration, travel = _travel(record, elements, kept)
     length = min(_BLOCK_S, _BLOCK_TRAVEL / max(float(travel.max()) / duration, 1e-9))
     size = min(max(_BLOCK_SAMPLES, int(length * (count - 1) / duration)), count)
-    rows, inputs = kept.start + np.arange(count // size * size).reshape(-1, size), elements[sliding].T
+    rows = kept.start + np.arange(count // size * size).reshape(-1, size)
+    inputs = elements[sliding].T
 
     def speed(first: NDArray[np.int64], last: NDArray[np.int64]) -> Array:
         return np.asarray((position[last] - position[first]) @ inputs / (time[last] - time[first])[:, None])
 
-    usual, steady = speed(rows[:1, 0], rows[-1:, -1]), np.zeros(len(rows), dtype=np.bool_)
+    usual = speed(rows[:1, 0], rows[-1:, -1])
+    steady = np.zeros(len(rows), dtype=np.bool_)
     for own in (speed(rows[:, 0], rows[:, -1]), record.velocity[rows].mean(axis=1) @ inputs):
         steady |= (np.abs(own - usual) <= _BLOCK_CHANGE * np.abs(usual)).all(axis=1)
     return rows, steady
@@ -365,7 +384,8 @@ def _blocks(record: JointRecord, elements: Array, kept: slice, sliding: Mask) ->
 
 def _block_means(record: JointRecord, rows: NDArray[np.int64]) -> tuple[dict[str, Array], Array]:
     """Return means over the blocks of a plateau, of its samples (b, m), and the covariance of the torque's samples."""
-    samples, mean_time = rows.ravel(), record.time[rows].mean(axis=1)
+    samples = rows.ravel()
+    mean_time = record.time[rows].mean(axis=1)
     centre = record.time[samples].mean()
     spread = record.time[samples] - centre
     slope = spread @ record.velocity[samples] / (spread @ spread)

@@ -69,13 +69,15 @@ def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> tuple[Arr
         free: which parameters of the elements were fitted, shape (n_el, p).
         covariance: of the free parameters with independent plateaus, shape (q, q).
     """
-    agreement, widening = np.zeros(len(free)), np.ones(free.shape)
+    agreement = np.zeros(len(free))
+    widening = np.ones(free.shape)
     column = np.cumsum(free.ravel()).reshape(free.shape) - 1
     for e, own in enumerate(free):
         own_rows = np.flatnonzero(residuals.velocity[:, e]) if own.any() else np.zeros(0, dtype=np.int64)
         if len(own_rows):
             speed = np.log(np.abs(residuals.velocity[own_rows, e]))
-            along, distance = residuals.along[own_rows, e], np.abs(speed[:, None] - speed)
+            along = residuals.along[own_rows, e]
+            distance = np.abs(speed[:, None] - speed)
             along = along / _scatter(along, np.argsort(speed))
             kernel = np.triu(
                 np.maximum(0.0, 1.0 - distance / _CORRELATION_LENGTH) * (distance > _MIN_LOG_SPEED_DISTANCE), 1
@@ -86,7 +88,8 @@ def misfits_of(residuals: Residuals, free: Mask, covariance: Array) -> tuple[Arr
                 band = np.full(len(residuals.velocity), -1)
                 band[own_rows] = np.floor((speed - speed.min()) / _BAND_WIDTH)
                 values, vectors = np.linalg.eigh(covariance)
-                root, bands = vectors * np.sqrt(np.maximum(values, 0.0)), band[residuals.plateau]
+                root = vectors * np.sqrt(np.maximum(values, 0.0))
+                bands = band[residuals.plateau]
                 variance = cluster_variances(
                     residuals.slope, residuals.residual, bands, root, 1.0, _MIN_RESIDUAL_LEVERAGE
                 )
@@ -140,8 +143,11 @@ def drifts_of(residuals: Residuals, free: Mask) -> list[Drift]:
     found = []
     for e, fitted in enumerate(free.sum(axis=1).tolist()):
         own_rows = np.flatnonzero(residuals.velocity[:, e])
-        time, gain, plateau = residuals.time[own_rows], residuals.gain[:, e], residuals.plateau
-        count, span = len(own_rows), float(np.ptp(time)) if len(own_rows) else 0.0
+        time = residuals.time[own_rows]
+        gain = residuals.gain[:, e]
+        plateau = residuals.plateau
+        count = len(own_rows)
+        span = float(np.ptp(time)) if len(own_rows) else 0.0
         power = 0.0
         if fitted and count >= max(_MIN_PLATEAUS, 2 * fitted) and span > 0.0:
             trend = gain * ((residuals.time - time.mean()) / span)[plateau]
@@ -152,7 +158,8 @@ def drifts_of(residuals: Residuals, free: Mask) -> list[Drift]:
             continue
         change = float(trend @ residuals.residual) / power
         residual = residuals.residual - change * trend
-        pull, weight = (np.bincount(plateau, values, len(residuals.time)) for values in (gain * residual, gain**2))
+        pull = np.bincount(plateau, gain * residual, len(residuals.time))
+        weight = np.bincount(plateau, gain**2, len(residuals.time))
         along = (pull / np.sqrt(np.maximum(weight, 1e-300)))[own_rows[np.argsort(time, kind="stable")]]
         # The fit of level and trend biases the first autocorrelation low, which is corrected (Kendall 1954).
         squares = float(along @ along)
@@ -213,10 +220,13 @@ class FitQuality:
     @classmethod
     def of(cls, curve: CurvePoints, agreement: float, widening: Array, drift: Drift) -> FitQuality:
         """Return the figures of one element with one plateau or more."""
-        residual, speed = curve.torque - curve.fitted, np.abs(curve.velocity)
-        rms, friction = (float(np.sqrt(np.mean(values**2))) for values in (residual, curve.torque))
+        residual = curve.torque - curve.fitted
+        speed = np.abs(curve.velocity)
+        rms = float(np.sqrt(np.mean(residual**2)))
+        friction = float(np.sqrt(np.mean(curve.torque**2)))
         chi2 = float(np.sum((residual / np.maximum(curve.deviation, 1e-12)) ** 2))
-        place, along = np.log(speed) - np.log(speed.min()), np.sign(curve.velocity) * residual
+        place = np.log(speed) - np.log(speed.min())
+        along = np.sign(curve.velocity) * residual
         number = np.minimum((place / (max(float(np.ptp(place)), 1e-9) / _BANDS)).astype(np.int64), _BANDS - 1)
         inside = [number == k for k in np.unique(number).tolist()]
         bands = np.array([(speed[one].min(), speed[one].max(), along[one].mean()) for one in inside])
@@ -249,7 +259,8 @@ class FitQuality:
     @property
     def drift_text(self) -> str:
         """Return the size of the drift in words."""
-        drift, share = self.drift, self.drift.size / self.friction if self.friction > 0.0 else math.nan
+        drift = self.drift
+        share = self.drift.size / self.friction if self.friction > 0.0 else math.nan
         if math.isnan(drift.size):
             return "unknown: too few stretches"
         return (

@@ -40,7 +40,8 @@ that they determine."""
 SIZE = len(FITTED)
 LINEAR = slice(0, 5)
 RISE = slice(2, 4)
-VISCOUS, OMEGA_S = 4, 5
+VISCOUS = 4
+OMEGA_S = 5
 SHAPE = slice(5, 7)
 EXPONENT = 7
 
@@ -109,7 +110,8 @@ def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
         white = solve_triangular(factor, combination.T, lower=True)  # (rows of a block, n)
         gain = white @ elements.T
         gain[:, ~pattern] = 0.0
-        width, weight = len(white), np.sqrt(blocks.count[rows])
+        width = len(white)
+        weight = np.sqrt(blocks.count[rows])
         parts.append(
             {
                 "value": (weight[:, None] * (friction[rows] @ white.T)).ravel(),
@@ -164,7 +166,9 @@ class _Weights:
 
     def update(self, residual: Array, leverage: Array) -> None:
         """Estimate the weights by the variance components of residuals (r,), with the leverage of clusters' means."""
-        cluster, count, rows = self.cluster, self.count, self._rows
+        cluster = self.cluster
+        count = self.count
+        rows = self._rows
         mean = np.bincount(cluster, residual) / count
         # The common error of a plateau is a torque, and the equations of long blocks are scaled up.
         power = np.bincount(cluster, rows.scale**2)
@@ -174,7 +178,8 @@ class _Weights:
         corrected = inner / np.sqrt(1.0 - 1.0 / np.where(several, count[cluster], np.inf))
         group = rows.group[self.first]
         for g in np.unique(group):
-            inside, of_group = rows.group == g, group == g
+            inside = rows.group == g
+            of_group = group == g
             known = corrected[inside & several]
             # Without such plateaus the noise is that of the samples, by which the equations are scaled.
             noise = max(_robust_sd(known), 1e-9) if len(known) else 1.0
@@ -209,7 +214,8 @@ class _Weights:
         of s^2 over the plateaus, with the residual s of a plateau along its motion, and the sum S of s at one speed.
         """
         rows = self._rows
-        group, source = rows.group[self.first], rows.source[self.first]
+        group = rows.group[self.first]
+        source = rows.source[self.first]
         velocity = rows.velocity[self.first, group]
         along = np.sign(velocity) * self.means(residual[:, None])[:, 0]
         with np.errstate(divide="ignore"):
@@ -248,7 +254,8 @@ def torque_jacobian(velocity: Array, parameters: Array) -> Array:
     """Return the derivatives of the torque by all parameters, shape (m, 8)."""
     omega_s, delta, alpha = np.exp(parameters[SHAPE.start :]).tolist()
     decay, by_omega_s, by_delta = stribeck_decay_slopes(velocity, omega_s, delta)
-    forward, backward = 1.0 * (velocity > 0.0), -1.0 * (velocity < 0.0)
+    forward = 1.0 * (velocity > 0.0)
+    backward = -1.0 * (velocity < 0.0)
     rise = forward * parameters[2] + backward * parameters[3]
     viscous = viscous_torque(velocity, 1.0, alpha)
     by_alpha = alpha * parameters[VISCOUS] * viscous * np.log(np.maximum(np.abs(velocity), LINEAR_SPEED))
@@ -259,7 +266,9 @@ def torque_jacobian(velocity: Array, parameters: Array) -> Array:
 
 def natural(parameters: Array) -> dict[str, float]:
     """Return the parameters by the names in SLIDING, and the viscous exponent by its own."""
-    coulomb, rise, (omega_s, delta, alpha) = parameters[:2], parameters[RISE], np.exp(parameters[SHAPE.start :])
+    coulomb = parameters[:2]
+    rise = parameters[RISE]
+    (omega_s, delta, alpha) = np.exp(parameters[SHAPE.start :])
     values = np.array([*coulomb, *(coulomb + rise), omega_s, delta, parameters[VISCOUS], alpha])
     return dict(zip((*SLIDING, VISCOUS_EXPONENT), values.tolist(), strict=True))
 
@@ -299,7 +308,8 @@ class CurveFit:
     """
 
     def __init__(self, rows: SlidingRows, free: Mask) -> None:
-        self.rows, self.free = rows, free
+        self.rows = rows
+        self.free = free
         # A friction torque for each plateau and element that slides in it; c of them.
         at, element = np.nonzero(rows.gain)
         keys, number = np.unique(rows.plateau[at] * len(free) + element, return_inverse=True)
@@ -344,7 +354,8 @@ class CurveFit:
         The nuisance parameters, whose prior is 0 with a standard deviation of 1, are back[:, 0] - back[:, 1:] @ f, and
         their covariance at given torques is spread @ spread^T.
         """
-        value, friction = operator @ self.rows.value[:, None], operator @ self._design
+        value = operator @ self.rows.value[:, None]
+        friction = operator @ self._design
         # By an orthogonal basis (QR): normal equations in such badly scaled nuisance parameters would lose all digits.
         basis, upper = _basis(operator @ self.rows.nuisance)
         along = np.hstack([basis.T @ value, basis.T @ friction])
@@ -353,15 +364,18 @@ class CurveFit:
         values, vectors = np.linalg.eigh((form + form.T) / 2.0)
         good = values > _RANK_CUTOFF * values[-1]
         scale = np.sqrt(values[good])
-        self._root, self._target = scale[:, None] * vectors[:, good].T, (vectors[:, good].T @ pull) / scale
-        self._back, self._spread = np.linalg.solve(upper, along), np.linalg.inv(upper)
+        self._root = scale[:, None] * vectors[:, good].T
+        self._target = (vectors[:, good].T @ pull) / scale
+        self._back = np.linalg.solve(upper, along)
+        self._spread = np.linalg.inv(upper)
 
     def _nuisance(self, torques: Array) -> Array:
         return np.asarray(self._back[:, 0] - self._back[:, 1:] @ torques)
 
     def _residuals(self, operator: csr_array, slope: Array) -> Residuals:
         """Return the residuals of the fit, with the equations' derivatives by the free parameters, shape (r, q)."""
-        rows, residual = self.rows, np.asarray(operator @ self.residual)
+        rows = self.rows
+        residual = np.asarray(operator @ self.residual)
         number = np.asarray(np.unique(rows.plateau, return_inverse=True)[1], dtype=np.int64)
         gather = csr_array((np.ones(len(residual)), (number, np.arange(len(residual)))))
         slides = rows.gain != 0.0
@@ -388,14 +402,16 @@ class CurveFit:
         """
         exponent = np.zeros_like(self.free)
         exponent[:, EXPONENT] = self.free[:, VISCOUS] & ~self.free[:, EXPONENT]
-        root, parameters = self._root, self.parameters
+        root = self._root
+        parameters = self.parameters
         added = root @ self._slope(parameters, exponent)
         basis = np.linalg.qr(root @ self._slope(parameters))[0]
         # The part that the other parameters do not explain (Frisch, Waugh and Lovell).
         added -= basis @ (basis.T @ added)
         residual = self._target - root @ self._torques(parameters)
         normal = np.linalg.pinv(added.T @ added, hermitian=True)
-        step, deviation = normal @ (added.T @ residual), np.sqrt(np.maximum(np.diag(normal), 0.0))
+        step = normal @ (added.T @ residual)
+        deviation = np.sqrt(np.maximum(np.diag(normal), 0.0))
         result = np.zeros(len(self.free))
         result[exponent[:, EXPONENT]] = np.abs(step) / np.where(deviation > 0.0, deviation, np.inf)
         return result
@@ -427,7 +443,9 @@ class CurveFit:
 
     def _solved(self, start: Array) -> tuple[Array, float]:
         """Return the solution from a start, and its cost."""
-        ties, root, target = self._ties(), self._root, self._target
+        ties = self._ties()
+        root = self._root
+        target = self._target
         fixed = start.copy()
         fixed[:, LINEAR][~self.free[:, LINEAR]] = 0.0
 
@@ -442,7 +460,8 @@ class CurveFit:
         def jacobian(x: Array) -> Array:
             return np.vstack([root @ self._slope(filled(x)), ties])
 
-        low, high = self._lower[self.free], self._upper[self.free]
+        low = self._lower[self.free]
+        high = self._upper[self.free]
         inside = np.clip(start[self.free], low + 1e-9, high - 1e-9)
         result = least_squares(residual, inside, jacobian, (low, high), x_scale="jac", max_nfev=200)
         return filled(result.x), float(result.cost)
@@ -450,7 +469,8 @@ class CurveFit:
     def _start(self, place: float, delta: float) -> Array:
         """Return the start with one guess of omega_s and delta for all elements, and the best linear parameters."""
         start = np.zeros(self.free.shape)
-        low, high = self._lower[:, OMEGA_S], self._upper[:, OMEGA_S]
+        low = self._lower[:, OMEGA_S]
+        high = self._upper[:, OMEGA_S]
         start[:, OMEGA_S] = low + place**0.5 * (high - low)
         start[:, OMEGA_S + 1] = np.log(delta)
         start[self.free[:, EXPONENT], EXPONENT] = np.log(_ALPHA_START)
@@ -460,7 +480,8 @@ class CurveFit:
         return start
 
     def _bounds(self) -> tuple[Array, Array]:
-        lower, upper = np.full(self.free.shape, -np.inf), np.full(self.free.shape, np.inf)
+        lower = np.full(self.free.shape, -np.inf)
+        upper = np.full(self.free.shape, np.inf)
         lower[:, LINEAR] = 0.0
         for e, columns in enumerate(self._columns):
             speed = np.abs(self._velocity[columns]) if len(columns) else np.array([0.01, 1.0])
@@ -481,7 +502,8 @@ class CurveFit:
         ties = np.zeros((len(coupled), int(self.free.sum())))
         for row, e in zip(ties, coupled, strict=True):
             scale = _TIE_WEIGHT * float(np.linalg.norm(self._root[:, self._columns[e]]))
-            row[column[e, 0]], row[column[e, 1]] = scale, -scale
+            row[column[e, 0]] = scale
+            row[column[e, 1]] = -scale
         return ties
 
 

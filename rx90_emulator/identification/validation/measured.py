@@ -67,16 +67,13 @@ _OTHER_ARMS = (
 
 
 def simulated_setup(files: RobotFiles) -> Setup:
-    """Return the setup of a robot's files; refuse an arm of another structure, naming what is possible for it.
-
-    Raises:
-        ConfigError: naming file and what is accepted.
-    """
+    """Return the setup of a robot's files; refuse an arm of another structure, naming what is possible for it."""
     for path in (files.drives, files.controller):
         if not path.is_file():
             raise ConfigError(f"{path.parent}: no {path.name}; {_OTHER_ARMS}")
     with suppress(ConfigError):  # Setup.load names the fault
-        joints, turning = tuple(UrdfFile(files.urdf).limits), load_drives(files.drives).turning
+        joints = tuple(UrdfFile(files.urdf).limits)
+        turning = load_drives(files.drives).turning
         if len(joints) != len(turning.turns):
             counts = f"{len(joints)} movable joints, and {files.drives} is of {len(turning.turns)}"
             raise IdentificationError(f"{files.urdf}: {counts}; {_OTHER_ARMS}")
@@ -249,7 +246,8 @@ def compare_measured(
         raise IdentificationError("measured and simulated run have no time in common; accepted: a longer bag")
     if not moves[rows].any():
         raise nothing
-    time, velocity = time[rows], run.velocity[run.rows][rows]
+    time = time[rows]
+    velocity = run.velocity[run.rows][rows]
     measured = run.parallel(np.stack([run.position, run.torque], axis=1))[rows]
     lag = 0.0
     for _ in range(_LAG_ROUNDS):  # least squares of the positions
@@ -258,10 +256,8 @@ def compare_measured(
         lag = float(np.clip(lag, -_MAX_LAG_S, _MAX_LAG_S))
     follows = np.asarray(simulated(time + lag - setpoints.start))
     when = np.arange(len(setpoints.values), dtype=np.float64) * setup.rates.position_period  # since the first of them
-    measured_path, simulated_path = (
-        followed_accuracy(setup.robot, time - setpoints.start, position, when, setpoints.values[:, 0])
-        for position in (measured[:, 0], follows[:, 0])
-    )
+    measured_path = followed_accuracy(setup.robot, time - setpoints.start, measured[:, 0], when, setpoints.values[:, 0])
+    simulated_path = followed_accuracy(setup.robot, time - setpoints.start, follows[:, 0], when, setpoints.values[:, 0])
     return MeasuredComparison(
         names=run.names,
         robot=setup.robot.model.name,
@@ -308,12 +304,14 @@ def _recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, layout: Ba
     A bag that begins at time 0 with an arm at rest is simulated as it ran, from the release of its brakes on. `first`
     is the first measured position, rad, shape (n,).
     """
-    bag, period = run.source.path, setup.rates.position_period
+    bag = run.source.path
+    period = setup.rates.position_period
     found = read_setpoints(bag, run.names, layout.zero, layout.mapping)
     if found is None:
         return None
     series, position, velocity = found
-    steps, time = np.diff(series.stamp_ns), series.time
+    steps = np.diff(series.stamp_ns)
+    time = series.time
     if len(steps) < 2 or not (steps > 0).all() or steps.max() > _MAX_GAP_PERIODS * np.median(steps):
         raise IdentificationError(f"{bag}: the set-points of {series.topic} have gaps; accepted: a steady stream")
     if time[0] > run.time[-1] or time[-1] < run.time[0]:
@@ -322,8 +320,10 @@ def _recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, layout: Ba
         since = (series.stamp_ns - series.stamp_ns[0]) / NANOSECONDS
         curve = BPoly.from_derivatives(since, np.stack([position, velocity], axis=1))
         even = np.arange(int(since[-1] / period + 1e-6) + 1) * period
-        position, velocity = curve(even), curve(even, 1)
-    values, source = setpoint_rows(position, velocity, setup), f"{REFERENCE} in the bag"
+        position = curve(even)
+        velocity = curve(even, 1)
+    values = setpoint_rows(position, velocity, setup)
+    source = f"{REFERENCE} in the bag"
     if series.stamp_ns[0] == 0 and np.abs(velocity[0]).max() < _REST_SPEED:
         return _SetPoints(0.0, values, 0.0, np.clip(first, setup.robot.lower, setup.robot.upper), source)
     return _with_lead_in(float(time[0]), values, setup, source)
@@ -335,7 +335,8 @@ def path_setpoints(run: FilteredRun, setup: Setup) -> _SetPoints:
     # From 0 on: stamps of the wall clock are rounded too much for accelerations.
     samples = np.arange(len(run.time)) / run.rate
     count = int(samples[-1] / period + 1e-6) + 1
-    curve, time = make_interp_spline(samples, run.position, k=5), np.minimum(np.arange(count) * period, samples[-1])
+    curve = make_interp_spline(samples, run.position, k=5)
+    time = np.minimum(np.arange(count) * period, samples[-1])
     values = np.ascontiguousarray(np.stack([curve(time, nu) for nu in range(3)], axis=1))
     source = f"the measured path below {run.bandwidths.position:.3g} Hz"
     return _with_lead_in(float(run.time[0]), values, setup, source)
@@ -343,14 +344,17 @@ def path_setpoints(run: FilteredRun, setup: Setup) -> _SetPoints:
 
 def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> _SetPoints:
     """Prepend a rest, and a motion from rest to the velocity of the first set-point."""
-    period, limits = setup.rates.position_period, setup.controller.limits(setup.robot)
+    period = setup.rates.position_period
+    limits = setup.controller.limits(setup.robot)
     position, velocity, _ = values[0]
     lasting = max(_MIN_LEAD_S, float(np.max(2.0 * np.abs(velocity) / limits.acceleration)))
-    lead, hold = round(lasting / period), round(_HOLD_S / period)
+    lead = round(lasting / period)
+    hold = round(_HOLD_S / period)
     start_pose = np.clip(position - 0.5 * lead * period * velocity, limits.lower, limits.upper)
     start_pose = np.where(np.abs(velocity) < _REST_SPEED, position, start_pose)
     still = np.stack([start_pose, 0.0 * start_pose, 0.0 * start_pose])
-    curve, time = BPoly.from_derivatives([0.0, lead * period], np.stack([still, values[0]])), np.arange(lead) * period
+    curve = BPoly.from_derivatives([0.0, lead * period], np.stack([still, values[0]]))
+    time = np.arange(lead) * period
     moving = np.stack([curve(time, nu) for nu in range(3)], axis=1)
     whole = np.ascontiguousarray(np.concatenate([np.broadcast_to(still, (hold, *still.shape)), moving, values]))
     return _SetPoints(begin - (hold + lead) * period, whole, begin, start_pose, source)
@@ -362,7 +366,8 @@ def _beyond(setpoints: _SetPoints, bag: Path, setup: Setup) -> tuple[str, ...]:
     The measured arm did move so: these are simulated nevertheless, up to the limits of the controller's supervision.
     Positions beyond a joint's range are refused.
     """
-    limits, found = setup.controller.limits(setup.robot), []
+    limits = setup.controller.limits(setup.robot)
+    found = []
     for k, (what, unit, low, high) in enumerate((
         ("position", "rad", limits.lower, limits.upper),
         ("velocity", "rad/s", -limits.velocity, limits.velocity),
@@ -393,9 +398,11 @@ def _simulated(setup: Setup, setpoints: _SetPoints, run: FilteredRun) -> tuple[B
         covered, by the bag's stamps, and the share of the time in which each motor was at its limit, shape (n,).
     """
     # Sampled at the measured rate: aliasing by slow sampling is then the same on both sides.
-    rates, often = setup.rates, run.rate > 1.5 * setup.rates.position_hz
+    rates = setup.rates
+    often = run.rate > 1.5 * setup.rates.position_hz
     fast, slow, saturated = run_along(setup, setpoints.values, setpoints.initial_position, record_fast=often)
-    values, rate = slow.joint_states[:, ::2], float(rates.base_hz if often else rates.position_hz)
+    values = slow.joint_states[:, ::2]
+    rate = float(rates.base_hz if often else rates.position_hz)
     if often:
         turns = setup.drives.gear[:, None] * setup.drives.turning.turns
         position = fast.motor_states[:, 0] @ np.linalg.inv(turns).T
@@ -405,7 +412,8 @@ def _simulated(setup: Setup, setpoints: _SetPoints, run: FilteredRun) -> tuple[B
     if len(filtered) < 4:
         raise IdentificationError(f"{run.source.path}: too short for a low-pass of {run.bandwidths.torque:.3g} Hz")
     since = (len(taps) // 2 + np.arange(len(filtered))) / rate
-    begin, end = (setpoints.start + float(since[k]) for k in (0, -1))
+    begin = setpoints.start + float(since[0])
+    end = setpoints.start + float(since[-1])
     return make_interp_spline(since, filtered, k=3), max(begin, setpoints.begin), end, saturated
 
 
@@ -463,7 +471,8 @@ def run_along(
         at its limit, shape (n,).
     """
     ticks = len(setpoints) * setup.rates.ratio
-    plant, controller = setup.plant(), setup.cs7b()
+    plant = setup.plant()
+    controller = setup.cs7b()
     plant.reset(start)
     controller.reset(plant.motor_states()[0])
     fast, slow = empty_series(ticks, setup.rates.ratio, record_fast=record_fast, arm=setup.drives.turning.size)

@@ -102,7 +102,8 @@ class Validation:
     @property
     def criteria(self) -> tuple[Criterion, ...]:
         """Return the criteria of the verdict: torques of all joints and of each, and distance of the tips."""
-        limits, torque = self.tolerances, self.torque
+        limits = self.tolerances
+        torque = self.torque
         worst = largest("largest torque difference", self.names, torque.worst_share, limits.worst_torque)
         return (
             *torque_criteria(self.names, torque.total_share, torque.rms_share, limits.total, limits.torque),
@@ -127,11 +128,7 @@ def filtered_runs(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwid
 def recorded_equations(
     records: Sequence[JointRecord], robot: RecordedRobot, bandwidths: Bandwidths, *, rotors: bool = True
 ) -> ExcitationProblem:
-    """Return the equations of records behind filters, stacked.
-
-    Raises:
-        IdentificationError: for runs that are too short for the filters, and if no joint moves.
-    """
+    """Return the equations of records behind filters, stacked."""
     runs = [run for record in records for run in filtered_runs(record, robot, bandwidths)]
     return ExcitationProblem.of(robot.arm, runs, rotors=rotors)
 
@@ -147,7 +144,8 @@ def _reference(record: JointRecord, robot: RecordedRobot) -> tuple[bool, Array |
         found = read_setpoints(record.source, record.names, robot.zero)
     if found is None:
         return False, None
-    (series, position, _), time = found, record.time
+    (series, position, _) = found
+    time = record.time
     # Stamps of averaged motor states end between two set-points.
     step = float(np.median(np.diff(series.time))) if len(series.time) > 1 else -np.inf
     if series.time[0] > time[0] + step or series.time[-1] < time[-1] - step:
@@ -156,11 +154,7 @@ def _reference(record: JointRecord, robot: RecordedRobot) -> tuple[bool, Array |
 
 
 def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Bandwidths:
-    """Return the bandwidths of an identification, limited by the bag's rate; without one, those of the bag.
-
-    Raises:
-        IdentificationError: if nothing moves.
-    """
+    """Return the bandwidths of an identification, limited by the bag's rate; without one, those of the bag."""
     if chosen is None:
         return Bandwidths.of([record])
     return chosen.at_most(
@@ -235,9 +229,6 @@ def validate(
             controller, or those for all others.
         sliding: fit that the elements come from; None for given elements.
         bandwidths: of the runs that the elements were identified from; by default those of the bag.
-
-    Raises:
-        Rx90Error: if the bag cannot be read or used.
     """
     notes: tuple[str, ...] = ()
     if sliding is None:

@@ -36,9 +36,6 @@ def recorded_accuracy(bag: Path, robot: RobotModel, files: RobotFiles) -> PathAc
         bag: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a table.
         robot: the arm in it.
         files: the robot's, of which the drives are read if the bag has states of the motors alone.
-
-    Raises:
-        Rx90Error: if the bag cannot be read, is of another robot, or has no joint angles with increasing stamps.
     """
     check_robot(bag, robot.model.name)
     options, mapping = with_signals(MeasuredLayout(), [bag])

@@ -76,7 +76,9 @@ class TorquePrediction:
         return np.asarray(np.sqrt(squares.sum(axis=0) / np.where(count, count, np.nan)))
 
 
-_DIFFERENCES, _DIFFERENCE_GAIN = 3, 20.0  # the third difference 1, -3, 3, -1 has 20 times the variance of white noise
+# the third difference 1, -3, 3, -1 has 20 times the variance of white noise
+_DIFFERENCES = 3
+_DIFFERENCE_GAIN = 20.0
 _NORMAL_MAD = 0.6745  # median of a standard normal's absolute value
 _MAX_CHI_SQUARE = 1e4  # chi^2 up to which it is meaningful
 
@@ -147,18 +149,25 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
         problem: r rows.
         predicted: torque of each, Nm, shape (r,).
     """
-    runs, own, at = problem.runs, problem.arm.identified, (problem.sample, problem.joint)
+    runs = problem.runs
+    own = problem.arm.identified
+    at = (problem.sample, problem.joint)
     time = np.concatenate([run.time[run.rows] for run in runs])
-    velocity, recorded = (np.concatenate([run.parallel(getattr(run, name)) for run in runs])
-                          for name in ("velocity", "torque"))  # fmt: skip
-    known, compared = recorded.copy(), np.zeros(recorded.shape, dtype=np.bool_)
-    recorded[at], known[at], compared[at] = problem.torque, predicted, True
+    velocity = np.concatenate([run.parallel(run.velocity) for run in runs])
+    recorded = np.concatenate([run.parallel(run.torque) for run in runs])
+    known = recorded.copy()
+    compared = np.zeros(recorded.shape, dtype=np.bool_)
+    recorded[at] = problem.torque
+    known[at] = predicted
+    compared[at] = True
     names = tuple(name for name, one in zip(problem.arm.names, own.tolist(), strict=True) if one)
-    noise, paths = np.array([torque_noise(run) for run in runs]), np.array([str(run.source.path) for run in runs])
+    noise = np.array([torque_noise(run) for run in runs])
+    paths = np.array([str(run.source.path) for run in runs])
     bag = np.repeat(paths, [len(run.rows) for run in runs])
     found = []
     for path in dict.fromkeys(paths.tolist()):
-        here, pieces = bag == path, np.flatnonzero(paths == path)
+        here = bag == path
+        pieces = np.flatnonzero(paths == path)
         found.append(
             RunTorques(
                 time=time[here],
@@ -249,8 +258,8 @@ def verdict(source: object, words: tuple[str, str], *parts: Criterion | str) -> 
 
     Exceeded limits come first, because they decide.
     """
-    failed, kept = ([one.text for one in parts if isinstance(one, Criterion) and one.passed is good]
-                    for good in (False, True))  # fmt: skip
+    failed = [one.text for one in parts if isinstance(one, Criterion) and one.passed is False]
+    kept = [one.text for one in parts if isinstance(one, Criterion) and one.passed is True]
     remarks = [one for one in parts if isinstance(one, str)]
     if not failed:
         return f"{source}: {words[0]}: {'; '.join([', '.join(kept), *remarks])}"
