@@ -22,6 +22,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 REQUIRED = "TESTS_REQUIRE_PACKAGES"
 """Environment variable: where it is set, tests whose packages are missing fail; else they are skipped."""
+CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome")
+"""What Debian's Chromium, and its like, are called on the path."""
 _PYTHON = f"python{sys.version_info[0]}.{sys.version_info[1]}"
 
 
@@ -75,7 +77,7 @@ NEEDS = {
         "the rig's firmware on the ATmega328P",
         lambda: Path("/usr/include/simavr/sim_avr.h").exists(),
     ),
-    "chromium": Need("Chromium", ("chromium",), "pages in a browser", _program("chromium")),
+    "chromium": Need("Chromium", ("chromium",), "pages in a browser", _program(*CHROMIUM_NAMES)),
     "c++": Need("a C++ compiler", ("g++",), "the action, controller_manager's services, /tf", _program("c++")),
     "headers": Need(
         "Python's headers",
@@ -83,6 +85,8 @@ NEEDS = {
         "the action, controller_manager's services, /tf",
         _has_python_headers,
     ),
+    "zsh": Need("zsh", ("zsh",), "completion in zsh", _program("zsh")),
+    "fish": Need("fish", ("fish",), "completion in fish", _program("fish")),
 }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from needs import need
 from rig_bench import Bench, greeted
 from rig_simulators import simavr, ucsim
 from shared_files import made_once
@@ -21,25 +21,13 @@ from friction_bench.rig.emulated import EmulatedRig, NativeBoard, compile_core, 
 from friction_bench.rig.rig_file import Rig, load_rig
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-TOOLS = {
-    "native": (("cc",), "gcc"),
-    "mcs51": (("sdcc",), "sdcc sdcc-ucsim"),
-    "avr": (("avr-gcc", "avr-objcopy"), "gcc-avr avr-libc libsimavr-dev"),
-}
 BINARIES = {"native": "librig_native.so", "mcs51": "rig_mcs51.ihx", "avr": "rig_avr.hex"}
 SIMULATORS = {"mcs51": ucsim, "avr": simavr}
 
 
-def require(target: str, present: bool) -> None:
-    """Skip, or fail where RIG_FIRMWARE_REQUIRED is set, when a target's tools are missing."""
-    if not present:
-        message = f"{target}: tools are missing; apt-get install {TOOLS[target][1]}"
-        (pytest.fail if os.environ.get("RIG_FIRMWARE_REQUIRED") else pytest.skip)(message)
-
-
 def make_firmware(target: str, sources: Path, out: Path) -> Path:
     """Build a target's binary by the firmware's own Makefile."""
-    require(target, all(shutil.which(program) for program in TOOLS[target][0]))
+    need(target)
     command = ["make", "-s", "-C", str(sources), target, f"OUT={out}"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -91,10 +79,10 @@ def make_board(firmware: Callable[[str], Path], shim: Callable[[str], Path]) -> 
                 return NativeBoard(library=binary)
             binary = binary or firmware(target)
             if target == "mcs51":
-                require(target, ucsim.simulator() is not None)
+                need("ucsim")
                 board: Any = ucsim.UcsimBoard(shim(target), binary, seed)
             else:
-                require(target, Path("/usr/include/simavr/sim_avr.h").exists())
+                need("simavr")
                 board = simavr.SimavrBoard(shim(target), binary)
             stack.callback(board.close)
             return board

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from needs import need
 from rig_conformance import Player, armed
 
 from friction_bench.rig.emulated import EmulatedRig, NativeBoard, VirtualPort
@@ -70,6 +71,7 @@ def test_table_of_figures_is_that_of_the_sources() -> None:
 
 def make(target: str, folder: Path, defines: str) -> subprocess.CompletedProcess[str]:
     """Build the firmware as the page says."""
+    need(target)
     command = ["make", "-s", "-C", str(ROOT / "firmware"), target, f"OUT={folder}", f"DEFINES={defines}"]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 

@@ -1,11 +1,10 @@
 """A page in a real Chromium without a window: what it draws, asks for and complains of.
 
-One browser serves all tests of a session; each test has pages of its own. VIEW_REQUIRED=1 makes its absence a failure.
+One browser serves all tests of a session; each test has pages of its own.
 """
 
 from __future__ import annotations
 
-import os
 import shutil
 import threading
 from collections.abc import Callable, Iterator
@@ -15,8 +14,11 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from needs import give_up, need
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+from tools.packages import CHROMIUM_NAMES
+
+CHROMIUM = next(filter(None, map(shutil.which, CHROMIUM_NAMES)), None)
 """Debian's, or another one on the path."""
 TIMEOUT = 60_000  # ms; Chromium draws in software, on a machine with other things to do
 # Nothing of its own goes to other machines, and WebGL works without a graphics card.
@@ -123,14 +125,12 @@ class BrowserPage:
 
 @pytest.fixture(scope="session")
 def chromium() -> Iterator[Any]:
-    """Start Chromium once; skip where it or playwright is missing, fail where VIEW_REQUIRED is set."""
-    refuse = pytest.fail if os.environ.get("VIEW_REQUIRED") else pytest.skip
-    if CHROMIUM is None:
-        refuse("no Chromium on the path; accepted: apt-get install chromium")
+    """Start Chromium once; skip where it or playwright is missing, fail where packages are required."""
+    need("chromium")
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
-        refuse("playwright is not installed; accepted: pip install playwright")
+        give_up("playwright is not installed; accepted: pip install playwright")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=_FLAGS)
         try:

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 import yaml
 from config_samples import shipped, written
+from needs import need
 
 from rx90_common.base.config import load_yaml
 from rx90_common.base.share import config_path
@@ -280,8 +281,8 @@ def test_shells_complete_verbs_options_files_and_robots(shell: str, tmp_path: Pa
     script = capsys.readouterr().out
     for name in EXECUTABLES:
         assert re.search(rf"^(complete|\s*compdef) (-c {name} |.*\b{name}$)", script, re.MULTILINE), name
-    if shutil.which(shell) is None:
-        pytest.skip(f"{shell} is not installed")
+    if shell != "bash":
+        need(shell)
     if shell == "zsh":
         done = subprocess.run(["zsh", "-n"], input=script, capture_output=True, text=True, check=False, timeout=60)
         assert (done.returncode, done.stderr) == (0, "")

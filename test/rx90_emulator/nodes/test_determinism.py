@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import struct
 import subprocess
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import Any
 import pytest
 from full_friction import write_with_parts
 from line_run import TOPICS, run_both_ways
+from needs import need
 from own_model import by_model
 from processes import Processes
 from ros_client import Client
@@ -32,15 +31,10 @@ LEAST_LOST = 20
 @pytest.fixture(scope="module")
 def lossy_udp(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a library that, preloaded into a process, lets datagrams disappear."""
-    compiler = shutil.which("gcc") or shutil.which("cc")
-    if compiler is None:
-        missing = "the datagrams are dropped by a library in C, and there is no compiler; apt-get install gcc libc6-dev"
-        if os.environ.get("RIG_FIRMWARE_REQUIRED"):
-            pytest.fail(missing)
-        pytest.skip(missing)
+    need("native")
     library = tmp_path_factory.mktemp("lossy") / "lossy_udp.so"
     source = Path(__file__).with_name("lossy_udp.c")
-    command = [compiler, "-std=c11", "-Wall", "-Werror", "-O2", "-fPIC", "-shared", str(source), "-ldl"]
+    command = ["cc", "-std=c11", "-Wall", "-Werror", "-O2", "-fPIC", "-shared", str(source), "-ldl"]
     subprocess.run([*command, "-o", str(library)], check=True)
     return library
 
