@@ -9,34 +9,32 @@
     run.series["joint_states"].position                                     # rad, a row for each stamp
     rx.write_bag(run, "out/stiff")                                          # as if the nodes had been recorded
 
-Setups          load_setup, parameters, with_parameters, Setup, Rates
-Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints; of lines, arcs and splines:
+Setups          load_setup, parameters, with_parameters, Setup, Rates, RobotFiles
+Motions         load_task, plan_line, load_trajectory, LineTask, TrajectoryPoints; of lines, arcs and splines:
                 load_path, plan_path, Path, Segment
-Runs            run_line, run_path, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; of set-points in a bag:
-                followed_accuracy; with a controller of one's own:
-                run_controller, ControllerRun
-Corrections     learn_correction, load_correction, write_correction, NormOptimal, TrajectoryPath,
-                Correction, CorrectionFile, LearnedCorrection; from a record: Learner, measured,
-                learn_from_record
+Runs            run_line, run_path, simulate, path_accuracy, RunResult; of set-points in a bag: followed_accuracy;
+                with a controller of one's own: run_controller
+Corrections     learn_correction, load_correction, write_correction, NormOptimal, TrajectoryPath, CorrectionFile,
+                LearnedCorrection; from a record: Learner, measured, learn_from_record
 Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries
-Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
-                Verdict
+Comparison      compare_bags, compare_series, comparison_text, Scope, Tolerances, Verdict
 Measured runs   compare_measured, measured_summary, write_measured, MeasuredLayout, MeasuredTolerances
-Friction        FrictionFile, FrictionSet, FrictionElement, and its parts LoadPart, TemperaturePart, RipplePart,
-                ScatterPart, ElastoPlastic, MaxwellSlip
-Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, RobotFiles, Block,
-                SweptParameter, Values, Uniform, LogUniform, Normal
+Friction        FrictionFile, FrictionElement, and its parts LoadPart, TemperaturePart, RipplePart, ScatterPart,
+                ElastoPlastic, MaxwellSlip
+Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, Block, SweptParameter, Values, Uniform,
+                LogUniform, Normal
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
                 check_friction, IdentificationBags, RobotOptions, ValidationTolerances; from excitation runs:
                 identify_excitation, excitation_summary, write_excitation, ExcitationTolerances; for one of your own:
                 regressor, excitation_problem, predict_torque, RigidArm
-Exports         export_robot, write_export, export_plot, Export, FrictionFit
+Exports         export_robot, write_export
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted;
                 Rx90Warning, of a run that means less than it seems to
 
 Units are SI throughout. Setups, tasks and results are frozen: with_parameters() and dataclasses.replace() give changed
-copies. Files are named by a path, or by the name of a shipped file below config/. The names above are imported when
-they are first used; docs/tutorials/python.md shows them at work. Everything else is internal and may change.
+copies; help() of a result explains its fields. Files are named by a path, or by the name of a shipped file below
+config/. The names above are imported when they are first used; docs/tutorials/python.md shows them at work. Everything
+else is internal and may change.
 """
 
 from __future__ import annotations
@@ -48,9 +46,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rx90_common.bags.comparison import (
-        BagComparison as BagComparison,
         Scope as Scope,
-        TopicComparison as TopicComparison,
         Verdict as Verdict,
         compare_bags as compare_bags,
         compare_series as compare_series,
@@ -63,26 +59,21 @@ if TYPE_CHECKING:
     from rx90_common.base.errors import Rx90Error as Rx90Error, Rx90Warning as Rx90Warning
     from rx90_common.base.rates import Rates as Rates
     from rx90_common.description.robot_files import RobotFiles as RobotFiles
-    from rx90_common.friction import FrictionElement as FrictionElement, FrictionSet as FrictionSet
+    from rx90_common.friction import FrictionElement as FrictionElement
     from rx90_common.friction.friction_file import FrictionFile as FrictionFile
     from rx90_common.friction.parts.bristles import ElastoPlastic as ElastoPlastic, MaxwellSlip as MaxwellSlip
     from rx90_common.friction.parts.load import LoadPart as LoadPart
     from rx90_common.friction.parts.ripple import RipplePart as RipplePart
     from rx90_common.friction.parts.scatter import ScatterPart as ScatterPart
     from rx90_common.friction.parts.temperature import TemperaturePart as TemperaturePart
-    from rx90_controller.lines.plan import LinePlan as LinePlan
     from rx90_controller.lines.task import LineTask as LineTask, load_task as load_task
     from rx90_controller.paths.path import Path as Path
     from rx90_controller.paths.path import Segment as Segment
     from rx90_controller.trajectory import TrajectoryPoints as TrajectoryPoints
     from rx90_emulator.export.export import (
-        Export as Export,
-        export_plot as export_plot,
         export_robot as export_robot,
         write_export as write_export,
     )
-    from rx90_emulator.export.fit import FrictionFit as FrictionFit
-    from rx90_controller.trajectory.correction import Correction as Correction
     from rx90_emulator.correction.file import (
         CorrectionFile as CorrectionFile,
         load_correction as load_correction,
@@ -130,8 +121,6 @@ if TYPE_CHECKING:
     from rx90_emulator.identification.validation.measured import compare_measured as compare_measured
     from rx90_emulator.loop.closed_loop import simulate as simulate
     from rx90_emulator.loop.line import (
-        LineRun as LineRun,
-        PathAccuracy as PathAccuracy,
         followed_accuracy as followed_accuracy,
         path_accuracy as path_accuracy,
         plan_line as plan_line,
@@ -139,7 +128,7 @@ if TYPE_CHECKING:
         run_line as run_line,
         run_path as run_path,
     )
-    from rx90_emulator.loop.own_controller import ControllerRun as ControllerRun, run_controller as run_controller
+    from rx90_emulator.loop.own_controller import run_controller as run_controller
     from rx90_emulator.loop.parameters import parameters as parameters, with_parameters as with_parameters
     from rx90_emulator.loop.path_file import load_path as load_path
     from rx90_emulator.loop.result import RunResult as RunResult, save_arrays as save_arrays, write_bag as write_bag
@@ -150,7 +139,6 @@ if TYPE_CHECKING:
         Block as Block,
         LogUniform as LogUniform,
         Normal as Normal,
-        SweepBase as SweepBase,
         SweepPlan as SweepPlan,
         SweptParameter as SweptParameter,
         Uniform as Uniform,

@@ -1,4 +1,4 @@
-"""The threads of this process: their call stacks, their processors, and their priority."""
+"""The threads of this process: their call stacks, and their priority."""
 
 from __future__ import annotations
 
@@ -7,13 +7,6 @@ import sys
 import threading
 import traceback
 from pathlib import Path, PurePath
-
-from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import quoted
-
-_MAX_CPUS = 8192  # Linux has no more
-NICEST = 19
-"""The largest niceness: a thread with it yields to everything else."""
 
 
 def calls_of(thread: threading.Thread) -> list[traceback.FrameSummary]:
@@ -34,46 +27,13 @@ def where_threads_are() -> list[str]:
     return [f"{name}: " + " > ".join(f"{place_of(one)} {one.name}" for one in calls) for name, calls in found]
 
 
-def run_on(cpus: str) -> None:
-    """Let this process, with all its threads, run on these processors alone.
+def be_nicer(least: int) -> None:
+    """Give this process, with all its threads, at least this niceness, so that others come first.
 
     Args:
-        cpus: numbers and ranges, as in `0,2-3`.
+        least: from 0 to 19; a process that is nicer already stays so.
     """
-    usable = os.sched_getaffinity(0)
-    try:
-        requested = {number for part in cpus.split(",") for number in _numbers(part)}
-    except ValueError:
-        requested = set()
-    if not requested or not requested <= usable:
-        accepted = ", ".join(map(str, sorted(usable)))
-        raise ConfigError(f"--cpus {quoted(cpus)}; accepted: numbers and ranges, as in 0,2-3, of {accepted}")
-    for thread in _threads():
-        os.sched_setaffinity(thread, requested)
-
-
-def _numbers(part: str) -> range:
-    first, dash, last = part.partition("-")
-    numbers = range(int(first), int(last if dash else first) + 1)
-    if not 0 < len(numbers) <= _MAX_CPUS:  # a range of millions would fill the memory
-        raise ValueError(part)
-    return numbers
-
-
-def be_nice(niceness: int) -> None:
-    """Give this process, with all its threads, a niceness: 19 gives way to all others, below 0 needs permission."""
-    if not -NICEST - 1 <= niceness <= NICEST:
-        raise ConfigError(f"--nice {niceness}; accepted: a whole number from {-NICEST - 1} to {NICEST}")
-    try:
-        for thread in _threads():
-            os.setpriority(os.PRIO_PROCESS, thread, niceness)
-    except PermissionError:
-        current = os.getpriority(os.PRIO_PROCESS, 0)
-        raise ConfigError(
-            f"--nice {niceness}: not permitted to this user; accepted: from {current} to {NICEST}"
-        ) from None
-
-
-def _threads() -> list[int]:
-    """Return the ids of this process's threads; threads that begin later inherit the affinity of their parent."""
-    return [int(task.name) for task in Path("/proc/self/task").iterdir()]
+    for thread in Path("/proc/self/task").iterdir():
+        number = int(thread.name)
+        niceness = os.getpriority(os.PRIO_PROCESS, number)
+        os.setpriority(os.PRIO_PROCESS, number, max(niceness, least))

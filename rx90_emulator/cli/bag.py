@@ -16,7 +16,6 @@ from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.ros_start import prepare
 from rx90_common.process.interrupts import stop_request
-from rx90_common.process.threads import be_nice, run_on
 from rx90_emulator.cli.options import (
     STORAGE,
     add_robot_arguments,
@@ -25,7 +24,6 @@ from rx90_emulator.cli.options import (
     check_needs,
     new_folder,
     place,
-    whole_number,
 )
 
 if TYPE_CHECKING:
@@ -67,18 +65,12 @@ def _add_record(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=new_folder, required=True, metavar="FOLDER", help="bag to make; must not exist"
     )
     parser.add_argument("-s", "--storage", **_STORAGE)
-    parser.add_argument("--nice", type=whole_number, metavar="N", help="niceness: above 0 others come first")
-    parser.add_argument("--cpus", metavar="LIST", help="processors to run on, as in 0,2-3")
 
 
 def _record(args: argparse.Namespace) -> int:
     """Record topics of a running system to a new bag, and prove that nothing was lost."""
     # Before the slow imports: a signal at any moment from here on still leaves a valid bag.
     stop = stop_request()
-    if args.nice is not None:
-        be_nice(args.nice)
-    if args.cpus is not None:
-        run_on(args.cpus)
 
     from rx90_common.bags.writing import BagWriter
 

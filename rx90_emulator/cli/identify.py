@@ -94,11 +94,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         f"{EMULATED.torque} {own})")  # fmt: skip
     result.add_argument("--total-torque-tolerance", type=POSITIVE, metavar="SHARE",
                         help=f"the same of all joints together ({RECORDED.total})")  # fmt: skip
-    result.add_argument("--worst-torque-tolerance", type=POSITIVE, metavar="SHARE",
-                        help="without --excitation: largest difference over largest torque, of each joint (any; "
-                        f"{EMULATED.worst_torque} {own})")  # fmt: skip
-    result.add_argument("--tip-tolerance", type=POSITIVE, metavar="M",
-                        help=f"without --excitation: largest distance of the tips, m ({EMULATED.tip})")  # fmt: skip
     add_arm_arguments(parser)
 
 
@@ -106,8 +101,6 @@ _WITHOUT = "without excitation runs"
 _UNUSED = (
     ("excitation", "folder sliding presliding friction report", "with --excitation",
      "--validation BAG ... alone, and --output FOLDER"),
-    ("excitation", "worst_torque_tolerance tip_tolerance", "with excitation runs",
-     "--torque-tolerance and --total-torque-tolerance"),
     ("check sweeps", "bristles prior bandwidth no_rotors", _WITHOUT, "with --excitation BAG ..."),
     ("check", "folder sliding presliding output model", "with --friction",
      "--validation BAG ... alone, for nothing is identified or written"),
@@ -130,8 +123,7 @@ def main(options: argparse.Namespace) -> int:
     from rx90_emulator.identification import job
 
     robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
-    limits = {"torque": options.torque_tolerance, "total": options.total_torque_tolerance,
-              "worst_torque": options.worst_torque_tolerance, "tip": options.tip_tolerance}  # fmt: skip
+    limits = {"torque": options.torque_tolerance, "total": options.total_torque_tolerance}
     tolerances = {name: value for name, value in limits.items() if value is not None}
     if what == "check":
         confirmed = job.run_check(

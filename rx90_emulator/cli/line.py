@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rx90_common.base.errors import LineError
-from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.files import write_text
 from rx90_emulator.cli.options import (
@@ -17,7 +16,6 @@ from rx90_emulator.cli.options import (
     POSITIVE,
     add_node_arguments,
     add_robot_arguments,
-    check_needs,
     node_of,
     place,
 )
@@ -40,8 +38,7 @@ example: rx90_path seam.yaml --approach
 # s, without --timeout: for nodes, and more for one that compiles when it starts
 _TIMEOUT = 30.0
 _STARTING = 120.0
-_PLAIN_OPTIONS = ("start", "end", "speed", "acceleration", "rest_before", "rest_after", "singularity_margin",
-                  "start_posture")  # fmt: skip
+_PLAIN_OPTIONS = ("start", "end", "speed", "acceleration", "start_posture")
 """Options that go into the task as they are."""
 
 
@@ -60,19 +57,9 @@ def add_line(parser: argparse.ArgumentParser) -> None:
     motion.add_argument("--speed", type=FINITE, help="m/s (0.1)")
     motion.add_argument("--acceleration", type=FINITE, help="m/s^2 (1)")
     motion.add_argument("--tool-rpy", type=FINITE, nargs=3, metavar=rpy, help="deg, fixed axes (0 180 0: down)")
-    motion.add_argument("--end-tool-rpy", type=FINITE, nargs=3, metavar=rpy, help="deg, if it turns on the way")
-    motion.add_argument("--rest-before", type=FINITE, metavar="S", help="s at rest before the line (0.5)")
-    motion.add_argument("--rest-after", type=FINITE, metavar="S", help="s at rest after it (0.5)")
-    posture = parser.add_argument_group("posture")
-    posture.add_argument("--shoulder", choices=SHOULDERS)
-    posture.add_argument("--elbow", choices=SIGNS, help="sign of joint 3")
-    posture.add_argument("--wrist", choices=SIGNS, help="sign of joint 5")
-    posture.add_argument("--start-posture", type=FINITE, nargs="+", metavar="RAD",
+    motion.add_argument("--start-posture", type=FINITE, nargs="+", metavar="RAD",
                          help="of an arm without a spherical wrist: joint positions near which it starts (middle of "
                          "the ranges); without --start the line starts there, with the tool as it then is")  # fmt: skip
-    posture.add_argument(
-        "--singularity-margin", type=FINITE, metavar="M", help="closest to a singularity, 0.001 to 1 (0.05)"
-    )
     add_robot_arguments(parser, "urdf", "tool", "controller")
     _add_sending(parser)
 
@@ -85,8 +72,6 @@ def _add_sending(parser: argparse.ArgumentParser) -> None:
     add_node_arguments(send, _TIMEOUT)
     send.add_argument("--start-time", type=FINITE, default=0.0, metavar="S", help="start time, s; 0: now")
     send.add_argument("--approach", action="store_true", help="first move to the start, straight in the joints")
-    send.add_argument("--approach-speed", type=FINITE, help="share of the joint speeds (0.25)")
-    send.add_argument("--approach-acceleration", type=FINITE, help="rad/s^2 (2)")
     send.add_argument("--correction", metavar="FILE", help="correction file of this path, as rx90_correct learns it")
     send.add_argument("--dry-run", action="store_true", help="plan and print, send nothing")
     send.add_argument("--output", type=place, metavar="FILE", help="write the trajectory as a YAML message")
@@ -122,7 +107,6 @@ def _plan_and_send(
     options: argparse.Namespace, task_of: Callable[[argparse.Namespace, RobotFiles, RobotModel], TipTask]
 ) -> None:
     """Plan what `task_of` reads for an arm, show it, write it where asked for, and send it, except with --dry-run."""
-    check_needs(options, ("approach_speed", "approach_acceleration"), ("approach",))
     # Here, because --help must not wait for them.
     from rx90_common.base.config import yaml_text
     from rx90_common.description.robot import load_robot
@@ -163,13 +147,10 @@ def _task(options: argparse.Namespace, files: RobotFiles, robot: RobotModel) -> 
         for key in _PLAIN_OPTIONS
         if (value := getattr(options, key)) is not None
     }
-    for names, degrees in ((("start_rpy", "end_rpy"), options.tool_rpy), (("end_rpy",), options.end_tool_rpy)):
-        if degrees is not None:
-            given |= dict.fromkeys(names, tuple(math.radians(angle) for angle in degrees))
-    branch = task.branch
-    given["branch"] = Branch(
-        options.shoulder or branch.shoulder, options.elbow or branch.elbow, options.wrist or branch.wrist
-    )
+    if options.tool_rpy is not None:
+        orientation = tuple(math.radians(angle) for angle in options.tool_rpy)
+        given["start_rpy"] = orientation
+        given["end_rpy"] = orientation
     return replace(task, **given)
 
 
@@ -201,9 +182,7 @@ def _send(plan: LinePlan, limits: JointLimits, correction: Correction | None, op
     from rx90_controller.lines.plan import Approach
     from rx90_controller.node.trajectory_client import deliver
 
-    asked = {"speed": options.approach_speed, "acceleration": options.approach_acceleration}
-    given = {name: value for name, value in asked.items() if value is not None}
-    approach = Approach(**given) if options.approach else None
+    approach = Approach() if options.approach else None
     with client_node(options.program, options.timeout or _TIMEOUT, _say, options.ros_args) as client:
         deliver(
             client, plan, node_of(options), limits, 1.0 / options.set_point_rate, approach,

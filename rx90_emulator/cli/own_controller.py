@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from rx90_emulator.loop.own_controller import ComputedTorque
 
 _TIMEOUT = 30.0  # s
+_AMPLITUDE = 0.3  # rad, of every joint
+_PERIOD = 4.0  # s, there and back
 _EPILOG = """\
 It drives a simulation that takes efforts at the joints:
   ros2 run rx90_emulator rx90_sim --ros-args -p command_interface:=joint
@@ -27,8 +29,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.set_defaults(ros_args=[])
     motion = parser.add_argument_group("motion")
-    motion.add_argument("--amplitude", type=POSITIVE, default=0.3, metavar="RAD", help="of every joint (%(default)g)")
-    motion.add_argument("--period", type=POSITIVE, default=4.0, metavar="S", help="there and back (%(default)g)")
     motion.add_argument("--duration", type=POSITIVE, default=8.0, metavar="S", help="simulated time (%(default)g)")
     motion.add_argument("--no-compensation", action="store_true", help="of the friction")
     where = parser.add_argument_group("arm")
@@ -51,7 +51,7 @@ def main(options: argparse.Namespace) -> None:
     from rx90_emulator.loop.setup import Setup
 
     setup = Setup.load(RobotFiles.of_options(options))
-    controller = ComputedTorque(setup, options.amplitude, options.period, friction=not options.no_compensation)
+    controller = ComputedTorque(setup, _AMPLITUDE, _PERIOD, friction=not options.no_compensation)
     if options.engine:
         from rx90_common.bags.writing import write_joint_states
         from rx90_emulator.loop.own_controller import run_controller

@@ -53,7 +53,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                          help="FF and dq_r off: no feed-forward, and D from the measured velocity alone")  # fmt: skip
     forward.add_argument("--no-velocity-feed-forward", action="store_true",
                          help="dq_r off: D from the measured velocity alone, as the paper draws it")  # fmt: skip
-    parser.add_argument("--substeps", type=whole_number, help="plant steps in a tick (as many as the arm needs)")
     parser.add_argument("--seed", type=whole_number, metavar="N",
                         help="of all that is random in the arm, such as the scatter of its friction; the same seed "
                         "gives the same bits (0; with --from-bag that of the bag's run)")  # fmt: skip
@@ -143,7 +142,7 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
     if start is not None:
         print("begins at rest at", ", ".join(f"{angle:.6g}" for angle in start), "rad")
     began = time.perf_counter()
-    result: RunResult = simulate(substeps=options.substeps, record_fast=not options.slow_only)
+    result: RunResult = simulate(record_fast=not options.slow_only)
     simulated = result.times[-1] + result.setup.rates.position_period
     print(f"simulated {simulated:.3f} s in {time.perf_counter() - began:.2f} s")
     if isinstance(result, LineRun):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -11,14 +10,13 @@ from contextlib import ExitStack
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.process.children import kill_all
 from rx90_common.process.interrupts import ends_within
-from rx90_common.process.threads import be_nice, where_threads_are
+from rx90_common.process.threads import be_nicer, where_threads_are
 from rx90_emulator.cli.options import (
     CONTROLLER,
     add_page_arguments,
     add_robot_arguments,
     node_of,
     stay_on_this_machine,
-    whole_number,
 )
 
 _PORT = 8080
@@ -31,9 +29,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     live = parser.add_argument_group("running nodes")
     live.add_argument("--node", metavar="NAME", help=f"controller node ({CONTROLLER})")
-    live.add_argument(
-        "--nice", type=whole_number, metavar="N", help=f"niceness: above 0 others come first ({_NICENESS})"
-    )
     live.add_argument(
         "--demo", action="store_true",
         help="start simulation and controller, too, and move along the reference line until Ctrl-C",
@@ -102,7 +97,7 @@ def _show_nodes(options: argparse.Namespace, started: Callable[[], None]) -> Non
         ends.callback(page.close)
         if tour is not None:
             tour.start()
-        be_nice(max(os.getpriority(os.PRIO_PROCESS, 0), _NICENESS) if options.nice is None else options.nice)
+        be_nicer(_NICENESS)
         with client_node("rx90_view", _TIMEOUT, print, options.ros_args) as client:
             view = LiveView(page, client, setup.robot, controller, line)
             panel = ControlPanel(page, client, setup, plan, view.trace, view.newest, controller)

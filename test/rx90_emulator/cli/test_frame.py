@@ -208,7 +208,6 @@ def test_negative_numbers_with_exponents_are_no_options() -> None:
 CASES = [
     ("rx90_run", "--decimation 5", "--decimation without --output; accepted: with it"),
     ("rx90_run", "--storage mcap --arrays run.npz", "--storage without --output; accepted: with it"),
-    ("rx90_line", "--reference --approach-speed 0.1", "--approach-speed without --approach; accepted: with it"),
     ("rx90_bag", "plot bag --align start", "--align start with one bag; accepted: with two"),
     ("rx90_bag", "export bag -o t.npz --format csv", "--format csv with the file t.npz; accepted: with a folder"),
     ("rx90_experiment", "run --nodes --output new --storage mcap", "--storage without --engine; accepted: with it"),
@@ -217,11 +216,6 @@ CASES = [
         "rx90_identify",
         "--sliding bag --output new.yaml --prior 0.2",
         "--prior 0.2 without excitation runs; accepted: with --excitation BAG ...",
-    ),
-    (
-        "rx90_identify",
-        "--excitation bag --output new --tip-tolerance 0.001",
-        "--tip-tolerance 0.001 with excitation runs; accepted: --torque-tolerance and --total-torque-tolerance",
     ),
     ("friction_ramp", "--port /dev/rig --seed 0", "--seed with --port /dev/rig; accepted: with the emulated rig alone"),
     ("friction_ramp", "--baud 9600", "--baud 9600 with the emulated rig; accepted: with --port of a serial line"),
