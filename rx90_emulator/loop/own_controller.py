@@ -98,11 +98,6 @@ class ControllerRun:
     powered: NDArray[np.bool_]
     saturated: NDArray[np.int64]
 
-    @property
-    def command_times(self) -> Array:
-        """Return the times at which efforts were asked for, s, shape (k,)."""
-        return np.asarray(np.arange(len(self.efforts)) / self.command_rate)
-
     @cached_property
     def series(self) -> dict[str, JointSeries]:
         """Return the series by topic, as a bag of the node holds them, for `write_joint_states` and comparisons."""
