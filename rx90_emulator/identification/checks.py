@@ -1,4 +1,6 @@
-"""Which sign or zero of a recording looks wrong, by the simplest model: rigid body, Coulomb and viscous friction.
+"""Which sign or zero of a recording looks wrong, by the simplest model: rigid body and friction.
+
+The friction of an element has three columns: Coulomb, viscous, and a rise towards rest.
 
 A torque constant of the wrong sign reverses its motor's torque, a gear of the wrong sign torque and motion, a wrong
 sign of the position the motion alone; an encoder that counts from another pose is a quarter turn or two off. Each error
@@ -24,7 +26,7 @@ from rx90_emulator.identification.options import SHIPPED_ROBOT, RobotOptions
 ROWS_PER_PARAMETER = 2.0
 """Of the simplest model, at least: fewer predict nothing, and fit any sign."""
 _MOST_ROWS = 2500  # that trials are compared on, whole instants evenly spread over all
-_SHORT_ROWS_PER_PARAMETER = 8.0  # with 2 to 6 7 % of right signs looked wrong, with more none
+_SHORT_ROWS_PER_PARAMETER = 8.0  # with 2 to 6 rows per parameter, 7 % of right signs looked wrong, with more none
 # of short runs: share of the torque unexplained; of it after a change
 _SHORT_ERROR = 0.1
 _SHORT_REMAINDER = 1.0 / 3.0
@@ -207,5 +209,5 @@ def _advice(found: Sequence[Suspect], arm: RigidArm, options: RobotOptions, zero
             values[name][place] = values[name][place] + turn if turn else -values[name][place]
             changed[name] = f"--{name} {' '.join(f'{value:.6g}' for value in np.round(values[name], 6) + 0.0)}"
         words.append(f"{'zero' if turn else f'sign of the {what}'} of {' or '.join(arm.names[k] for k in numbers)}")
-    missing = ", if the model lacks no payload or spring" if any(turn for _, _, turn in found) else ""
+    missing = ", unless a payload or spring is missing in the model" if any(turn for _, _, turn in found) else ""
     return " and ".join(words) + missing, " ".join(changed.values())
