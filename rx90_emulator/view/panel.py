@@ -43,6 +43,7 @@ _SHUT = f"{TRIES} wrong codes: no further page is unlocked until rx90_view is st
 _WRONG = "color:#c92a2a"
 _PERIOD = 0.1  # s
 _LINES = 6
+_PAGE = "rx90_view"  # who refuses what the page does not even send, or gets no answer to
 _MAGNIFICATIONS = ("1", "10", "100")  # the first is what is drawn at first
 
 
@@ -211,12 +212,12 @@ class ControlPanel:
         assert self._plan is not None
         arm = self._arm()
         if arm is None:
-            self._hear(self._controller, "no joint_states come; accepted: while a simulation runs", True)
+            self._hear(_PAGE, "no joint_states: does a simulation run?", True)
             return
         try:
             line = approached(self._plan, arm.position, self._limits, self._set_point_period, Approach())
         except LineError as error:
-            self._hear(self._controller, str(error), True)
+            self._hear(_PAGE, str(error), True)
         else:
             self._send(line.points)
 
@@ -228,11 +229,12 @@ class ControlPanel:
         try:
             self._trajectories.offer(self._limits.names, points)
         except ExchangeError as error:
-            self._hear(self._controller, str(error), True)
+            self._hear(_PAGE, str(error), True)
 
     def _switch(self, on: bool, _pressed: object) -> None:
         def tell(outcome: str | ExchangeError) -> None:
-            self._hear(self._controller, str(outcome), isinstance(outcome, ExchangeError))
+            wrong = isinstance(outcome, ExchangeError)
+            self._hear(_PAGE if wrong else self._controller, str(outcome), wrong)
 
         self._calls.ask(enable_request(self._controller, on=on), tell)
 
