@@ -61,7 +61,7 @@ def test_options_are_counted_wherever_they_are_declared() -> None:
 def test_habits_are_told_from_what_looks_like_them(source: str, habit: str) -> None:
     """Each habit is found in one line of code; exchanges of values, results of a call and products are none."""
     nodes = list(ast.walk(ast.parse(source)))
-    shown = {name for name, shows in habits.NODE_HABITS.items() if any(map(shows, nodes))}
+    shown = {name for name, shows in habits.SYNTAX_HABITS.items() if any(map(shows, nodes))}
     assert shown == ({habit} if habit else set())
 
 

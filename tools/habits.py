@@ -1,6 +1,7 @@
 """Count the habits that make code hard to read, and hold the counts to those written down: they may only fall.
 
-    python -m tools.habits                 # exit code 1 where a habit has become more frequent, or less
+    python -m tools.habits                 # exit code 1 if a count is above the one in habits.json, or below it and
+                                           # not yet written down
     python -m tools.habits --list HABIT    # every place of it
     python -m tools.habits --write         # write the lower counts down, in tools/habits.json
 
@@ -36,14 +37,14 @@ def find_habits() -> dict[str, list[Place]]:
     """Return the places of each habit in the product's code."""
     names = tracked(*(f"{room}/*.py" for room in ROOMS))
     places = {habit: _find_by_ruff(rule) for habit, rule in RUFF_RULES.items()}
-    places |= {habit: [] for habit in (*NODE_HABITS, "fmt: skip")}
+    places |= {habit: [] for habit in (*SYNTAX_HABITS, "fmt: skip")}
     for name in names:
         source = (ROOT / name).read_text(encoding="utf-8")
         for node in ast.walk(ast.parse(source)):
-            for habit, shows in NODE_HABITS.items():
+            for habit, shows in SYNTAX_HABITS.items():
                 if shows(node):
                     places[habit].append((name, node.lineno))
-        places["fmt: skip"] += [(name, line) for line in _skip_comments(source)]
+        places["fmt: skip"] += [(name, line) for line in _lines_with_fmt_skip(source)]
     return places
 
 
@@ -58,7 +59,7 @@ def _find_by_ruff(rule: str) -> list[Place]:
     ]
 
 
-def _skip_comments(source: str) -> Iterator[int]:
+def _lines_with_fmt_skip(source: str) -> Iterator[int]:
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT and "fmt: skip" in token.string:
             yield token.start[0]
@@ -105,7 +106,7 @@ def _is_text(node: ast.expr) -> bool:
     return isinstance(node, ast.Constant) and isinstance(node.value, str)
 
 
-NODE_HABITS = {
+SYNTAX_HABITS = {
     "several assignments in one": joins_assignments,
     "unpacked generator": unpacks_generator,
     "multiplied by a truth value": multiplies_by_truth,
