@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import one_line
+from rx90_common.base.quoting import counted, one_line
 from rx90_common.base.rates import Rates
 from rx90_emulator.cli.options import (
     FINITE,
@@ -39,8 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     motion.add_argument("--trajectory", type=Path, help="JointTrajectory in YAML instead of a task")
     motion.add_argument("--from-bag", type=Path, metavar="BAG",
                         help="the trajectories of a recorded bag, from where the arm began")  # fmt: skip
-    parser.add_argument("--initial-position", type=FINITE, nargs=6, metavar="RAD",
-                        help="where the arm rests at time 0 (of a trajectory its first point, of a bag the first "
+    parser.add_argument("--initial-position", type=FINITE, nargs="+", metavar="RAD",
+                        help="where each joint rests at time 0 (of a trajectory its first point, of a bag the first "
                         "joint_states)")  # fmt: skip
     parser.add_argument("--start-time", type=FINITE, help="start of the task or trajectory, s (0)")
     parser.add_argument("--output", type=new_folder, help="bag folder to write; must not exist")
@@ -110,6 +110,7 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
 
     begin = options.start_time or 0.0
     start = options.initial_position
+    _check_count(start, len(setup.robot.joint_names))
     simulate: Callable[..., RunResult]
     if options.from_bag is not None:
         recorded = read_run(options.from_bag, setup, start)
@@ -160,6 +161,12 @@ def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
     for name, error in zip(setup.robot.joint_names, worst, strict=True):
         print(f"{name}: worst tracking error {error * 1e3:.4f} mrad")
     return result
+
+
+def _check_count(position: Sequence[float] | None, joints: int) -> None:
+    if position is not None and len(position) != joints:
+        given = counted(len(position), "number")
+        raise ConfigError(f"--initial-position has {given}; accepted: {joints}, one for each joint")
 
 
 def _warn(text: str) -> None:

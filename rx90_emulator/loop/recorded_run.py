@@ -38,7 +38,7 @@ class RecordedRun:
 
     Attributes:
         commands: the trajectories, in the order of their start.
-        initial_position: where the arm rested, rad, shape (6,).
+        initial_position: where the arm rested, rad, shape (n,).
         duration: simulated time at the end of the bag, s.
         changed: names of the law's parameters that were changed meanwhile; `replay` has those of the setup throughout.
         given: names of those that had other values than the setup's from the beginning, by the bag, and of options of
@@ -63,7 +63,7 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
     Args:
         bag: recorded by `rx90_bag record`, or written by `write_bag`.
         setup: the robot, for its name, the names of its joints and its rates.
-        initial_position: rad, shape (6,), instead of the first one of `joint_states`.
+        initial_position: rad, shape (n,), instead of the first one of `joint_states`.
 
     Raises:
         TrajectoryError: if a trajectory is none for this robot.
