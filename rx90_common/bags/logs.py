@@ -130,7 +130,7 @@ def read_logs(
     corrupt = tuple((int(logs[0].lines[row]), faults[row]) for row in sorted(faults))
     if corrupt and not (skip_corrupt and len(rows)):
         what = "every row is corrupt: "
-        accepted = "columns as the mapping says"
+        accepted = "columns as the signal map says"
         if len(rows):
             what = ""
             accepted = "whole rows, or rx90_bag import --skip-corrupt, to leave these out"
@@ -504,7 +504,7 @@ class TableFile(StorageFile):
 
 
 def exported_logs(folder: Path) -> list[tuple[list[Path], LogMapping]]:
-    """Return the CSV files of a folder with the mapping files of the same names, as an export writes them."""
+    """Return the CSV files of a folder with the signal maps of the same names, as an export writes them."""
     pairs = [([log], mapping_of(log)) for log in sorted(folder.glob("*.csv"))]
     if not pairs:
         accepted = "a folder that rx90_bag export has written, as CSV"

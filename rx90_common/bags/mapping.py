@@ -182,7 +182,7 @@ class TopicMapping:
 
     @classmethod
     def of(cls, section: Section, content: dict[str, Any]) -> TopicMapping:
-        """Return that of a topic, as a section of a mapping file has it."""
+        """Return that of a topic, as a section of a signal map has it."""
         names = content["names"]
         if any("\0" in name for name in names):
             section.refuse("names", list(names), "texts without NUL")
@@ -252,7 +252,7 @@ class LogMapping:
 
     @classmethod
     def load(cls, path: Path) -> LogMapping:
-        """Read a mapping file."""
+        """Read a signal map."""
         root = load_yaml(path)
         content = MAPPING.read(root)
         topics = {
@@ -298,8 +298,7 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
     default_file = path.with_suffix(".yaml")
     if mapping is None and not default_file.is_file():
         raise BagError(
-            f"{plain(path)}: no {plain(default_file.name)} beside it, which says what its columns hold; accepted: "
-            "that file, or --signals FILE"
+            f"{plain(path)}: no signal map {plain(default_file.name)} beside it; accepted: that file, or --signals FILE"
         )
     found = LogMapping.load(default_file) if mapping is None else mapping
     if not found.topics:
@@ -308,7 +307,7 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
 
 
 def exported_mapping(series: JointSeries) -> str:
-    """Return the mapping file by which the CSV file of a series, as it is exported, becomes a bag again."""
+    """Return the signal map by which the CSV file of a series, as it is exported, becomes a bag again."""
     content: dict[str, Any] = {"names": list(series.names)}
     column = 2
     for name in series.fields:

@@ -39,7 +39,7 @@ _NOTHING_WRITTEN = "nothing was written"
 _TIP_FILES = ("urdf", "tool", "drives")  # files of a robot that say where a bag's tip was
 
 _MAPPING = """\
-a mapping file (docs/howto/bags.md says more):
+a signal map (docs/howto/bags.md says more):
   time: {column: 1, unit: s}                # or, without a column of times: rate: 5000
   topics:
     joint_states:
@@ -203,8 +203,8 @@ def _add_plot(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", type=Path, **_BAG)
     parser.add_argument("second", type=Path, nargs="?", metavar="BAG2", help="bag to draw over it")
     parser.add_argument("--signals", type=Path, metavar="FILE",
-                        help="what the columns of a CSV, Parquet or NPZ table hold (the file named as the table, with "
-                        ".yaml)")  # fmt: skip
+                        help="signal map: what the columns of a CSV, Parquet or NPZ table hold (the file named as the "
+                        "table, with .yaml)")  # fmt: skip
     parser.add_argument("-o", "--output", type=place, metavar="FILE",
                         help=".html, .png, .svg or .pdf (the bag's name with .html, here)")  # fmt: skip
     parser.add_argument("--force", action="store_true", help="replace a file that exists")
@@ -283,15 +283,15 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG",
                         help="log to read, of several the rows belong together; or an exported folder")  # fmt: skip
     parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")
-    parser.add_argument("--mapping", "--signals", type=Path, metavar="FILE",
-                        help="what the columns hold (the file named as the log, with .yaml)")  # fmt: skip
+    parser.add_argument("--signals", type=Path, metavar="FILE",
+                        help="signal map: what the columns hold (the file named as the log, with .yaml)")  # fmt: skip
     parser.add_argument("--skip-corrupt", action="store_true",
                         help="leave out damaged rows and say which; otherwise they are refused")  # fmt: skip
     parser.add_argument("-s", "--storage", **_STORAGE)
 
 
 def _import(args: argparse.Namespace) -> None:
-    """Make a bag of joint states from a log in columns, CSV or separated by blanks; a mapping file says what they hold.
+    """Make a bag of joint states from a log in columns, CSV or separated by blanks; a signal map says what they hold.
 
     Of a folder that `rx90_bag export` has written it makes the bag again.
     """
@@ -300,14 +300,14 @@ def _import(args: argparse.Namespace) -> None:
     from rx90_emulator.cli.options import progress_bar
 
     if len(args.logs) == 1 and args.logs[0].is_dir():
-        if args.mapping is not None:
-            raise ConfigError(f"--mapping {plain(args.mapping)}: a folder has its own; accepted: none of the two")
+        if args.signals is not None:
+            raise ConfigError(f"--signals {plain(args.signals)}: a folder has its own; accepted: none of the two")
         logs = exported_logs(args.logs[0])
     else:
-        mapping = args.mapping or args.logs[0].with_suffix(".yaml")
-        if args.mapping is None and not mapping.is_file():
-            accepted = "a file that says what the columns hold"
-            raise ConfigError(f"--mapping is missing, and there is no {plain(mapping)}; accepted: {accepted}")
+        mapping = args.signals or args.logs[0].with_suffix(".yaml")
+        if args.signals is None and not mapping.is_file():
+            accepted = "a signal map, which says what the columns hold"
+            raise ConfigError(f"--signals is missing, and there is no {plain(mapping)}; accepted: {accepted}")
         logs = [(args.logs, LogMapping.load(mapping))]
     with progress_bar("import") as progress:
         done = import_logs(logs, args.bag, skip_corrupt=args.skip_corrupt, storage=args.storage, progress=progress)

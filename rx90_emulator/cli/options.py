@@ -327,8 +327,8 @@ def add_message_arguments(
 ) -> None:
     """Add the options that say what JointState messages hold; the arguments name the defaults."""
     group.add_argument("--signals", type=Path, metavar="FILE",
-                       help="YAML that says the same as these options, and what the columns of a CSV, Parquet or NPZ "
-                       "table hold (the file named as the table, with .yaml)")  # fmt: skip
+                       help="signal map: YAML that says the same as these options, and what the columns of a CSV, "
+                       "Parquet or NPZ table hold (the file named as the table, with .yaml)")  # fmt: skip
     group.add_argument("--topic", help=f"JointState topic ({topic})")
     group.add_argument("--names", nargs="+", metavar="NAME",
                        help="what the messages call these joints, or their motors with --gear; their order there is "

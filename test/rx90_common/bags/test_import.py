@@ -162,7 +162,7 @@ abc,1,2
 def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Torn rows, what is no number, absurd numbers and times out of order are refused, or left out, line by line."""
     log, mapping = write(tmp_path / "log.csv", DAMAGED), write(tmp_path / "m.yaml", PLAIN)
-    words = ["import", str(log), str(tmp_path / "bag"), "--mapping", str(mapping)]
+    words = ["import", str(log), str(tmp_path / "bag"), "--signals", str(mapping)]
     assert run("rx90_bag", words) == 2
     said = capsys.readouterr().err
     assert "9 corrupt rows, line 2-5, 7-8, 10-12 (line 2: time '-0.12'" in said
@@ -218,7 +218,7 @@ def test_what_does_not_fit_is_refused(
     mapping = PLAIN + change if isinstance(change, str) else PLAIN.replace(*change)
     (tmp_path / "log.csv").write_bytes(log)
     write(tmp_path / "m.yaml", mapping)
-    words = ["import", str(tmp_path / "log.csv"), str(tmp_path / "bag"), "--mapping", str(tmp_path / "m.yaml")]
+    words = ["import", str(tmp_path / "log.csv"), str(tmp_path / "bag"), "--signals", str(tmp_path / "m.yaml")]
     assert run("rx90_bag", words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line

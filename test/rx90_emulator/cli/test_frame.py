@@ -138,7 +138,7 @@ WRITTEN = {
         "rx90_sweep": ["run", "nowhere", "--output", "x"],
     },
     "--arrays": {"rx90_run": ["--task", "nowhere"]},
-    "bag": {"rx90_bag": ["import", "--mapping", "nowhere", "nowhere"]},
+    "bag": {"rx90_bag": ["import", "--signals", "nowhere", "nowhere"]},
 }
 """By what is written, the commands that write it, with inputs that there are not."""
 
@@ -169,7 +169,7 @@ def test_what_is_written_is_looked_at_before_anything_else(
     [
         (["rx90_run", "--output", "there"], "there exists; accepted: a new name"),
         (["rx90_run", "--arrays", "there"], "there exists; accepted: a new name"),
-        (["rx90_bag", "import", "log.csv", "there", "--mapping", "m.yaml"], "there exists; accepted: a new name"),
+        (["rx90_bag", "import", "log.csv", "there", "--signals", "m.yaml"], "there exists; accepted: a new name"),
         (["rx90_experiment", "run", "--engine", "--output", "there"], "there exists; accepted: a new name"),
         (["rx90_run", "--arrays", "none/a.npz"], "none/a.npz: the folder none does not exist; accepted: one that does"),
         (["rx90_line", "--output", "none/a"], "none/a: the folder none does not exist; accepted: one that does"),

@@ -146,7 +146,7 @@ def test_a_plot_shows_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert run("rx90_bag", ["plot", str(table), "--signals", str(signals), "-o", str(picture)]) == DONE
     assert "j5" in picture.read_text(encoding="utf-8")
     assert run("rx90_bag", ["plot", str(table), "-o", str(tmp_path / "other.svg")]) == REFUSED
-    assert "no arm.yaml beside it, which says what its columns hold; accepted" in capsys.readouterr().err
+    assert "no signal map arm.yaml beside it; accepted: that file, or --signals FILE" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
