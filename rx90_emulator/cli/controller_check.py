@@ -84,8 +84,9 @@ def main(options: argparse.Namespace) -> int:
         if name not in CASES:
             raise ConfigError(f"--case {quoted(name)}; accepted: {', '.join(CASES)}")
     rate = (options.command_rate or setup.rates.position_hz) if at_joints else setup.rates.base_hz
-    ticks = ticks_per("command_rate", setup.rates.base_hz, rate)
-    candidate = Candidate(command, node_of(options), options.set_points, at_joints, ticks, options.timeout or _TIMEOUT)
+    ticks_per_command = ticks_per("command_rate", setup.rates.base_hz, rate)
+    timeout = options.timeout or _TIMEOUT
+    candidate = Candidate(command, node_of(options), options.set_points, at_joints, ticks_per_command, timeout)
     with progress_bar("check") as progress:
         result = check_controller(candidate, setup, names, options.output, progress)
     write_text(options.output / "result.json", result.json)

@@ -40,22 +40,22 @@ class Candidate:
     Attributes:
         command: that starts it, once for each case; empty for a running node.
         node: its name.
-        set_points: topic for set-points as JointState, one in each tick of the position loop; None for a controller
+        set_point_topic: for set-points as JointState, one in each tick of the position loop; None for a controller
             that takes a trajectory on `<node>/joint_trajectory`.
         at_joints: whether it commands efforts at the joints.
-        ticks: base ticks from one command to the next.
+        ticks_per_command: base ticks from one command to the next.
         timeout: longest wait for it, s of the wall clock.
     """
 
     command: Sequence[str]
     node: str
-    set_points: str | None
+    set_point_topic: str | None
     at_joints: bool
-    ticks: int
+    ticks_per_command: int
     timeout: float
 
 
-class _Bench(Channel):
+class _RecordingChannel(Channel):
     """The simulation's end of the exchange: it gives set-points, and records.
 
     Args:
@@ -83,13 +83,13 @@ class _Bench(Channel):
         self._commands = JointStateCodec(names)
         self._handed_over = False
         self._last_activity = time.monotonic()
-        if candidate.set_points is None:
+        if candidate.set_point_topic is None:
             message = trajectory_message(joints, case.points, START)
             self._due: deque[tuple[int, Any]] = deque([(case.setup.rates.ticks_of(START / 2.0), message)])
             self._giver = node.create_publisher(type(message), controller_topic(node, candidate.node), TRAJECTORY_QOS)
         else:
             self._due = deque(_set_points(case))
-            self._giver = node.create_publisher(self.publisher.msg_type, candidate.set_points, STATE_QOS)
+            self._giver = node.create_publisher(self.publisher.msg_type, candidate.set_point_topic, STATE_QOS)
 
     def publish(self, raw: bytes) -> None:
         """Publish states, after the set-points that are due before them."""
@@ -165,23 +165,23 @@ def run_on_topics(case: Case, candidate: Candidate, folder: Path) -> Record:
     namespace = candidate.node.strip("/").rpartition("/")[0]
     arguments = ["--ros-args", "--log-level", "rx90_sim:=warn", "--params-file", str(parameters)]
     arguments += ["-r", f"__ns:=/{namespace}"]
-    record = Record(case, candidate.at_joints, candidate.ticks)
-    benches: list[_Bench] = []
+    record = Record(case, candidate.at_joints, candidate.ticks_per_command)
+    channels: list[_RecordingChannel] = []
     # The handlers of signals that the nodes set are put back.
     with deferred_interrupts() as check_interrupt, ProcessGroup(folder, _GRACE) as group:
         child = group.start(case.name, candidate.command) if candidate.command else None
 
         def make_channel(*endpoints: Any) -> Channel:
-            benches.append(_Bench(record, candidate, child, check_interrupt, *endpoints))
-            return benches[-1]
+            channels.append(_RecordingChannel(record, candidate, child, check_interrupt, *endpoints))
+            return channels[-1]
 
         try:
             lifecycle.spin(lambda: lifecycle.started([Simulation(make_channel)]), arguments)
         except DivergenceError as error:
             record.fault = str(error)
         finally:
-            for bench in benches:
-                bench.close()
+            for channel in channels:
+                channel.close()
     if not record.fault and not record.complete:
         raise KeyboardInterrupt
     return record
@@ -197,5 +197,8 @@ def _parameters(case: Case, candidate: Candidate) -> dict[str, Any]:
         "real_time_factor": 0.0,
     }
     if candidate.at_joints:
-        parameters |= {"command_interface": "joint", "command_rate": case.setup.rates.base_hz // candidate.ticks}
+        parameters |= {
+            "command_interface": "joint",
+            "command_rate": case.setup.rates.base_hz // candidate.ticks_per_command,
+        }
     return parameters

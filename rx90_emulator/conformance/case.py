@@ -85,17 +85,17 @@ class Record:
     Args:
         case: what is run.
         at_joints: whether efforts at the joints are commanded (`joint_commands`), not torques of the motors.
-        ticks: base ticks from one command to the next.
+        ticks_per_command: base ticks from one command to the next.
 
     Attributes:
         fault: why the run ended early, if it did.
     """
 
-    def __init__(self, case: Case, at_joints: bool = False, ticks: int = 1) -> None:
+    def __init__(self, case: Case, at_joints: bool = False, ticks_per_command: int = 1) -> None:
         self.case = case
         self.at_joints = at_joints
-        self.ticks = ticks
-        self.period = ticks * case.setup.rates.period
+        self.ticks_per_command = ticks_per_command
+        self.period = ticks_per_command * case.setup.rates.period
         self.fault = ""
         self._states: list[Array] = []
         self._sent: list[Array] = []
@@ -109,14 +109,14 @@ class Record:
             position: measured, rad, shape (n,), on the controller's side.
             command: the controller's answer, Nm, shape (n,), None for no torque.
         """
-        row = tick // self.ticks
+        row = tick // self.ticks_per_command
         self._states[row:] = [position.copy()]
         self._sent[row:] = [self._none if command is None else command.copy()]
 
     @property
     def complete(self) -> bool:
         """Return whether the run came to its end."""
-        return len(self._sent) * self.ticks >= self.case.ticks
+        return len(self._sent) * self.ticks_per_command >= self.case.ticks
 
     @cached_property
     def times(self) -> Array:

@@ -83,6 +83,7 @@ class CheckResult:
     def nearest(self) -> list[Finding]:
         """Return for each case and quantity the joint nearest to its limit, or furthest beyond."""
         rows = [row for case in self.cases for row in case.findings]
+        # Of rows with the same case and quantity the dictionary keeps the last, here the nearest to its limit.
         return list({row[:2]: row for row in sorted(rows, key=lambda row: row.value - row.limit)}.values())
 
     @property
