@@ -28,9 +28,9 @@ from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.loop.drawing import UNITS, read_columns
 from rx90_emulator.loop.setup import Setup
 
-REFERENCE = f"rx90_controller/{'reference'}"
-TRACKING = f"rx90_controller/{'tracking_error'}"
-CORRECTION = f"rx90_controller/{'correction'}"
+REFERENCE = "rx90_controller/reference"
+TRACKING = "rx90_controller/tracking_error"
+CORRECTION = "rx90_controller/correction"
 _GAP = 3.5  # times the median interval, or the set-points' own: up to two missing samples are interpolated
 _MAX_DIFFERENCE = 0.02  # of the range of a motion, root mean square: a larger one means another motion
 _MAX_ROWS = 10_000_000  # longest record, in set-points: the search for the motion then takes some GB
