@@ -59,13 +59,13 @@ def _idle(client: RigClient) -> list[Check]:
         _at_most("lost reports", 0, client.lost_reports - lost),
         _at_most("damaged frames", 0, client.bad_frames - bad + refused),
         _equal("state", State.DISARMED.name, report.state.name),
-        _equal("stage and DAC code, disarmed", "off, 0", _output(client)),
+        _equal("stage and DAC code, disarmed", "off, 0", _stage_and_code(client)),
         _at_most("ADC code, disarmed", HIGHEST_IDLE_ADC, sum(sample.report.adc for sample in samples) / len(samples)),
         _at_most("encoder counts of a shaft at rest", 1, max(counts) - min(counts)),
     ]
 
 
-def _output(client: RigClient) -> str:
+def _stage_and_code(client: RigClient) -> str:
     """Return the stage and the DAC code that the rig reported last."""
     assert client.last is not None
     report = client.last.report
@@ -78,10 +78,10 @@ def _torque(client: RigClient) -> list[Check]:
     with armed(client):
         checks = [_refused(client, Command.RAMP, 1, above)]
         client.request(Command.TORQUE, SMALL_CODE)
-        checks.append(_equal("stage and DAC code after TORQUE", f"on, {SMALL_CODE}", _output(client)))
+        checks.append(_equal("stage and DAC code after TORQUE", f"on, {SMALL_CODE}", _stage_and_code(client)))
         checks += [_refused(client, Command.TORQUE, above), _refused(client, Command.TORQUE, CODES)]
         client.request(Command.STOP)
-        checks.append(_equal("stage and DAC code after STOP", "off, 0", _output(client)))
+        checks.append(_equal("stage and DAC code after STOP", "off, 0", _stage_and_code(client)))
     return checks
 
 
@@ -135,6 +135,7 @@ def self_test(client: RigClient) -> list[Check]:
             client.connect()
             client.clear()
             if not checks:
+                # A greeting with other figures than the rig file's is refused by `connect`.
                 checks.append(Check("figures of the firmware", client.rig.file.name, client.greeting.text, True))
             checks += test(client)
         except RigLostError:
