@@ -1,4 +1,6 @@
-"""Install the system's packages that the tests need; where that may not be, say what is missing and what it skips.
+"""Install the system's packages that the tests need.
+
+Where it may not, name what is missing and which tests are skipped.
 
     python -m tools.packages               # installs what it may, says what stays missing, and ends with 0
     python -m tools.packages --required    # ends with 1 where something stays missing, as CI asks for
@@ -44,11 +46,11 @@ class Need:
     is_there: Callable[[], bool]
 
 
-def _program(*names: str) -> Callable[[], bool]:
+def _any_of(*names: str) -> Callable[[], bool]:
     return lambda: any(shutil.which(name) for name in names)
 
 
-def _programs(*names: str) -> Callable[[], bool]:
+def _all_of(*names: str) -> Callable[[], bool]:
     return lambda: all(shutil.which(name) for name in names)
 
 
@@ -57,7 +59,7 @@ def _has_venv() -> bool:
 
 
 def _has_avr_compiler() -> bool:
-    return _programs("avr-gcc", "avr-objcopy")() and Path("/usr/lib/avr/include/avr/io.h").exists()
+    return _all_of("avr-gcc", "avr-objcopy")() and Path("/usr/lib/avr/include/avr/io.h").exists()
 
 
 def _has_python_headers() -> bool:
@@ -65,11 +67,11 @@ def _has_python_headers() -> bool:
 
 
 NEEDS = {
-    "make": Need("make", ("make",), "all of them", _program("make")),
+    "make": Need("make", ("make",), "all of them", _any_of("make")),
     "venv": Need("Python's venv", (f"{_PYTHON}-venv",), "all of them", _has_venv),
-    "native": Need("a C compiler", ("gcc", "libc6-dev"), "the rig's firmware, lossy networks", _program("cc")),
-    "mcs51": Need("sdcc", ("sdcc",), "the rig's firmware on the 8051", _program("sdcc")),
-    "ucsim": Need("uCsim", ("sdcc-ucsim",), "the rig's firmware on the 8051", _program("s51", "ucsim_51")),
+    "native": Need("a C compiler", ("gcc", "libc6-dev"), "the rig's firmware, lossy networks", _any_of("cc")),
+    "mcs51": Need("sdcc", ("sdcc",), "the rig's firmware on the 8051", _any_of("sdcc")),
+    "ucsim": Need("uCsim", ("sdcc-ucsim",), "the rig's firmware on the 8051", _any_of("s51", "ucsim_51")),
     "avr": Need("avr-gcc", ("gcc-avr", "avr-libc"), "the rig's firmware on the ATmega328P", _has_avr_compiler),
     "simavr": Need(
         "simavr",
@@ -77,16 +79,16 @@ NEEDS = {
         "the rig's firmware on the ATmega328P",
         lambda: Path("/usr/include/simavr/sim_avr.h").exists(),
     ),
-    "chromium": Need("Chromium", ("chromium",), "pages in a browser", _program(*CHROMIUM_NAMES)),
-    "c++": Need("a C++ compiler", ("g++",), "the action, controller_manager's services, /tf", _program("c++")),
+    "chromium": Need("Chromium", ("chromium",), "pages in a browser", _any_of(*CHROMIUM_NAMES)),
+    "c++": Need("a C++ compiler", ("g++",), "the action, controller_manager's services, /tf", _any_of("c++")),
     "headers": Need(
         "Python's headers",
         (f"lib{_PYTHON}-dev",),
         "the action, controller_manager's services, /tf",
         _has_python_headers,
     ),
-    "zsh": Need("zsh", ("zsh",), "completion in zsh", _program("zsh")),
-    "fish": Need("fish", ("fish",), "completion in fish", _program("fish")),
+    "zsh": Need("zsh", ("zsh",), "completion in zsh", _any_of("zsh")),
+    "fish": Need("fish", ("fish",), "completion in fish", _any_of("fish")),
 }
 
 
@@ -123,7 +125,7 @@ def _apt_get(prefix: Sequence[str], *arguments: str) -> bool:
 
 
 def _root() -> list[str] | None:
-    """Return what a command of root's begins with, None where this user may not run one."""
+    """Return the words before a command that make it root's; None where this user may not run one."""
     if os.geteuid() == 0:
         return []
     if shutil.which("sudo") is None:
