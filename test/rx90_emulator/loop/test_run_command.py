@@ -93,12 +93,12 @@ def test_half_a_file_of_arrays_does_not_stay(
     assert not file.exists()
 
 
-@pytest.mark.parametrize(("robot", "joints"), [("rx90b", 6), ("panda", 7)])
+@pytest.mark.parametrize(("robot", "joint", "joints"), [("rx90b", "joint_", 6), ("panda", "panda_joint", 7)])
 def test_an_initial_position_has_a_number_for_each_joint(
-    robot: str, joints: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    robot: str, joint: str, joints: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """It is as long as the arm that is run has joints: the seven-joint one begins where it says, too."""
-    names = ", ".join(f"joint_{number}" for number in range(1, joints + 1))
+    names = ", ".join(f"{joint}{number}" for number in range(1, joints + 1))
     file = tmp_path / "move.yaml"
     start = ["0", "0.1", "0", "-1.5", "0", "1.5", "0"][:joints]
     file.write_text(
