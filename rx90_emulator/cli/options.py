@@ -323,7 +323,7 @@ def add_message_arguments(
     group: argparse._ActionsContainer,
     topic: str = "joint_states",
     names: str = "as --joints",
-    coupling: str = "identity",
+    coupling: str = "identity, also of six joints",
 ) -> None:
     """Add the options that say what JointState messages hold; the arguments name the defaults."""
     group.add_argument("--signals", type=Path, metavar="FILE",
