@@ -2,6 +2,8 @@
 
     python -m tools.sizes
 
+The goals are the project's own upper limits: a change may not raise a figure above its goal without need.
+
 Tokens are those of Python's tokenizer in tracked product files, without comments, docstrings, blank lines and
 indentation: neither formatting nor documentation counts. An option is a call of `add_argument` with a name that begins
 with a dash, wherever it is declared. Words are those of the Markdown pages of docs/, as `wc -w` counts them.
