@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from builtin_interfaces.msg import Duration
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from processes import Processes, open_files
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ros_client import JOINTS, Client, seconds
@@ -91,9 +91,9 @@ def to_rest(duration: float, position: list[float], names: list[str] = JOINTS) -
 
 @pytest.mark.ros
 def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, client: Client) -> None:
-    """Refused trajectories leave the motion that runs alone; without power the brakes hold.
+    """Refused trajectories leave the motion that runs alone; without power the brakes hold; diagnostics tell the rate.
 
-    The nodes run with integers where reals are asked for.
+    Beyond a supervised limit they are an ERROR until `enable`. The nodes run with integers where reals are asked for.
     """
     given = ("-p", "real_time_factor:=0", "-p", "initial_position:=[0.0, 0.8, 0.8, 0.0, 0.5, 0.0]")
     processes.start("rx90_sim", "--ros-args", *given)
@@ -129,6 +129,23 @@ def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, c
     assert joints[-1].position[1] == pytest.approx(held, abs=2e-4)
     client.enable(True)
     client.spin_until(lambda: len(commands[-1].effort) == 6, "commands with torque again")
+
+    # Slowly, because diagnostics come by the wall clock; the controller's rate is that of the ticks it answers.
+    assert client.set_parameters("rx90_sim", real_time_factor=0.1) == [""]
+    heard = client.listen("/diagnostics", DiagnosticArray)
+
+    def told(word: str) -> bool:
+        newest = [message.status[0] for message in heard if message.status[0].name == "rx90_controller"][-1]
+        rate = next(float(pair.value) for pair in newest.values if pair.key == "rate, Hz")
+        is_error = newest.level == DiagnosticStatus.ERROR
+        return is_error == bool(word) and word in newest.message and 300.0 < rate < 500.0
+
+    assert client.set_parameters("rx90_controller", supervision__following_error=[5e-4] * 6) == [""]
+    publisher.publish(to_rest(0.4, [angle + 0.1 for angle in target]))
+    controller.wait_for(r"joint_\d: following error .* rad at .* s; accepted: up to 0.0005 rad; torque off")
+    client.spin_until(lambda: told("accepted: up to 0.0005 rad"), "the fault and a rate near 400 Hz")
+    client.enable(True)
+    client.spin_until(lambda: told(""), "its end")
 
 
 @pytest.mark.ros

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 from action_bench import ABORTED, CANCELED, STEP, SUCCEEDED, Bench
 
@@ -106,3 +107,20 @@ def test_what_ends_a_goal_is_told_to_who_sent_it(bench: Bench) -> None:
     ends(fourth, ABORTED, -1, "the states go on from 0 s; holding, at ")
     bench.begin_anew()
     bench.home()
+
+
+def test_cancelling_while_time_runs_gives_one_of_two_ends(bench: Bench) -> None:
+    """Cancel and end may cross: the client gets CANCELED or SUCCEEDED, the next goal is followed all the same."""
+    from action_client import move
+
+    bench.home()
+    bench.time.pause(False)
+    for k, set_points in enumerate(np.random.default_rng(1).integers(0, 300, 6)):
+        handle = bench.goals.send(move(0.02 * (k % 2), 0.25))
+        result = bench.goals.result_of(handle)
+        last = len(bench.set_points) + int(set_points)
+        bench.client.spin_until(lambda last=last: len(bench.set_points) > last, "set-points")
+        bench.goals.cancel(handle)
+        assert bench.goals.wait(result).status in {SUCCEEDED, CANCELED}
+    bench.time.pause(True)
+    bench.begin_anew()
