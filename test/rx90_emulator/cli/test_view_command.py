@@ -31,13 +31,6 @@ def test_without_viser_nothing_is_read_before_the_refusal(
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("words", [["--no-browser"], ["--port", "0"], ["--host", "0.0.0.0"]])
-def test_options_of_a_page_need_one(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    """The demonstration refuses options of a page that was not asked for."""
-    assert run("rx90_demo", words) == 2
-    assert capsys.readouterr().err == f"rx90_demo: {words[0]} without --view; accepted: with --view, for its page\n"
-
-
 def test_the_demonstration_hands_the_options_of_its_page_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """`rx90_demo --view` takes the options of a page that `rx90_view` takes, and starts it with them."""
     monkeypatch.chdir(tmp_path)

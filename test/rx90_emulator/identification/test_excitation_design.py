@@ -14,7 +14,7 @@ import pytest
 from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import DONE, REFUSED
+from rx90_common.base.errors import DONE
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation import filtering, identify
@@ -249,28 +249,6 @@ def test_the_arm_does_not_touch_itself(shipped: Setup) -> None:
     move = 1e-4 * slope / np.abs(slope).max()
     after, before = (search.workspace.nearness(position + sign * move, 0.02)[0] for sign in (1.0, -1.0))
     assert np.sum(slope * move) == pytest.approx(0.5 * (after - before), rel=0.1)
-
-
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["--runs", "3"], "--runs without --excitation"),
-        (["--excitation", "--group", "joint_1"], "--group with --excitation"),
-        (["--excitation", "--harmonics", "2"], "--excitation: harmonics is 2; accepted: an integer in [3, 50]"),
-        (["--excitation", "--wall", "0", "0", "0", "1"], "--wall 0 0 0 1; accepted: NX NY NZ D"),
-        (["--excitation", "--wall", "0", "0", "-1", "-1"], "at home tcp is -"),
-        (["--excitation", "--wall", "1", "0", "0", "-1e308"], "--wall 1 0 0 -1e+308: 1e+308 m from the base"),
-        (["--excitation", "--clearance", "1"], "--clearance 1.0 without --keep-above or --wall"),
-        (["--excitation", "--torque-noise", "1", "2"], "--torque-noise: 2 values; accepted: 6"),
-        (["--excitation", "--share", "0.05"], "even of a small one the torque of joint_3 is 1"),
-    ],
-)
-def test_what_does_not_fit_is_refused(words: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Options that do not go together, values beyond their ranges and walls at home are refused in one line."""
-    assert run("rx90_experiment", ["plan", *words]) == REFUSED
-    said = capsys.readouterr().err.strip().splitlines()
-    assert text in said[-1]
-    assert len(said) == 1
 
 
 def test_a_folder_of_excitation_runs_is_identified_as_such(
