@@ -124,13 +124,7 @@ def test_a_changed_definition_is_built_again(tmp_path: Path, monkeypatch: pytest
     [
         (os, "environ", {"CXX": "/no/g++ -O0"}, r"no C\+\+ compiler \(/no/g\+\+\); accepted: .* apt install g\+\+$"),
         (sysconfig, "get_path", lambda _: "/no", r"no headers of Python 3\.\d+; accepted: .* python3\.\d+-dev$"),
-        (
-            sys,
-            "base_prefix",
-            sys.prefix,
-            "belongs to no virtual environment; .* apt install ros-jazzy-control-msgs "
-            "ros-jazzy-controller-manager-msgs ros-jazzy-tf2-msgs$",
-        ),
+        (sys, "base_prefix", sys.prefix, "no virtual environment; .* ros-jazzy-control-msgs .* ros-jazzy-tf2-msgs$"),
     ],
 )
 def test_what_a_build_needs_is_asked_for_in_one_line(

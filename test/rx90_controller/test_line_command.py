@@ -158,10 +158,7 @@ def test_a_controller_that_comes_later_gets_the_whole_trajectory(
 def test_approach_comes_first_where_the_arm_stands_elsewhere(
     shipped: Setup, listener: Listener, start_apart: Start
 ) -> None:
-    """From another pose the first point, the start of the line, comes after the time a joint move takes.
-
-    For a controller that is named with its namespace the joint states of that namespace are asked.
-    """
+    """From another pose the first point, the start of the line, comes after the time a joint move takes."""
     plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
     here = plan.start_pose + np.array([0.1, -0.2, 0.3, 0.0, 0.1, -0.4])
     listener.tell(shipped.robot.joint_names, here)

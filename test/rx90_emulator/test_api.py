@@ -59,10 +59,7 @@ def test_a_star_import_brings_in_the_whole_api_and_no_ros() -> None:
 
 
 def test_every_name_explains_itself() -> None:
-    """Each name has a docstring that begins with a sentence, and each function a type for all that it takes and gives.
-
-    The names are those of the imports for type checkers; they stand in the module's overview, help() and dir().
-    """
+    """Each name has a docstring that begins with a sentence, and each function a type for all it takes and gives."""
     tree = ast.parse(Path(rx.__file__).read_text(encoding="utf-8"))
     imports = (node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom))
     typed = {one.asname: node.module for node in imports for one in node.names if one.asname == one.name}

@@ -45,10 +45,7 @@ for name in frame.EXECUTABLES:
 
 @pytest.mark.parametrize("threads", [None, "3"])
 def test_help_needs_neither_compiler_nor_middleware(threads: str | None) -> None:
-    """Executables print their help, exit codes at its end, without numba, SciPy or rclpy, which take seconds.
-
-    Where the user says nothing else, they have told the linear algebra to take one thread by then.
-    """
+    """Executables print help and exit codes without numba, SciPy or rclpy, and have told OpenBLAS its threads."""
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads or ""}
     if threads is None:
         del environment["OPENBLAS_NUM_THREADS"]
@@ -89,19 +86,8 @@ def options() -> dict[str, list[argparse.Action]]:
     return found
 
 
-def test_each_command_describes_itself() -> None:
-    """Commands have descriptions of their own for `--help`, also where several stand in one module."""
-    found = {place: command_of(name, place)[0].description for name, place in EXECUTABLES.items()}
-    assert all(found.values())
-    assert len(set(found.values())) == len(found)
-
-
 def test_options_say_what_they_take(options: dict[str, list[argparse.Action]]) -> None:
-    """Each file of config/ that a help names is there; no option leaves it to Python to take a number.
-
-    What names a file in one command does so in all, and an option takes a value in all commands or in none; alone
-    `--excitation` is a kind of run where runs are planned, and takes the bags of such runs where they are used.
-    """
+    """Files that a help names are there, and an option takes the same in all commands, but for `--excitation`."""
     kinds: dict[str, set[tuple[type, object]]] = {}
     for action in itertools.chain(*options.values()):
         for file in re.findall(r"[a-z]+/\w+\.(?:yaml|urdf)", f"{action.help} {action.default}"):

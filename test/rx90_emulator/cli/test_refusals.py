@@ -26,6 +26,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_joint_states(folder / "off", [series(seed=1)])
     write_joint_states(folder / "later", [replace(a, stamp_ns=a.stamp_ns + 10**12)])
     write_joint_states(folder / "more", [a, series(topic="motor_states")])
+    task = "{start: [0.6, 0, 0.2], end: [2.6, 0, 0.2], speed: 0.1, acceleration: 1.0, tool_rpy_degrees: [0, 180, 0]}"
+    (folder / "far.yaml").write_text(f"line: {task}")
     (folder / "odd.yaml").write_text("joint_states: {speed: 1.0}")
     (folder / "mine.html").write_text("mine")
     (folder / "taken").mkdir()
@@ -123,6 +125,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("rx90_sweep info ''", ". is a folder; accepted: a file"),
         ("rx90_sweep info none.parquet", "none.parquet does not exist"),
         ("rx90_sweep info bad.yaml", "cannot be read as Parquet"),
+        ("rx90_config show -p rx90_sim:robot:=tx40", "robot: tx40 and rx90b; accepted: the same for both nodes"),
+        ("rx90_config show -p pace:=1", "-p 'pace:=1': no parameter of rx90_sim or rx90_controller"),
+        ("rx90_config show -p paused", "-p 'paused'; accepted: [NODE:]NAME:=VALUE"),
+        ("rx90_config show -p paused:=1", "parameter paused is 1; accepted: true or false"),
+        ("rx90_config show --robot tx40 -p paused:=true", "--robot with parameters of nodes; accepted: -p robot:=..."),
+        ("rx90_controller_check no_such_program", "COMMAND 'no_such_program': no such program; accepted: "),
+        ("rx90_controller_check --case dance true", "--case 'dance'; accepted: step, line, "),
+        ("rx90_controller_check --command-rate 500 true", "--command-rate without --command-interface joint"),
+        ("rx90_controller_check --set-points 'set points' true", "--set-points 'set points'; accepted: a topic such"),
+        ("rx90_path nowhere.yaml --dry-run", "nowhere.yaml: neither"),
+        ("rx90_demo --output taken", "taken exists; accepted: a new name"),
+        ("rx90_demo --output taken/notes.txt/x", "taken/notes.txt/x: cannot be written (Not a directory)"),
+        ("rx90_demo --task nowhere.yaml", "no file 'nowhere.yaml'"),
+        ("rx90_demo --task far.yaml", "out of reach"),
         ("rx90_demo --no-browser", "--no-browser without --view; accepted: with --view, for its page"),
         ("rx90_demo --port 0", "--port without --view; accepted: with --view, for its page"),
         ("rx90_demo --host 0.0.0.0", "--host without --view; accepted: with --view, for its page"),

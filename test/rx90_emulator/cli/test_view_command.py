@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import sys
-import threading
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +11,6 @@ from types import SimpleNamespace
 import pytest
 from processes import Processes, wait_until
 
-from rx90_emulator.cli import view
 from rx90_emulator.cli.frame import run
 from rx90_emulator.demo import demonstration
 
@@ -75,22 +72,3 @@ def test_ctrl_c_while_the_nodes_come_up(processes: Processes, said: str) -> None
     assert view.lines[-1] == "rx90_view: interrupted"
     for child in children:
         wait_until(lambda child=child: not Path(f"/proc/{child}").exists(), "the end of the nodes")  # type: ignore[misc]
-
-
-def test_a_page_that_does_not_end_says_what_it_waits_for(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """One line names each thread and the calls that it is in; no child is left."""
-    ended: list[str] = []
-    monkeypatch.setattr(view, "kill_all", lambda: ended.append("children"))
-    let_go = threading.Event()
-    waiting = threading.Thread(target=lambda: let_go.wait(60.0), name="stands still")
-    waiting.start()
-    view._say_where()
-    let_go.set()
-    waiting.join()
-    said = capsys.readouterr().err
-    assert said.startswith("rx90_view: did not end within 20 s, and was cut off. ")
-    assert said.count("\n") == 1
-    assert re.search(r"stands still: .*test_view_command.py:\d+ <lambda> > threading.py:\d+ wait", said)
-    assert ended == ["children"]

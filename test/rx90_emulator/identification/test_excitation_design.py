@@ -88,12 +88,7 @@ def test_a_run_keeps_every_limit_and_the_table_shows_motors(
 def test_every_shape_stays_away_from_table_and_wall(
     plan: ExcitationPlan, motion: tuple[Array, Array, Array], tx40: Setup
 ) -> None:
-    """Corners of boxes, rims of cylinders and points of spheres, placed by Pinocchio, keep the clearance.
-
-    What is reported is their least distance.
-
-    Base and shoulder do not count for the table, which they cannot come nearer to, nor does the base for the wall.
-    """
+    """Corners of boxes, rims of cylinders and points of spheres, placed by Pinocchio, keep the clearance."""
     normal = np.array(WALL[:3]) / np.linalg.norm(WALL[:3])
     planes = [(np.array([0.0, 0.0, 1.0]), TABLE, 1), (normal, WALL[3] / float(np.linalg.norm(WALL[:3])), 0)]
     model, data = tx40.robot.model, tx40.robot.model.createData()

@@ -47,12 +47,7 @@ def lossy_udp(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine_that_loses_datagrams(
     lossy_udp: Path, processes: Processes, client: Client, tx40: Setup, tmp_path: Path
 ) -> None:
-    """With a core busy and 1 % of what both nodes send lost, every number equals the closed loop without ROS.
-
-    The controller feeds forward by a model of its own. The robot is the one that a parameter names, and so is the
-    description that the simulation publishes. The bag tells which trajectory ran and from when on, although its sender
-    is gone before the recorder begins.
-    """
+    """With a core busy and 1 % of what both nodes send lost, every number equals the closed loop without ROS."""
     counts = tmp_path / "counts"
     counts.write_bytes(bytes(16))
     around = (
@@ -85,12 +80,7 @@ def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine_that_loses_dat
 def test_one_process_gives_the_closed_loops_bits(
     processes: Processes, client: Client, shipped: Setup, tmp_path: Path
 ) -> None:
-    """With a parameter file for both, every recorded number equals the closed loop without ROS, to the last bit.
-
-    So it does when the simulation is deactivated and activated in the middle of the motion, and its pace is changed,
-    with friction elements that have all parts and a seed of their scatter. The line is played with a correction, which
-    fades out behind its end: the bag holds its offsets, too.
-    """
+    """With a parameter file for both, every recorded number equals the closed loop without ROS, to the last bit."""
     friction = write_with_parts(shipped.friction.file, tmp_path / "friction.yaml")
     setup = rx.load_setup(friction=friction, seed=11)
     comparison = run_both_ways(processes, client, setup, tmp_path, composed=True, rests=2, corrected=True)

@@ -28,11 +28,7 @@ QOS = ("reliability:=best_effort", "durability:=transient_local", "depth:=5")
 
 @pytest.mark.ros
 def test_a_paused_pair_is_heard_and_takes_a_trajectory(processes: Processes, client: Client) -> None:
-    """Samples come again to the bit; a line is approached and begins when time runs; each node says ready once.
-
-    Diagnostics carry the namespace, and the quality of service of a topic is the one given as parameters. With the
-    range LOCALHOST UDP sockets are bound to 127.0.0.1 alone, and no memory is shared.
-    """
+    """Samples come again to the bit; a line is approached and begins when time runs; each node says ready once."""
     overrides = [f"qos_overrides./cell_1/friction_states.publisher.{policy}" for policy in QOS]
     simulation = processes.start(
         "rx90_sim", *ROS_ARGS, *("-p", "paused:=true"), *(w for override in overrides for w in ("-p", override))
@@ -150,10 +146,7 @@ def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, c
 
 @pytest.mark.ros
 def test_time_runs_by_the_clock_with_pauses_and_without_a_controller(processes: Processes, client: Client) -> None:
-    """A motion rests while time stands still, and goes on where it was; without a controller the brakes close.
-
-    Time runs on without it, and the brakes open when it goes on.
-    """
+    """A motion rests while time stands still, and goes on where it was; without a controller the brakes close."""
     simulation = processes.start(
         "rx90_sim",
         "--ros-args",
@@ -197,10 +190,7 @@ UNPACED = ("--ros-args", "-p", "real_time_factor:=0.0")
 
 @pytest.mark.ros
 def test_either_node_is_killed_and_comes_back(processes: Processes, client: Client, tmp_path: Path) -> None:
-    """Without its controller time stands still, announced once, until the next one; a new simulation begins anew.
-
-    A recorder that is killed holds nothing up.
-    """
+    """Without its controller time stands still, announced once, until the next one; a new simulation begins anew."""
     recorder = processes.start("rx90_bag", "record", "--output", tmp_path / "bag", "motor_states", "motor_commands")
     simulation = processes.start("rx90_sim", *UNPACED)
     first = processes.start("rx90_controller")

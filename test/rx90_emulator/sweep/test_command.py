@@ -74,10 +74,7 @@ def assert_true_rows(output: Path, plan_file: Path) -> int:
 def test_interrupt_and_kill_keep_what_is_done(
     tmp_path: Path, plan_file: Path, start_apart: Start, request: pytest.FixtureRequest
 ) -> None:
-    """Ctrl-C exits 130, says how to go on and leaves one readable file; a resumed sweep that is killed adds to it.
-
-    No process is left behind by either.
-    """
+    """Ctrl-C exits 130, says how to go on and leaves one readable file; a resumed sweep that is killed adds to it."""
     output = tmp_path / "out.parquet"
     command = executable("rx90_sweep", "run", plan_file, "--output", output, "--workers", "2")
     first = start_apart(*command, cwd=ROOT)
@@ -105,10 +102,7 @@ def test_interrupt_and_kill_keep_what_is_done(
 
 @pytest.mark.parametrize("speeds", ["0.05, -1, 0.1", "-1, -2"])
 def test_run_and_info(speeds: str, tmp_path: Path, task_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A plan runs to its end, is not run over again without need, and info shows what came of it.
-
-    Where not one run of the file succeeded, run exits 3 with a line that says why; resumed it does so again.
-    """
+    """A plan runs to its end, is not run over again without need, and info shows what came of it."""
     plan, output, page = tmp_path / "plan.yaml", tmp_path / "out.parquet", tmp_path / "page.html"
     grid = f"{{a: {{grid: {{task.speed: {{value: [{speeds}]}}}}}}}}"
     plan.write_text(f"base: {{task: {task_file}}}\nblocks: {grid}", encoding="utf-8")

@@ -16,11 +16,7 @@ pytestmark = pytest.mark.ros
 
 
 def test_tolerances_along_the_path_and_at_the_goal(bench: Bench) -> None:
-    """Beyond a tolerance on the path -4, beyond one at the goal -5 after its time: joint, amount, limit and time.
-
-    The next goal has the defaults again; -1 takes a tolerance away. A default that is changed counts for what comes
-    next, also for trajectories on the topic.
-    """
+    """Beyond a tolerance on the path -4, beyond one at the goal -5 after its time: joint, amount, limit and time."""
     from action_client import Duration, move, stamp
     from control_msgs.msg import JointTolerance
 
@@ -57,11 +53,7 @@ def test_tolerances_along_the_path_and_at_the_goal(bench: Bench) -> None:
 
 
 def test_what_ends_a_goal_is_told_to_who_sent_it(bench: Bench) -> None:
-    """A cancel, another client's goal, a trajectory or a stop on the topic, a reset: status, code, reason and a line.
-
-    All but the last come while time stands still. A goal that waits for its start can be cancelled, one that has ended
-    cannot.
-    """
+    """A cancel, another goal, a trajectory or a stop on the topic, a reset: status, code, reason and a line."""
     from action_client import move
     from trajectory_msgs.msg import JointTrajectory
 
