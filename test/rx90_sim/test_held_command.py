@@ -273,17 +273,14 @@ def test_a_fault_of_an_own_controller_is_one_line(
 def test_publishers_that_are_not_heard_are_told_once() -> None:
     """Best effort, another type, and the topic of the other interface: node and what is accepted."""
 
-    def endpoint(node: str, kind: str = "sensor_msgs/msg/JointState", **qos: Any) -> SimpleNamespace:
-        profile = QoSProfile(depth=1, **qos)
-        return SimpleNamespace(node_name=node, endpoint_gid=node.encode(), topic_type=kind, qos_profile=profile)
+    def endpoint(node: str, kind: str, reliability: ReliabilityPolicy) -> SimpleNamespace:
+        qos = QoSProfile(depth=1, reliability=reliability)
+        return SimpleNamespace(node_name=node, endpoint_gid=node.encode(), topic_type=kind, qos_profile=qos)
 
-    publishers = {
-        "/joint_commands": [
-            endpoint("hasty", reliability=ReliabilityPolicy.BEST_EFFORT),
-            endpoint("other", "std_msgs/msg/Float64MultiArray"),
-        ],
-        "/motor_commands": [endpoint("stray")],
-    }
+    good = "sensor_msgs/msg/JointState", ReliabilityPolicy.RELIABLE
+    hasty = endpoint("hasty", good[0], ReliabilityPolicy.BEST_EFFORT)
+    other = endpoint("other", "std_msgs/msg/Float64MultiArray", good[1])
+    publishers = {"/joint_commands": [hasty, other], "/motor_commands": [endpoint("stray", *good)]}
     node: Any = SimpleNamespace(
         resolve_topic_name=lambda name: f"/{name}",
         create_timer=lambda *_: None,

@@ -28,6 +28,8 @@ from rx90_common.kernels.elementary import (
 from rx90_common.kernels.lanes import load, store
 from rx90_common.process.children import TIMEOUT
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 
@@ -77,7 +79,6 @@ def test_the_constants_are_those_that_the_script_derives() -> None:
     assert derived == {name: getattr(elementary, name) for name in derived}
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(np.finfo(np.longdouble).nmant < 63, reason="needs an extended precision to compare with")
 def test_errors_stay_below_two_units_in_the_last_place() -> None:
     """Down to the smallest normal number exp is off by less than 1.2 ulp, to a thousand radians sin and cos by 1.6."""
@@ -178,7 +179,6 @@ def test_a_signed_power() -> None:
         assert out[0, exponent == 1.0].tobytes() == x[exponent == 1.0].tobytes()
 
 
-@pytest.mark.slow
 def test_a_processor_without_vector_and_fma_instructions_gives_the_same_bits(tmp_path: Path) -> None:
     """Compiled for the oldest processor of the kind, in a process of its own, every bit is the same."""
     if os.environ.get("NUMBA_CPU_NAME"):

@@ -88,7 +88,7 @@ def test_the_frame_loads_nothing_from_elsewhere() -> None:
     page, works = re.subn(r'<a href="https://[^"]*">', "", page)  # for the reader; the browser does not follow
     assert works > 30
     assert page.startswith("<!doctype html>")
-    assert len(REPORTS) == 10
+    assert len(REPORTS) == 9
     assert not any(word in page for word in ("http:", "https:", "src=", "<link", "@import", "url("))
     assert "default-src 'none'" in page
     assert len(page) < 25_000

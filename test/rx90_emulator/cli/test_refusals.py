@@ -134,7 +134,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("rx90_controller_check --case dance true", "--case 'dance'; accepted: step, line, "),
         ("rx90_controller_check --command-rate 500 true", "--command-rate without --command-interface joint"),
         ("rx90_controller_check --set-points 'set points' true", "--set-points 'set points'; accepted: a topic such"),
-        ("rx90_path nowhere.yaml --dry-run", "nowhere.yaml: neither"),
+        ("rx90_path nowhere.yaml --dry-run", "no file 'nowhere.yaml': neither"),
         ("rx90_demo --output taken", "taken exists; accepted: a new name"),
         ("rx90_demo --output taken/notes.txt/x", "taken/notes.txt/x: cannot be written (Not a directory)"),
         ("rx90_demo --task nowhere.yaml", "no file 'nowhere.yaml'"),

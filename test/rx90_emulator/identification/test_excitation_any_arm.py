@@ -21,6 +21,8 @@ from rx90_emulator.identification.experiments.arms import robot_of_urdf
 from rx90_emulator.identification.experiments.workspace import Workspace
 from rx90_emulator.identification.options import Wall
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 ARM = ["--joints", *JOINTS]
 SHORT = ["--runs", "1", "--harmonics", "5", "--period", "6", "--periods", "1", "--steps", "8"]

@@ -26,6 +26,8 @@ from rx90_emulator.identification.experiments.workspace import Workspace
 from rx90_emulator.identification.options import ExcitationOptions, RobotOptions, Wall
 from rx90_emulator.loop.setup import Setup
 
+pytestmark = pytest.mark.slow
+
 TABLE, WALL = 0.12, (-1.0, -0.5, 0.0, -0.45)
 OPTIONS = ExcitationOptions(
     runs=1, harmonics=5, period=6.0, periods=2, steps=8, validation=False, seed=2,

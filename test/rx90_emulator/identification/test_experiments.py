@@ -26,6 +26,8 @@ from rx90_emulator.identification.experiments.plan import (
 )
 from rx90_emulator.loop.setup import Setup
 
+pytestmark = pytest.mark.slow
+
 HOME = (0.0,) * 6
 
 

@@ -19,6 +19,8 @@ from rx90_emulator.identification.sliding.fit import SlidingFit, identify_slidin
 from rx90_emulator.identification.sliding.plateaus import find_blocks
 from rx90_emulator.identification.sliding.quality import FALSE_ALARMS, Residuals, drifts_of
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 Friction = Callable[[Array], Array]
 SPEEDS = np.geomspace(0.004, 1.2, 12)

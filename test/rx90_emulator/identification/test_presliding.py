@@ -23,6 +23,8 @@ from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.setup import Setup
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 WRIST = ["joint_5", "joint_6", "joints_5_6_against"]

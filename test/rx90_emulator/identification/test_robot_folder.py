@@ -41,6 +41,8 @@ from rx90_emulator.identification.records import BagSource
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(5)
 SEEN = 12.0  # rad/s^2, of the second joint in the runs

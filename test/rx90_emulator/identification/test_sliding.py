@@ -29,6 +29,8 @@ from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
+pytestmark = pytest.mark.slow
+
 
 def errors(estimate: ElementEstimate, element: FrictionElement) -> dict[str, float]:
     """Return relative errors by parameter."""

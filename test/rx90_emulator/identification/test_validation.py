@@ -21,6 +21,8 @@ from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import TorquePrediction
 from rx90_emulator.loop.setup import Setup
 
+pytestmark = pytest.mark.slow
+
 STILL = 3  # the joint that rests: joint_4
 MOVE = [k for k in range(6) if k != STILL]
 

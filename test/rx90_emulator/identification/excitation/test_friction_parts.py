@@ -28,6 +28,8 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import simulated_elements
 from rx90_emulator.identification.records import BagSource, JointRecord
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 Law = Callable[[Array], Array]
 RATE, SECONDS, NOISE = 100.0, 40.0, 0.05

@@ -35,6 +35,8 @@ from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.validation.verdict import RunTorques, torque_noise
 
+pytestmark = pytest.mark.slow
+
 STILL = Curve(0.0, 0.0, 0.0, 0.0, 0.1, 1.0, 0.0)
 Array = np.ndarray[Any, np.dtype[np.float64]]
 

@@ -33,6 +33,8 @@ from rx90_emulator.identification.excitation.filtering import Bandwidths, filter
 from rx90_emulator.identification.excitation.fit import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(11)
 JOINTS = ["a", "b", "c"]
