@@ -39,7 +39,7 @@ test: packages environment-dev
 	@$(BIN)/python -m tools.interfaces || [ $$? -eq 1 ]
 	@$(BIN)/python -m pytest -n 3 --dist worksteal --durations=10 $(ARGS)
 
-FAST := test/rx90_sim test/rx90_controller test/rx90_common test/rx90_emulator/loop
+FAST := test/rx90_sim test/rx90_controller test/rx90_common test/rx90_emulator/loop test/rx90_emulator/identification
 test-fast: environment-dev
 	@$(BIN)/python -m pytest -n 2 --dist worksteal -m "not ros and not firmware and not browser and not slow" \
 	  $(or $(ARGS),$(FAST))

@@ -45,16 +45,11 @@ def environment(tmp_path: Path) -> Recorded:
 
 
 def test_a_second_run_installs_nothing(environment: Recorded) -> None:
-    """Once installed, the same and lesser purposes take no command at all."""
-    assert environment.updated("ros", "dev") == ["venv ROOT/.venv", "pip pip>=25,<27", "pip ROOT[dev,ros]"]
+    """Once installed, the same and lesser purposes take no command at all; a wider one is added to what is there."""
+    assert environment.updated("ros") == ["venv ROOT/.venv", "pip pip>=25,<27", "pip ROOT[ros]"]
+    assert environment.updated("dev") == ["pip ROOT[dev,ros]"]
     assert environment.updated("ros", "dev") == []
     assert environment.updated("ros") == []
-
-
-def test_more_is_added_to_what_is_there(environment: Recorded) -> None:
-    """A wider purpose is installed into the environment that is there, beside what it holds."""
-    environment.updated("ros")
-    assert environment.updated("dev") == ["pip ROOT[dev,ros]"]
 
 
 def test_the_environment_of_another_tree_is_left_alone(environment: Recorded, tmp_path: Path) -> None:
@@ -125,23 +120,3 @@ def test_make_refuses_an_unsuitable_python_in_one_line(tmp_path: Path) -> None:
     assert done.returncode != 0
     lines = [line for line in done.stderr.splitlines() if not line.startswith("make")]
     assert lines == [f"PYTHON={old} is Python 3.9.18; accepted: CPython 3.10 to 3.13, for example PYTHON=python3.12"]
-
-
-@pytest.mark.parametrize(("own", "others", "chosen"), [(12, (), "python3"), (13, (11, 10), "python3.11")])
-def test_continuous_integration_finds_a_python_for_the_versions_of_ubuntu(
-    own: int, others: tuple[int, ...], chosen: str, tmp_path: Path
-) -> None:
-    """`.ci/run` takes the machine's Python for `make test-jazzy` if it is 3.12 or older, or the newest such."""
-    for name, minor in (("python3", own), *((f"python3.{minor}", minor) for minor in others)):
-        (tmp_path / name).write_text(f"#!/bin/sh\nexit {int(minor > 12)}\n")
-        (tmp_path / name).chmod(0o755)
-    text = (ROOT / ".ci/run").read_text(encoding="utf-8")
-    function = text[text.index("jazzy_python() {") : text.index("\nrun() {")]
-    done = subprocess.run(
-        ["/bin/bash", "-euc", f"{function}\njazzy_python"],
-        env={"PATH": str(tmp_path), "PYTHON": "python3"},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout == f"{chosen}\n"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -13,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
 from tools import interfaces
-from tools.environment import ROOT, UnsuitableError
+from tools.environment import UnsuitableError
 
 # Of the definitions in ros-controls/control_msgs, branch jazzy, at f901df2 (5.8.0): hashed by Jazzy's
 # rosidl_generator_type_description 4.6.6; those of the messages by rosbags 0.11.9 too.
@@ -92,34 +91,6 @@ def test_the_constants_are_those_of_jazzy() -> None:
     assert [getattr(JointComponentTolerance, name) for name in components] == [1, 2, 3, 4, 5]
 
 
-@pytest.mark.usefixtures("needs_action")
-def test_another_reader_understands_the_bytes() -> None:
-    """A goal's CDR, read by rosbags with the definitions, has every value where it was put."""
-    from control_msgs.action import FollowJointTrajectory
-    from control_msgs.msg import JointComponentTolerance, JointTolerance
-    from rclpy.serialization import serialize_message
-
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for name in ("JointTolerance", "JointComponentTolerance"):
-        text = (interfaces.DEFINITIONS / f"control_msgs/msg/{name}.msg").read_text(encoding="utf-8")
-        store.register(get_types_from_msg(text, f"control_msgs/msg/{name}"))
-    file = interfaces.DEFINITIONS / "control_msgs/action/FollowJointTrajectory.action"
-    goal_text = file.read_text(encoding="utf-8").split("---")[0]
-    full = re.sub(r"^(?=Joint\w*Tolerance)", "control_msgs/msg/", goal_text, flags=re.MULTILINE)
-    store.register(get_types_from_msg(full, "control_msgs/action/Goal"))
-
-    goal = FollowJointTrajectory.Goal(
-        path_tolerance=[JointTolerance(name="joint_2", position=0.1, velocity=0.2, acceleration=0.3)],
-        component_goal_tolerance=[JointComponentTolerance(joint_name="base", component=5, position=0.4)],
-    )
-    goal.goal_time_tolerance.nanosec = 7
-    read: Any = store.deserialize_cdr(serialize_message(goal), "control_msgs/action/Goal")
-    (path,), (component,) = read.path_tolerance, read.component_goal_tolerance
-    assert (path.name, path.position, path.velocity, path.acceleration) == ("joint_2", 0.1, 0.2, 0.3)
-    assert (component.joint_name, component.component, component.position) == ("base", 5, 0.4)
-    assert read.goal_time_tolerance.nanosec == 7
-
-
 def test_the_library_finds_what_it_is_linked_with(library: Path) -> None:
     """The module is loaded where LD_LIBRARY_PATH is not set, and with it every library of the package."""
     bare = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}  # or the wheels would set it
@@ -134,16 +105,6 @@ def test_the_library_finds_what_it_is_linked_with(library: Path) -> None:
         [sys.executable, "-c", code, module, *names], env=bare, capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_a_second_build_does_nothing(library: Path) -> None:
-    """Where all is built the command says nothing, leaves the library alone, and does without a compiler."""
-    before = library.stat()
-    command = [sys.executable, "-m", "tools.interfaces"]
-    without = os.environ | {"CXX": "/no/c++"}
-    done = subprocess.run(command, cwd=ROOT, env=without, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    assert library.stat().st_mtime_ns == before.st_mtime_ns
 
 
 def test_a_changed_definition_is_built_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -163,13 +124,7 @@ def test_a_changed_definition_is_built_again(tmp_path: Path, monkeypatch: pytest
     [
         (os, "environ", {"CXX": "/no/g++ -O0"}, r"no C\+\+ compiler \(/no/g\+\+\); accepted: .* apt install g\+\+$"),
         (sysconfig, "get_path", lambda _: "/no", r"no headers of Python 3\.\d+; accepted: .* python3\.\d+-dev$"),
-        (
-            sys,
-            "base_prefix",
-            sys.prefix,
-            "belongs to no virtual environment; .* apt install ros-jazzy-control-msgs "
-            "ros-jazzy-controller-manager-msgs ros-jazzy-tf2-msgs$",
-        ),
+        (sys, "base_prefix", sys.prefix, "no virtual environment; .* ros-jazzy-control-msgs .* ros-jazzy-tf2-msgs$"),
     ],
 )
 def test_what_a_build_needs_is_asked_for_in_one_line(

@@ -71,11 +71,7 @@ def installed(wheel: Path, prefix: Path) -> Path:
 
 
 def test_the_wheel_is_whole_and_works_without_the_source_tree(wheel: Path, tmp_path: Path) -> None:
-    """Modules, type markers, templates, config/, launch/, firmware/ and the ament marker are in it; tests are not.
-
-    Installed into an environment of its own it has each command, finds its modules and data there, and loads the
-    shipped robot; `rx90_run` writes the bag and the arrays that the source tree would.
-    """
+    """Modules, type markers, templates, config/, launch/, firmware/ and the ament marker are in it; tests are not."""
     share = f"{PACKAGE}-{distribution(PACKAGE).version}.data/data/share"
     modules = [path for package in PACKAGES for path in (ROOT / package).rglob("*") if path.is_file()]
     wanted = {

@@ -33,6 +33,7 @@ from rx90_common.exchange.endpoints import CLOCK_QOS, TICK_QOS, publish
 from rx90_common.exchange.pacing import ThrottledLog
 from rx90_common.exchange.parameters import (
     ParameterChanges,
+    answer_all_requests,
     declare,
     declare_robot_files,
     refuse_unknown_parameters,
@@ -136,6 +137,7 @@ def _spin(members: Sequence[TickingNode], services: int, cut_off: threading.Time
     count = max(services, len(nodes))
     executor = SingleThreadedExecutor() if count == 1 else MultiThreadedExecutor(count)
     for node in nodes:
+        answer_all_requests(node)
         executor.add_node(node)
     # The executor must give the interpreter back to the ticks soon, and the collector must not walk through
     # everything that was imported in the middle of a tick.

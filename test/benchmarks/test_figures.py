@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 
 import numpy as np
@@ -21,21 +20,6 @@ def test_pages_hold_what_is_generated() -> None:
     placed = re.findall(r"<!-- figures: (\w+) -->\n\|", "\n".join(contents.values()))
     assert sorted(placed) == sorted(tables())
     assert MEASURED.read_text(encoding="utf-8") == as_text(add(measured, {}))
-
-
-def test_a_machine_s_run_is_added() -> None:
-    """Values of a run widen the range of what is shown; equal values and other figures add nothing."""
-    run = {"sweep_1000_runs_s": 9.0, "versus_mujoco_c": 7.0, "versus_mujoco_c_lowest": 6.5, "of no table": 1.0}
-    measured = add({"sweep_1000_runs_s": [10.0, 12.0], "versus_mujoco_c": [7.0]}, run)
-    assert measured == {
-        "sweep_1000_runs_s": [9.0, 10.0, 12.0],
-        "versus_mujoco_c": [7.0],
-        "versus_mujoco_c_lowest": [6.5],
-    }
-    assert json.loads(as_text(measured)) == measured
-    assert "| 9 to 12 s |" in with_figures("<!-- figures: main -->\n<!-- end of figures -->", measured)
-    assert "| not measured yet |" in with_figures("<!-- figures: main -->\n<!-- end of figures -->", {})
-    assert "not measured yet s" not in with_figures("<!-- figures: main -->\n<!-- end of figures -->", {})
 
 
 RATIO, LARGEST = 242.73, 6310.98  # gear and largest torque, Nm, with which Yan, Li and Meng (2020) go to the joint

@@ -123,21 +123,6 @@ def test_a_row_names_what_is_there(row: Row) -> None:
         assert places
 
 
-def test_wrong_names_are_noticed() -> None:
-    """A name, a file, a key or a test that does not exist is not taken for one that does."""
-    for wrong in (
-        "rx90_common.friction.bristle.no_step",
-        "no_package.module",
-        "firmware/core/no.c",
-        "config/rig/gm8224.yaml: gear.teeth",
-    ):
-        with pytest.raises((LookupError, OSError, AttributeError)):
-            named(wrong)
-    assert not is_test("test/docs/test_sources.py::test_that_nobody_wrote")
-    assert not is_test("test/docs/test_sources.py::is_test")
-    assert not is_test("test/docs/test_nothing.py::test_a_row_names_what_is_there")
-
-
 def test_all_equations_and_statements_have_a_row() -> None:
     """Both tables are numbered through, and each equation that a source numbers has one row of its own."""
     for rows, equations, least in zip(TABLES, ((17, 18, 19), (1, 2, 3, 4, 5)), (30, 40), strict=True):

@@ -48,10 +48,7 @@ def ramps(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_report_page_and_estimates_are_complete(ramps: Path) -> None:
-    """Page: plots of loads, overlay, comparison, sensor, the source's bands. YAML: intervals of loads and joint.
-
-    The bag's stamps are the firmware's 20 ms ticks, and states and commands go together.
-    """
+    """Page: plots of loads, overlay, comparison, sensor, the source's bands. YAML: intervals of loads and joint."""
     page = (ramps / "report.html").read_text()
     assert page.count('<figure class="plot">') == 5
     for text in ("no-load", "loaded", "multibody", "closed form", "± 10", "± 7", "± 2", "joint side"):
@@ -83,10 +80,7 @@ def test_friction_file_is_one_that_the_simulation_reads(ramps: Path) -> None:
 
 
 def test_recorded_ramps_evaluate_to_the_same_whatever_the_calibration(ramps: Path, tmp_path: Path) -> None:
-    """The CSV files that a measurement leaves give its values; `scale_uncertainty` 0.05 adds (5 %)² to each variance.
-
-    Of each load the exact fit's f_c, f_v and J; of the joint, their difference, f_c and f_v at the motor's side.
-    """
+    """The CSV files that a measurement leaves give its values; `scale_uncertainty` 0.05 adds (5 %)² to variances."""
     words, found = [], {}
     for file in sorted(ramps.glob("ramp_*.csv")):
         label, _, slope = file.read_text().splitlines()[0][2:].rpartition(", slope ")
@@ -191,10 +185,7 @@ SOURCE_RAMPS = {"no-load": (0.61, 949.5407, 227.8898), "loaded": (0.55, 981.3603
 def test_an_unphysical_estimate_is_a_verdict(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], loads: tuple[str, str], quantity: str, estimate: float
 ) -> None:
-    """The source's data have a joint with f_v < 0: exit code 1 with cause and remedy, and no file calls it identified.
-
-    Where Coulomb friction is negative no friction file is written at all.
-    """
+    """The source's data have a joint with f_v < 0: exit code 1, cause and remedy, and no file calls it identified."""
     words = ["--text", "velocity", "--velocity", "instantaneous", "--output", str(tmp_path / "out")]
     for option, load in zip(("--no-load-file", "--loaded-file"), loads, strict=True):
         m, a, b = SOURCE_RAMPS[load]

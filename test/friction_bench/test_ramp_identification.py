@@ -321,10 +321,7 @@ def test_the_commands_staircase_does_not_bend_the_asymptote(rig: Rig) -> None:
 
 @pytest.mark.parametrize("loaded", [False, True])
 def test_one_ramp_gives_viscous_friction_within_two_per_cent(rig: Rig, loaded: bool) -> None:
-    """One ramp's m / a is f_v, without and with load: the source's fall by 13 % is no matter of single ramps.
-
-    With one slope there is no inertia and no exact value, and the best is the source's.
-    """
+    """One ramp's m / a is f_v, without and with load: the source's fall by 13 % is no matter of single ramps."""
     truth = shaft_of(rig, loaded).viscous
     for seed, slope in itertools.product(range(3), (0.02, 0.05)):
         found = identify_ramps(measure(rig, seed, 1, (slope,), 0.155, loaded), 0.0)

@@ -77,10 +77,7 @@ def make(target: str, folder: Path, defines: str) -> subprocess.CompletedProcess
 
 
 def test_a_library_made_with_other_figures_follows_them(tmp_path: Path) -> None:
-    """Made anew with another torque limit and scale, the firmware greets with both, obeys code 100 and refuses 101.
-
-    A limit alone does not change the scale's unit; a library that was made with the same figures is left alone.
-    """
+    """Made anew with another torque limit and scale, the firmware greets with both, obeys code 100 and refuses 101."""
     library, defines = tmp_path / "librig_native.so", "-DTORQUE_LIMIT_CODE=100u -DDAC_FULL_SCALE=30000u"
     built = []
     for figures, limit, scale in (("-DTORQUE_LIMIT_CODE=239u", 239, 0.2), (defines, 100, 0.3), (defines, 100, 0.3)):
@@ -138,10 +135,7 @@ def test_the_page_s_command_builds_what_the_source_s_rig_asks_for() -> None:
 def test_known_weight_finds_the_scale_within_the_page_s_uncertainty(
     scale: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The page's program on a rig whose amplifier is off by 8 %: 255 tau / c is its scale within twice 0.35 %.
-
-    The weight of 0.1 kg hangs on a lever of 0.1 m between two stops.
-    """
+    """The page's program on a rig whose amplifier is off by 8 %: 255 tau / c is its scale within twice 0.35 %."""
     rig = load_rig(ROOT / "config/rig/gm8224.yaml")
     emulated = EmulatedRig(rig, 1)
     weight, shaft, lever = 0.0981, Shaft(0.1 * 0.1**2, 0.004, 1e-3), [0.0, 0.0]

@@ -92,10 +92,7 @@ def time_at_full_scale(board: Any) -> float:
 def test_8051_clears_the_dac_within_microseconds_of_power_up(
     make_board: Callable[..., Any], make_mutant: Callable[..., Any]
 ) -> None:
-    """The ports' reset value, a full-scale DAC, lasts less than 20 µs, and the stage is off meanwhile.
-
-    Of a binary that leaves the ports to the C start-up it lasts longer.
-    """
+    """The ports' reset value, a full-scale DAC, lasts less than 20 µs, and the stage is off meanwhile."""
     assert time_at_full_scale(make_board("mcs51")) < 20e-6
     assert time_at_full_scale(make_mutant("mcs51", "mcs51/hal_mcs51.c", "    DAC_PORT = 0;\n", "")) > 20e-6
 

@@ -96,11 +96,7 @@ def test_dead_owner_loses_the_torque(bench: Bench) -> None:
 
 
 def test_stop_reaches_the_rig_within_100_ms_of_its_time(bench: Bench) -> None:
-    """With commands under way, each of ten stops takes the stage off within 100 ms of the rig.
-
-    The rig's time stands still until the stop is on its line, however busy this computer is: a stop that waited for
-    the rig, for its answer to the command under way or for its reading of the line, would never come.
-    """
+    """With commands under way, each of ten stops takes the stage off within 100 ms of the rig."""
     emulated = bench.pty.emulated
     run, off_at = emulated.board.run, [0.0]
 

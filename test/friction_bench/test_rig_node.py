@@ -187,11 +187,7 @@ def refuse_a_torque_beyond_the_firmware(session: Session) -> None:
 
 
 def test_services_and_parameters_move_the_rig_and_a_frozen_node_does_not(session: Session) -> None:
-    """Arm, ramp and stop work over services; states carry the firmware's 20 ms; a stop ends the torque.
-
-    A torque beyond the firmware's limit is refused by the service. Frozen, the node loses the torque; afterwards the
-    fault is on /diagnostics, and clear and arm work. Ctrl-C ends it with 0 and the rig disarmed by a stop.
-    """
+    """Arm, ramp and stop work over services; states carry the firmware's 20 ms; a stop ends the torque."""
     assert not session.call("run_ramp").success
     session.ramp(lambda: session.states[-1].effort[0] > 0.01)
     assert session.call("stop").success

@@ -61,9 +61,6 @@ def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: 
         said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, role: name}))
         assert f"model.{role} {accepted}" in said
     whole = other.read_text()
-    other.write_text(whole.replace("{tau_c: 25.0", "{load: {driving: -0.1, driven: 0.1}, tau_c: 25.0"))
-    said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, "friction": "other.yaml"}))
-    assert f"{other}: elements.joint_1.load.driving is -0.1; accepted" in said
     other.write_text(whole.replace("tau_c: 25.0", "tau_c: -25.0"))
     said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, "friction": "other.yaml"}))
     assert f"{other}: elements.joint_1.tau_c is -25.0; accepted" in said

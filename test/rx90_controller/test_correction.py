@@ -14,11 +14,7 @@ from rx90_common.base.errors import TrajectoryError
 from rx90_common.exchange.topics import CORRECTED
 from rx90_controller.law.cs7b import position_loop
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
-from rx90_controller.trajectory.correction import (
-    FADE,
-    FASTEST,
-    Correction,
-)
+from rx90_controller.trajectory.correction import FADE, FASTEST, Correction
 from rx90_controller.trajectory.points import (
     correction_from_points,
     correction_points,

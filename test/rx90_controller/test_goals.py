@@ -11,10 +11,7 @@ from goal_arm import Arm, GoalError, checked, message, tolerance, two
 from joint_moves import HOME, NAMES, PERIOD, ZERO, stamp
 
 from rx90_common.base.errors import TrajectoryError
-from rx90_controller.trajectory.request import (
-    ResultCode,
-    State,
-)
+from rx90_controller.trajectory.request import ResultCode, State
 
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "no joints": ({"joint_names": []}, "'joint_1' is missing; accepted: all of joint_1"),
@@ -105,18 +102,8 @@ def test_tolerances_are_the_defaults_unless_the_goal_says_otherwise() -> None:
     ("goal", "inactive", "code", "words"),
     [
         ({}, True, ResultCode.INVALID_GOAL, "is disabled; accepted"),
-        (
-            {"stamp": 0.2},
-            False,
-            ResultCode.OLD_HEADER_TIMESTAMP,
-            "the last point is at 0.8 s, the controller's",
-        ),
-        (
-            {"stamp": 11.5},
-            False,
-            ResultCode.INVALID_GOAL,
-            "start time 11.500 s, the controller's time is 1.000 s; accepted",
-        ),
+        ({"stamp": 0.2}, False, ResultCode.OLD_HEADER_TIMESTAMP, "the last point is at 0.8 s, the controller's"),
+        ({"stamp": 11.5}, False, ResultCode.INVALID_GOAL, "start time 11.500 s, the controller's time is 1.000 s; acc"),
         ({"seconds": 0.01}, False, ResultCode.INVALID_GOAL, "point 0: joint_1 gets a set-point velocity"),
         ({"to": HOME + 2.0 * np.eye(6)[4]}, False, ResultCode.INVALID_GOAL, "joint_5 has the position 2.5 rad"),
     ],
@@ -217,14 +204,10 @@ def test_what_ends_the_following_ends_the_goal() -> None:
     ("goal", "row", "amount", "said"),
     [
         ({"path_tolerance": [tolerance("joint_4", 0.02)]}, 0, 0.03, "position error 0.03 rad, accepted up to 0.02 rad"),
-        (
-            {"path_tolerance": [tolerance("joint_4", 0.0, 0.3)]},
-            1,
-            -0.4,
-            "velocity error -0.4 rad/s, accepted up to 0.3 rad/s",
-        ),
+        ({"path_tolerance": [tolerance("joint_4", 0.0, 0.3)]}, 1, -0.4, "velocity error -0.4 rad/s, accepted up to 0.3 "
+         "rad/s"),
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("at", [0, 250])
 def test_a_path_tolerance_holds_from_the_first_sample_on(
     goal: dict[str, Any], row: int, amount: float, said: str, at: int

@@ -70,35 +70,6 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
     np.testing.assert_allclose(times, plan.times, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        ("--start 0.6 0 0.2 --end 1.6 0 0.2 --dry-run", "out of reach"),
-        ("--start 0.6 0 0.2 --end 0.6 0 0.2 --dry-run", "two different points"),
-        (
-            "--from-file robots/rx90b/task.yaml --acceleration 40 --dry-run",
-            "would refuse the line: point 2: joint_1 has",
-        ),
-        ("--from-file nowhere.yaml --dry-run", "no file 'nowhere.yaml'"),
-        ("--start 0.6 0 0.2 --end 0.6 0.1 0.2 --tool nowhere.yaml --dry-run", "no file 'nowhere.yaml'"),
-        ("--from-file robots/rx90b/task.yaml --dry-run --output /nowhere/a.yaml", "/nowhere does not exist; acc"),
-        ("--from-file robots/rx90b/task.yaml --start-time -1", "start time is -1 s"),
-        ("--from-file robots/rx90b/task.yaml --node bad/-name", "name is 'bad/-name' ("),
-        ("--from-file robots/rx90b/task.yaml --ros-args -r", "ROS arguments "),
-        ("--from-file robots/rx90b/task.yaml --ros-args -p foo", "ROS arguments "),
-    ],
-)
-def test_a_mistake_gives_one_line_and_a_status(
-    capsys: pytest.CaptureFixture[str], arguments: str, expected: str
-) -> None:
-    """Each mistake leaves one line on standard error, no traceback, and the exit status of a refusal."""
-    assert run("rx90_line", arguments.split()) == 2
-    error = capsys.readouterr().err
-    assert expected in error
-    assert error.startswith("rx90_line: ")
-    assert error.count("\n") == 1
-
-
 class Listener:
     """A controller's ears and a simulation's mouth: takes trajectories, tells joint states."""
 
@@ -187,10 +158,7 @@ def test_a_controller_that_comes_later_gets_the_whole_trajectory(
 def test_approach_comes_first_where_the_arm_stands_elsewhere(
     shipped: Setup, listener: Listener, start_apart: Start
 ) -> None:
-    """From another pose the first point, the start of the line, comes after the time a joint move takes.
-
-    For a controller that is named with its namespace the joint states of that namespace are asked.
-    """
+    """From another pose the first point, the start of the line, comes after the time a joint move takes."""
     plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
     here = plan.start_pose + np.array([0.1, -0.2, 0.3, 0.0, 0.1, -0.4])
     listener.tell(shipped.robot.joint_names, here)

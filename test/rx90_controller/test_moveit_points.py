@@ -113,11 +113,9 @@ def joint_path(generator: np.random.Generator, lower: Array, upper: Array) -> Ar
     return np.array(poses)
 
 
+@pytest.mark.slow
 def test_time_optimal_plans_are_taken_as_they_are_sent(setup: Setup) -> None:
-    """100 of 100: their ends move by rounding, their times are doubles, or nanoseconds, their starts are near by.
-
-    Each is followed to its last position, and rests there.
-    """
+    """100 of 100: their ends move by rounding, their times are doubles, or nanoseconds, their starts are near by."""
     velocity, acceleration = joint_limits(setup)
     limits, names, generator = setup.controller.limits(setup.robot), setup.robot.joint_names, np.random.default_rng(23)
     moving = 0
@@ -182,10 +180,7 @@ def lines(request: pytest.FixtureRequest) -> tuple[Setup, list[LinePlan]]:
 
 
 def test_lines_of_moveit_are_taken_with_velocities_from_their_positions(lines: tuple[Setup, list[LinePlan]]) -> None:
-    """LIN carries velocities that lag: many lines are refused with them, naming the parameter, and none without.
-
-    Then every point is met, at both ends at rest, and the tool stays nearer to the line.
-    """
+    """LIN carries velocities that lag: many lines are refused with them, naming the parameter, and none without."""
     setup, plans = lines
     refused = [why(setup, pilz_line(plan)) for plan in plans]
     assert sum(map(bool, refused)) > 1

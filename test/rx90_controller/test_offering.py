@@ -89,10 +89,7 @@ def goal(rig: Rig, given: SimpleNamespace) -> mock.Mock:
 def test_what_may_take_long_is_checked_while_ticks_run(
     ways: Ways, offered: str, count: int, last: float, beside: bool
 ) -> None:
-    """Goals and trajectories of more than 20 points, or 20 s: from rest, on the way, and behind one that waits.
-
-    What is told of them says which were goals.
-    """
+    """Goals and trajectories of more than 20 points, or 20 s: from rest, on the way, and behind one that waits."""
     rig = ways.rig
     with mock.patch.object(points, "joint_table", wraps=points.joint_table) as table:
         table.side_effect = lambda *_, **__: ways.beside.append(not rig.loop.between_ticks.locked()) or mock.DEFAULT

@@ -20,7 +20,7 @@ from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
-from rx90_common.base.errors import LineError, Rx90Error
+from rx90_common.base.errors import LineError
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.plan import check_plan, describe_line, plan_line
 from rx90_controller.lines.task import TrapezoidalProfile
@@ -340,9 +340,3 @@ def test_the_command_writes_the_trajectory_that_the_engine_runs(
     assert run("rx90_path", [str(bad), "--dry-run"]) == 2
     error = capsys.readouterr().err
     assert re.fullmatch(r"rx90_path: .*segments\[0\].*accepted: 3 numbers.*\n", error)
-
-
-def test_errors_are_of_the_project() -> None:
-    """A path file that does not exist is refused as every file."""
-    with pytest.raises(Rx90Error, match="neither"):
-        load_path("nowhere.yaml")

@@ -72,11 +72,7 @@ def damage(generator: Generator, sent: Any) -> None:
 
 
 def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits() -> None:
-    """Each of 500 goals is refused in one line, or followed; no set-point leaves the limits of any quantity.
-
-    They come one into the other, with every choice of options, some of them planned while the arm goes on; some are
-    cancelled, and the speed changes.
-    """
+    """Each of 500 goals is refused in one line, or followed; no set-point leaves the limits of any quantity."""
     generator = np.random.default_rng(20)
     follower = TrajectoryGenerator(LIMITS, PERIOD, np.zeros(6))
     cs7b: Any = SimpleNamespace(

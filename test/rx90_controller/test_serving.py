@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from processes import TIMEOUT, wait_until
 
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
 from rx90_common.exchange.pacing import Pacer
+from rx90_common.exchange.topics import FREE_RUNNING, TimeMode
 from rx90_controller.node import serving
 from rx90_controller.node.servo_loop import MotorStates
 
@@ -63,6 +67,9 @@ class Simulation:
     def publish(self, raw: bytes) -> None:
         """Note the command."""
         self.commands.append(raw)
+
+    def wake(self) -> None:
+        """Nobody waits."""
 
 
 class Loops:
@@ -179,6 +186,21 @@ def test_two_simulations_in_lock_step_get_no_commands_until_one_is_left(lock_ste
     lock_step.hear(message(40), message(41))
     assert len(simulation.commands) == sent + 2
     assert lock_step.begun[-1] == 40
+
+
+def test_a_mode_that_comes_late_costs_no_trajectory() -> None:
+    """Loops that begin before it is known would begin again in it, and drop the trajectory: they begin once, in it."""
+    loops = Loops(Simulation())
+    loops.simulation.sleep(0.1)
+    thread = threading.Thread(target=loops.side.run, daemon=True)
+    thread.start()
+    time.sleep(0.2)
+    assert loops.begun == []
+    loops.side.follow(TimeMode(FREE_RUNNING, RATES, "robot"))
+    wait_until(lambda: len(loops.ticks) > 1000, "ticks")
+    loops.side.stop()
+    thread.join(TIMEOUT)
+    assert len(loops.begun) == 1
 
 
 @pytest.fixture

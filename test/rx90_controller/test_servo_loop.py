@@ -5,6 +5,7 @@ Where the motors of the rig stand still, the error of a joint is its set-point: 
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -13,6 +14,7 @@ from joint_moves import trajectory
 from servo_rig import Rig
 
 from rx90_controller.trajectory.request import Feedback, GoalTolerances, JoinedAhead, State, TrajectoryRequest
+from rx90_emulator.loop.setup import Setup
 
 RATIO = 4  # ticks for each of the position loop, which come every millisecond
 
@@ -311,3 +313,29 @@ def test_what_is_held_to_constraints(held: Callable[..., Rig]) -> None:
     offer(rig, 0.1)
     rig.run(0, RATIO * 1500)
     assert len(aborted(rig)) == 2
+
+
+@pytest.mark.parametrize("field", ["kp", "ki", "viscous"])
+def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, field: str) -> None:
+    """One line names the joint, no torque that is not finite goes out, and enable after mending goes on.
+
+    The value comes past the checks, as one would by Python.
+    """
+    huge = np.array(getattr(shipped.controller, field))
+    huge[3] = 1e308 if field == "kp" else np.inf
+    object.__setattr__(absurd := dataclasses.replace(shipped.controller), field, huge)
+    good = rig.cs7b.law.copy()
+    rig.loop.hold(rig.states(0))
+    assert all(rig.run(0, 8))
+    with np.errstate(all="ignore"):
+        rig.loop.change_law(absurd.record(shipped.robot, shipped.drives, shipped.rates), lambda _: None)
+    assert not any(rig.run(8, 40)[4:])
+    assert rig.around.published == [0, 4 * rig.period]  # torques that are no numbers are not published
+    (line,) = (line for line in rig.around.lines if "torque nan Nm" in line)
+    assert line.startswith("joint_4: torque nan Nm at 0.002 s; accepted: finite torques; torque off")
+    assert np.isfinite(rig.loop.command).all()
+    rig.loop.change_law(good, lambda _: None)
+    rig.loop.enable(True)
+    assert all(rig.run(48, 40))
+    assert np.isfinite(rig.loop.command).all()
+    assert np.isfinite(rig.cs7b.saturated).all()

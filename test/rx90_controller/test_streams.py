@@ -295,11 +295,7 @@ def test_single_points_are_followed_at_their_time(arm: Arm, velocities: str) -> 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.003])
 def test_moveit_servo_drives_the_arm(arm: Arm, jitter: float) -> None:
-    """Its windows of points, with stamps in the past and velocities at the end, are one stream that is followed.
-
-    Jogged to and fro, with wake-ups that are late at random, the arm is where Servo wanted it at that time, and where
-    it stopped in the end. Nothing is rejected.
-    """
+    """Its windows of points, with stamps in the past and velocities at the end, are one stream that is followed."""
     servo, random, wanted = Servo(np.zeros(6)), np.random.default_rng(1), {}
     for k in range(1, 200):
         at = k * 0.01 + jitter * random.random()

@@ -58,10 +58,7 @@ REFUSALS: list[tuple[dict[str, Any], str]] = [
     ({"times": [], "position": [], "velocity": [], "acceleration": []}, "no points; accepted: at least one"),
     ({"times": [-0.5, 2.0, 3.0]}, "point 0: time_from_start -0.5 s; accepted: 0, or a nanosecond and more"),
     ({"times": [1.0, 1.0, 2.0]}, "point 1: time_from_start 1 s after 1 s; accepted: increasing"),
-    (
-        {"times": [1.0, 2.0, 2.0], "position": [ROW, REST, ROW]},
-        "point 2: time_from_start 2 s after 2 s; accepted: incr",
-    ),
+    ({"times": [1.0, 2.0, 2.0], "position": [ROW, REST, ROW]}, "point 2: time_from_start 2 s after 2 s; accepted: "),
     ({"times": [1.0, 0.5, 3.0]}, "point 1: time_from_start 0.5 s after 1 s"),
     ({"times": [1.0, math.nan, 3.0]}, "point 1: time_from_start nan s; accepted: a number"),
     ({"times": [math.nan, 2.0, 3.0]}, "point 0: time_from_start nan s; accepted: a number"),
@@ -255,10 +252,7 @@ def test_it_ends_with_a_velocity_as_it_begins_with_one_backwards(count: int) -> 
     ("times", "said"),
     [
         ([0.0, 0.4], r"^point 1: joint_1 cannot go 0.5 rad in 0.4 s with its ramps of 8 rad/s\^2; accepted: a later"),
-        (
-            [0.0, 1.0, 1.05, 2.0],
-            r"^point 2: 0.05 s after the point before, the ramps of the velocity take 1.3\d+ s; acc",
-        ),
+        ([0.0, 1.0, 1.05, 2.0], r"^point 2: 0.05 s after the point before, the ramps of the velocity take 1.3\d+ s;"),
         ([0.0, 0.2, 1.0], "^point 1: joint_1 cannot go 0.5 rad in 0.2 s"),
         ([0.0, 1.0, 1.2], "^point 2: joint_1 cannot go -0.5 rad in 0.2 s"),
     ],

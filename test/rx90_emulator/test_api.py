@@ -59,10 +59,7 @@ def test_a_star_import_brings_in_the_whole_api_and_no_ros() -> None:
 
 
 def test_every_name_explains_itself() -> None:
-    """Each name has a docstring that begins with a sentence, and each function a type for all that it takes and gives.
-
-    The names are those of the imports for type checkers; they stand in the module's overview, help() and dir().
-    """
+    """Each name has a docstring that begins with a sentence, and each function a type for all it takes and gives."""
     tree = ast.parse(Path(rx.__file__).read_text(encoding="utf-8"))
     imports = (node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom))
     typed = {one.asname: node.module for node in imports for one in node.names if one.asname == one.name}
@@ -160,18 +157,6 @@ def points(**changes: object) -> rx.TrajectoryPoints:
         (lambda _: rx.FrictionFile({}, provenance="guessed"), "provenance is 'guessed'; accepted: one of published"),
         (lambda _: rx.load_setup(tool="x" * 5000), "File name too long"),
         (lambda _: rx.Sweep(rx.SweepPlan.of_grid({"task.speed": [0.1]})).simulate(1), "run 1; accepted: 0 to 0"),
-    ],
-)
-def test_nonsense_is_refused_in_one_line(call: Callable[[rx.Setup], object], message: str) -> None:
-    """Values and shapes that no run could mean anything with are an Rx90Error with what is accepted."""
-    with pytest.raises(rx.Rx90Error, match=message) as refused:
-        call(rx.load_setup())
-    assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
         (lambda s: rx.run_line(rx.load_task(), s), "setup is of type LineTask; accepted: Setup"),
         (lambda s: rx.run_line(s, "robots/rx90b/task.yaml"), "task is of type str; accepted: LineTask"),
         (lambda s: rx.simulate(s, None), "points is of type NoneType; accepted: TrajectoryPoints"),
@@ -183,10 +168,11 @@ def test_nonsense_is_refused_in_one_line(call: Callable[[rx.Setup], object], mes
         (lambda _: rx.compare_series(None, None), "a is of type NoneType; accepted: JointSeries"),
     ],
 )
-def test_arguments_of_a_wrong_type_are_named(call: Callable[[rx.Setup], object], message: str) -> None:
-    """Arguments in a wrong order or of another type are a TypeError that names argument and type."""
-    with pytest.raises(TypeError, match=message):
+def test_nonsense_is_refused_in_one_line(call: Callable[[rx.Setup], object], message: str) -> None:
+    """Values and shapes without a meaning are an Rx90Error with what is accepted, another type is a TypeError."""
+    with pytest.raises(TypeError if "is of type" in message else rx.Rx90Error, match=message) as refused:
         call(rx.load_setup())
+    assert "\n" not in str(refused.value)
 
 
 def test_the_api_warns_of_what_rx90_run_announces(tmp_path: Path) -> None:

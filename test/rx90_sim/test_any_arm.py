@@ -65,10 +65,7 @@ def test_dynamics_equal_pinocchio_s(arm: Arm) -> None:
 
 
 def test_steps_converge_to_the_solution_of_a_stiff_solver(arm: Arm) -> None:
-    """Under motor torques that jump, joints and bristles come to the solver's with order 2, and are near it at once.
-
-    What the plant says of its friction are the paper's torques at the inputs of the elements, sums of joints included.
-    """
+    """Under motor torques that jump, joints and bristles come to the solver's with order 2, and are near it at once."""
     setup, n = arm.setup, len(arm.oracle.turns)
     pose, ticks = np.full(n, 0.4), 40
     pieces = np.random.default_rng(n).uniform(-0.4, 0.4, (2, n)) * setup.drives.peak_torque

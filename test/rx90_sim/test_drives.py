@@ -105,23 +105,15 @@ def test_the_velocity_is_the_tracking_loop_s_answer_to_the_motor_s_angle(shipped
     assert np.abs(got - want).max() < 1e-8 * np.abs(want).max()
 
 
-def test_an_observer_beyond_the_tick_rate_is_refused(shipped: Setup) -> None:
-    """A velocity bandwidth of half the base rate or more is refused with its value and the range."""
+def test_what_makes_no_plant_or_pose_is_refused(shipped: Setup) -> None:
+    """An observer of half the base rate, no steps in a tick, and poses beyond limits, not finite or of another size."""
     drives = dataclasses.replace(shipped.drives, velocity_bandwidth=500.0)
     setup = dataclasses.replace(shipped, drives=drives, rates=Rates(1000, 1000))
     with pytest.raises(ConfigError, match=r"velocity_bandwidth is 500\.0 Hz; accepted: below .* 500 Hz"):
         setup.plant()
-
-
-@pytest.mark.parametrize("substeps", [0, -1])
-def test_no_substeps_are_refused(shipped: Setup, substeps: int) -> None:
-    """Fewer than one plant step in a tick is refused with the value."""
-    with pytest.raises(ConfigError, match=rf"substeps is {substeps}; accepted"):
-        shipped.plant(substeps)
-
-
-def test_reset_refuses_what_is_no_pose(shipped: Setup) -> None:
-    """An initial position outside the limits, not finite or of another size is refused by joint and value."""
+    for substeps in (0, -1):
+        with pytest.raises(ConfigError, match=rf"substeps is {substeps}; accepted"):
+            shipped.plant(substeps)
     plant = shipped.plant()
     for bad in (np.inf, np.nan, 2.5):
         with pytest.raises(ConfigError, match=rf"joint_2 is {bad} rad; accepted: \[-2\.3998, 2\.3998\]"):

@@ -155,10 +155,7 @@ def test_presliding_hysteresis_is_closed_and_independent_of_rate(
 def test_a_mass_under_constant_load_does_not_creep(
     masses: Masses, shipped: Setup, paper_element: FrictionElement
 ) -> None:
-    """Below break-away a mass moves by its bristle, then keeps every bit of its position from then on.
-
-    So it does where the viscous part grows less than linearly, with a slope at rest that is far beyond c2.
-    """
+    """Below break-away a mass moves by its bristle, then keeps every bit of its position from then on."""
     first, second, third = shipped.friction.elements[:3]
     elements = [first, replace(second, alpha=0.6), replace(third, alpha=0.4), paper_element]
     load = np.array([0.8 * e.tau_c_positive for e in elements])

@@ -5,16 +5,18 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
 from rx90_common.exchange.pacing import OnceLog, ThrottledLog
 from rx90_sim.node import held_command
-from rx90_sim.node.held_command import HeldCommand, NewestCommand
+from rx90_sim.node.held_command import CommandWatch, HeldCommand, JointCommands, NewestCommand
 
 CODEC = JointStateCodec(["a"])
 PERIOD = 250_000
@@ -40,10 +42,16 @@ class Drive:
         self.publishers = 1
         self.hold(held_command.HeldCommand, TIMEOUT, partial(ThrottledLog(self.said.append).say, "command"))
 
-    def hold(self, kind: type[HeldCommand], timeout: float, complain: Callable[[str], None]) -> None:
+    def hold(
+        self,
+        kind: type[HeldCommand],
+        timeout: float,
+        complain: Callable[[str], None],
+        decode: Callable[[bytes], Any] = lambda raw: CODEC.decode(raw)[3],
+    ) -> None:
         """Hold commands in this way."""
         channel: Any = self
-        self.held = kind(channel, lambda raw: CODEC.decode(raw)[3], PERIOD, timeout, self.said.append, complain)
+        self.held = kind(channel, decode, PERIOD, timeout, self.said.append, complain)
 
     def receive(self, timeout: float) -> bytes | None:
         """Return the next command."""
@@ -231,3 +239,59 @@ def test_commands_from_before_a_reset_are_none_of_another_clock(joints: Drive) -
     assert joints.tick(1002, 1003) is None
     assert joints.tick(2) == 2.0
     assert not [line for line in joints.said if "stamp" in line]
+
+
+JOINTS = ("joint_1", "joint_2")
+ONES = np.ones(2)
+
+
+@pytest.mark.parametrize(
+    ("names", "arrays", "words"),
+    [
+        (("a", "joint_2"), {"effort": ONES}, "joint name 'a' is unknown; accepted: joint_1, joint_2"),
+        (JOINTS[:1], {"effort": ONES[:1]}, "joint name 'joint_2' is missing; accepted: joint_1, joint_2"),
+        (JOINTS, {"position": ONES}, "position without effort; accepted: 2 efforts at the joints, Nm"),
+        (JOINTS, {"effort": np.array([np.nan, 0.0])}, "effort of joint_1 is nan; accepted: a finite number"),
+        (JOINTS, {}, "effort is empty: no torque, brakes closed; for torque: 2 efforts at the joints, Nm"),
+    ],
+)
+def test_a_fault_of_an_own_controller_is_one_line(
+    drive: Drive, names: tuple[str, ...], arrays: dict[str, Any], words: str
+) -> None:
+    """However often it comes: what is wrong, and what is expected; the next right command is followed."""
+    once = OnceLog(drive.said.append, lambda: drive.now)
+    joints: Any = SimpleNamespace(motor_torques=lambda effort: effort)
+    drive.hold(NewestCommand, 0.01, once.say, JointCommands(joints, JOINTS, "/joint_commands", once).decode)
+    for k in range(1, 51):
+        drive.inbox = [JointStateCodec(names).encode(k * PERIOD, **arrays)]
+        assert drive.tick() is None
+    assert [words in line for line in drive.said].count(True) == 1
+    drive.inbox = [JointStateCodec(JOINTS).encode(51 * PERIOD, effort=ONES)]
+    assert drive.tick() == 1.0
+
+
+def test_publishers_that_are_not_heard_are_told_once() -> None:
+    """Best effort, another type, and the topic of the other interface: node and what is accepted."""
+
+    def endpoint(node: str, kind: str, reliability: ReliabilityPolicy) -> SimpleNamespace:
+        qos = QoSProfile(depth=1, reliability=reliability)
+        return SimpleNamespace(node_name=node, endpoint_gid=node.encode(), topic_type=kind, qos_profile=qos)
+
+    good = "sensor_msgs/msg/JointState", ReliabilityPolicy.RELIABLE
+    hasty = endpoint("hasty", good[0], ReliabilityPolicy.BEST_EFFORT)
+    other = endpoint("other", "std_msgs/msg/Float64MultiArray", good[1])
+    publishers = {"/joint_commands": [hasty, other], "/motor_commands": [endpoint("stray", *good)]}
+    node: Any = SimpleNamespace(
+        resolve_topic_name=lambda name: f"/{name}",
+        create_timer=lambda *_: None,
+        get_publishers_info_by_topic=lambda topic: publishers.get(topic, []),
+        get_subscriptions_info_by_topic=lambda _: [],
+    )
+    said: list[str] = []
+    watch = CommandWatch(node, "joint", OnceLog(said.append, lambda: 0.0))
+    for _ in range(5):
+        watch.look()
+    assert len(said) == 3
+    assert said[0].startswith("/joint_commands: node hasty publishes best effort, which is not heard; accepted: ")
+    assert said[1].endswith("node other publishes std_msgs/msg/Float64MultiArray; accepted: sensor_msgs/msg/JointState")
+    assert said[2].startswith("/motor_commands: node stray is not heard, because command_interface is joint; accepted")

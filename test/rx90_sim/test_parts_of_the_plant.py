@@ -34,10 +34,7 @@ def test_second_order_with_load_and_ripple(arm: Setup) -> None:
 
 
 def test_the_load_is_what_the_links_ask_for(arm: Setup) -> None:
-    """Held by its brakes and moved by its motors, a joint transmits what Pinocchio's arm without rotors needs.
-
-    So does one that hangs in an elastic gear, held.
-    """
+    """Held by its brakes and moved by its motors, a joint transmits what Pinocchio's arm without rotors needs."""
     plant, model = arm.plant(), arm.robot.model
     nothing, spring = np.zeros((1, 6)), arm.drives.spring_torque
 

@@ -16,6 +16,8 @@ from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import Curve, Panel, Plot
 from rx90_emulator.cli.frame import run
 
+pytestmark = pytest.mark.slow
+
 NAMES = ("joint_1", "joint_2")
 STAMPS = np.arange(0, 400_000_000, 1_000_000)
 TIME = STAMPS / 1e9

@@ -164,6 +164,7 @@ def test_series_are_checked_and_cut() -> None:
             JointSeries(**({"topic": "/t", "names": NAMES, "stamp_ns": good.stamp_ns} | bad))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("warm")  # whose imports bring no rclpy either: it would not fork
 def test_reading_and_writing_need_no_ros() -> None:
     """Reading, writing, comparing and summarising import nothing of rclpy."""

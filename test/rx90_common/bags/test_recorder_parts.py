@@ -54,6 +54,7 @@ class Publisher:
         return Arrived(0, self.time_source, MessageBatch.of([b"%d" % self.taken]), np.zeros(1, dtype=np.int64))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("resent_after", [0.0, 0.6])
 def test_a_publisher_that_goes_on_is_read_up_to_the_end_that_was_asked_for(
     monkeypatch: pytest.MonkeyPatch, resent_after: float

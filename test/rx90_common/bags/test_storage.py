@@ -185,6 +185,7 @@ def read_by_index(path: Path) -> Messages | None:
         return None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mcap", "sqlite3", "foreign mcap"])
 def test_a_bit_that_has_changed_is_noticed_or_does_no_harm(tmp_path: Path, kind: str) -> None:
     """Each bag with a flipped bit is refused, or gives what another reader finds by the index; ours: what was written.
@@ -271,6 +272,7 @@ def test_a_chunk_takes_no_more_memory_than_its_head_says(
 
 
 # The list stands for that of the profile.
+@pytest.mark.slow
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.data())
 @pytest.mark.parametrize("kind", [*STORAGES, "ros1"])

@@ -98,17 +98,9 @@ def test_a_file_that_cannot_be_opened_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "number"),
-    [
-        ("1e5", 1e5),
-        ("1.0e5", 1e5),
-        ("-2E-3", -2e-3),
-        ("1e+5", 1e5),
-        (".5", 0.5),
-        ("010", 10.0),
-        ("0x1F", 31.0),
-        ("0o17", 15.0),
-    ],
-)
+    [("1e5", 1e5), ("1.0e5", 1e5), ("-2E-3", -2e-3), ("1e+5", 1e5), (".5", 0.5), ("010", 10.0), ("0x1F", 31.0),
+     ("0o17", 15.0)],
+)  # fmt: skip
 def test_numbers_are_what_they_look_like(write: Write, text: str, number: float) -> None:
     """Every usual way to write a number is one, with or without point and sign of the exponent."""
     assert Number("").take(load_yaml(write(f"x: {text}")), "x") == number

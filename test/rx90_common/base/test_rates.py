@@ -25,22 +25,14 @@ def test_periods_and_ratio_fit_together(base: int, position: int) -> None:
     assert rates.position_period == 1 / position
 
 
-@pytest.mark.parametrize("base", [0, -4000, 3000, 7, NANOSECONDS + 1])
-def test_a_base_rate_without_a_whole_period_is_refused(base: int) -> None:
-    """A base rate that is not positive, or whose period is no whole number of ns, is refused by value."""
-    with pytest.raises(ConfigError, match=rf"base_rate is {base} Hz; accepted"):
-        Rates(base, 1)
-
-
-@pytest.mark.parametrize("position", [0, -1, 3, 300, 8000])
-def test_a_ratio_that_is_no_whole_number_is_refused(position: int) -> None:
-    """A position rate that does not divide the base rate is refused with rates that would."""
-    with pytest.raises(ConfigError, match=rf"position_rate is {position} Hz; accepted: .* 4000 Hz, such as .*1000"):
-        Rates(4000, position)
-
-
-def test_any_rate_is_refused_under_its_own_name() -> None:
-    """A rate of a topic is refused by the name it is given."""
+def test_rates_that_do_not_divide_are_refused() -> None:
+    """Without a whole period in ns, or a whole number of ticks for one of a loop or topic: by name and value."""
+    for base in (0, -4000, 3000, 7, NANOSECONDS + 1):
+        with pytest.raises(ConfigError, match=rf"base_rate is {base} Hz; accepted"):
+            Rates(base, 1)
+    for position in (0, -1, 3, 300, 8000):
+        with pytest.raises(ConfigError, match=rf"position_rate is {position} Hz; accepted: .* 4000 Hz, such as .*1000"):
+            Rates(4000, position)
     assert ticks_per("clock_rate", 4000, 100) == 40
     with pytest.raises(ConfigError, match="clock_rate is 30 Hz"):
         ticks_per("clock_rate", 4000, 30)

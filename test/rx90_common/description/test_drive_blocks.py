@@ -37,10 +37,7 @@ SENSOR = {"offset": [0.02] * 6, "noise": [0.01] * 6, "resolution": [0.005] * 6, 
 
 
 def test_the_blocks_are_read(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
-    """What a file says is what the drives have.
-
-    What it leaves out: phases are 0, windings as warm as their surroundings and of copper (IEC 60028) at 20 degrees.
-    """
+    """What a file says is what the drives have."""
     cogging = load_drives(edited_yaml(shipped_files.drives, ("cogging",), COGGING)).cogging
     assert cogging.harmonic.tolist() == COGGING["harmonic"]
     assert cogging.amplitude.tolist() == COGGING["amplitude"]

@@ -84,19 +84,14 @@ def test_a_variant_has_what_it_lacks_from_the_robot_that_it_lies_in(tmp_path: Pa
     assert RobotFiles.named(str(whole)).tool is None
 
 
-def test_a_folder_without_files_is_no_robot(tmp_path: Path) -> None:
-    """A folder that holds none of a robot's files is refused, named once, with the files that make one."""
+def test_what_is_no_robot_is_refused(tmp_path: Path) -> None:
+    """A folder without a robot's files, and what is neither a shipped name nor a folder, with what makes one."""
     with pytest.raises(ConfigError, match=rf"^robot '{tmp_path}': none of a robot's files; accepted: a folder with r"):
         RobotFiles.named(str(tmp_path))
-
-
-@pytest.mark.parametrize("name", ["tx50", "", "x" * 5000, "~nobody_of_this_name/x", "config/robots/rx90b/robot.urdf"])
-def test_an_unknown_robot_is_refused_with_those_that_there_are(name: str) -> None:
-    """What is neither a shipped name nor a folder is refused in one line that lists the shipped robots."""
-    with pytest.raises(ConfigError) as caught:
-        RobotFiles.named(name)
-    assert f"no such folder; accepted: {', '.join(shipped_robots())}, or a robot folder's path" in str(caught.value)
-    assert "\n" not in str(caught.value)
+    shipped = f"no such folder; accepted: {', '.join(shipped_robots())}, or a robot folder's path"
+    for name in ("tx50", "", "x" * 5000, "~nobody_of_this_name/x", "config/robots/rx90b/robot.urdf"):
+        with pytest.raises(ConfigError, match=rf"^.*{shipped}.*$"):
+            RobotFiles.named(name)
 
 
 @pytest.mark.parametrize("name", ["friction", "controller"])
@@ -119,10 +114,7 @@ def test_the_paper_s_files_do_not_drift_from_the_shipped_ones(name: str) -> None
 
 
 def test_each_file_tells_of_its_blocks_else_of_itself(tmp_path: Path) -> None:
-    """By block where blocks say it, by file where that says it alone, and that it is not said where nothing does.
-
-    The URDF is left out, and so is a file that the robot has not.
-    """
+    """By block where blocks say it, by file where that says it alone, and that it is not said where nothing does."""
     texts = {
         "drives": "a: {provenance: assumed, x: 1}\nb: {provenance: published, x: 1}\nc: {x: 1}\n",
         "friction": "provenance: identified\nblock: {x: 1}\n",

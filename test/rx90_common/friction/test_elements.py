@@ -80,10 +80,7 @@ PLAIN = FrictionElement(25.0, 25.0, 28.0, 28.0, 0.05, 1.0, 1e5, 100.0, 14.0)
 
 @pytest.mark.parametrize("bristles", [ElastoPlastic(0.7), MaxwellSlip((0.6, 0.4), (0.7, 0.3), 5000.0)])
 def test_other_bristles_are_springs_below_break_away(bristles: BristlesPart) -> None:
-    """Below break-away the mean torque of a step is c0 x + (c1 + c2) v in its middle; LuGre's beside it bends.
-
-    A step of no time, as between repeated stamps, has the torque of that moment.
-    """
+    """Below break-away the mean torque of a step is c0 x + (c1 + c2) v in its middle; LuGre's beside it bends."""
     steps = np.full(400, 1e-3)
     steps[[0, 200]] = 0.0
     time = np.cumsum(steps)

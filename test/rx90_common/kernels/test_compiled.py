@@ -18,6 +18,8 @@ from rx90_common.base.share import PACKAGES, ROOT, importers_of, with_imports
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.elementary import exponential
 
+pytestmark = pytest.mark.slow
+
 ANNOUNCED = r"program: compiling the numerical kernels, .*\n"
 ANNOUNCE = "from rx90_common.kernels import announce_compilation\nannounce_compilation('program')\n"
 

@@ -28,6 +28,8 @@ from rx90_common.kernels.elementary import (
 from rx90_common.kernels.lanes import load, store
 from rx90_common.process.children import TIMEOUT
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 

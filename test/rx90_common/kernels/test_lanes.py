@@ -34,6 +34,8 @@ from rx90_common.kernels.lanes import (
     suffix_sum,
 )
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(5)
 A, B = RNG.normal(size=(2, 7)) * 10.0 ** RNG.integers(-5, 5, (2, 7))

@@ -13,6 +13,8 @@ from processes import Processes, wait_until
 
 from rx90_common.process.children import ChildProcess, ProcessGroup
 
+pytestmark = pytest.mark.slow
+
 STUBBORN = """
 import os, signal, time
 signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -6,8 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from rx90_common.process.files import hidden_folder, write_text
 
 _HOLDS = """
@@ -41,10 +39,3 @@ def test_what_a_killed_process_left_is_swept_and_what_a_running_one_makes_is_not
     assert left.is_dir()
     write_text(other, "next")
     assert sorted(path.name for path in tmp_path.iterdir()) == [mine.name, "other", "table.csv"]
-
-
-def test_an_error_in_the_block_leaves_nothing(tmp_path: Path) -> None:
-    """As the end of the block does."""
-    with pytest.raises(RuntimeError), hidden_folder(tmp_path / "file"):
-        raise RuntimeError
-    assert not list(tmp_path.iterdir())

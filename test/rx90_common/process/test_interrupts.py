@@ -19,6 +19,8 @@ from processes import wait_until
 
 from rx90_common.process.interrupts import StopRequest, deferred_interrupts, install_deferred_sigint, stop_request
 
+pytestmark = pytest.mark.slow
+
 
 def _interrupted_block(reached: list[str], *, check: bool) -> None:
     with deferred_interrupts() as check_interrupt:
@@ -127,10 +129,7 @@ with ends_within(0.1, 0.1 if "stuck" in sys.argv else 60.0, last, stuck) as star
     ],
 )
 def test_it_ends_however_busy_it_is(words: list[str], code: int, said: str) -> None:
-    """Ctrl-C ends a start in compiled code within its time, with 130 and its children; once it is over, as usual.
-
-    One that then waits for ever is cut off with 3, and says where it waited.
-    """
+    """Ctrl-C ends a start in compiled code within its time, with 130 and its children; once it is over, as usual."""
     with subprocess.Popen(
         [sys.executable, "-c", _BUSY, *words],
         stdout=subprocess.PIPE,

@@ -11,6 +11,8 @@ import pytest
 
 from rx90_common.process.children import executable
 
+pytestmark = pytest.mark.slow
+
 TOOLS = {
     "rx90_line": ["--from-file", "robots/rx90b/task.yaml", "--dry-run"],
     "rx90_sim": ["--help"],

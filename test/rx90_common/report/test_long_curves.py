@@ -6,10 +6,13 @@ import math
 import re
 
 import numpy as np
+import pytest
 
 from rx90_common.base.arrays import least_and_largest
 from rx90_common.report.page import render_page
 from rx90_common.report.plot import Curve, Panel, Plot, with_fewer_points
+
+pytestmark = pytest.mark.slow
 
 
 def thinned(plot: Plot) -> Plot:
@@ -102,15 +105,3 @@ def test_a_page_of_many_dense_curves_stays_small() -> None:
     assert len(page.encode()) <= 3_000_000
     (columns,) = re.findall(r"in each of (\d+) parts", page)
     assert 30 <= int(columns) < 100
-
-
-def test_a_curve_over_decades_of_one_axis_keeps_its_shape() -> None:
-    """Columns are even on the axis as it is drawn, and the values' axis may be another one."""
-    x = np.logspace(-6.0, 0.0, 200_000)
-    for scales in ({"x_scale": "log"}, {"x_scale": "log", "y_scale": "log"}):
-        few = only_curve(thinned(Plot([Panel([Curve(x, 2.0 + np.sin(np.log(x)))], **scales)])))[1]
-        assert len(few.x) < 33_000
-        assert np.diff(np.log10(few.x)).max() < 6.0 / 4000
-    x = np.linspace(1e-6, 1.0, 200_000)
-    few = only_curve(thinned(Plot([Panel([Curve(x, x)], y_scale="log")])))[1]
-    assert np.diff(few.x).max() < 1.0 / 4000

@@ -16,6 +16,8 @@ from rx90_common.report.page import plot_json, render_page
 from rx90_common.report.picture import as_svg, write_picture
 from rx90_common.report.plot import Band, Curve, Dots, Level, Panel, Plot
 
+pytestmark = pytest.mark.slow
+
 TIME = np.linspace(0.0, 8.0, 8001)
 NOISE = np.random.default_rng(5).normal(size=len(TIME))
 
@@ -37,34 +39,6 @@ def test_numbers_in_the_page_keep_their_precision_far_from_zero() -> None:
         values = offset + size * NOISE[:100]
         stored = arrays(plot_json(Plot([panel(Dots(TIME[:100], values))])))
         assert min(np.abs(found - values).max() for found in stored if len(found) == 100) < 1e-5 * np.ptp(values)
-
-
-def test_a_gap_of_a_band_stays_one() -> None:
-    """To be zoomed, a band with a gap is two outlines, each forth along its low and back along its high edge."""
-    x, low = np.arange(5.0), np.array([0.0, 1.0, np.nan, 3.0, 4.0])
-    text = plot_json(Plot([panel(Band(x, low, low + 1.0))]))
-    assert '"xs",[[0.0,1.0,1.0,0.0],[3.0,4.0,4.0,3.0]]' in text
-    assert '"ys",[[0.0,1.0,2.0,1.0],[3.0,4.0,5.0,4.0]]' in text
-
-
-def test_ranges_hold_all_that_is_drawn() -> None:
-    """Axes show curves, error bars, bands and levels with a margin, shared ones those of all panels."""
-    marks = (
-        Curve(np.array([1.0, 2.0]), np.array([0.0, 1.0])),
-        Dots(np.array([3.0]), np.array([1.0]), error=np.array([4.0])),
-        Band(np.array([0.0, 1.0]), np.array([-2.0, -9.0]), np.array([0.0, 1.0])),
-        Level(7.0),
-        Level(-1.0, upright=True),
-    )
-    one = panel(*marks)
-    low, high = one.y_range
-    assert -10.0 < low < -9.0
-    assert 7.0 < high < 8.0
-    assert one.x_range == pytest.approx((-1.12, 3.12))
-    other = panel(Curve(np.array([0.0, 50.0]), np.array([0.0, 1.0])), from_zero=True)
-    assert other.y_range[0] == 0.0
-    assert Plot([one, other]).x_range == pytest.approx((-1.5, 51.5))
-    assert panel(Curve(np.array([np.nan]), np.array([np.nan]))).x_range == (0.0, 1.0)
 
 
 def test_equal_plots_are_equal_bytes(tmp_path: Path) -> None:

@@ -69,10 +69,7 @@ def line_of(path: Path, text: str) -> int:
 
 
 def test_all_problems_of_files_are_told_with_their_lines(arm: Path, capsys: Captured) -> None:
-    """Each of several faults is a line of its own, with file, line, value and what is accepted; no file hides others.
-
-    So are rules that tie two values together, and what is no YAML; the exit code is that of a file that is not there.
-    """
+    """Each of several faults is a line with file, line, value and what is accepted; no file hides others."""
     tool, friction, task = (arm / f"{name}.yaml" for name in ("tool", "friction", "task"))
     edited(tool, ("mass: 3.5", "mass: -3.5"), ("beam: [0.170", "beam: [high"), ("tcp:", "\u202ecolour: red\ntcp:"))
     edited(friction, ("tau_c: 18.0", "tau_c: 38.0"))
@@ -212,7 +209,7 @@ def test_units_defaults_and_the_choice_of_files_are_shown(show: Show, capsys: Ca
     assert "none.yaml" in capsys.readouterr().err
 
 
-def test_what_the_nodes_are_given_wins_in_the_order_of_ros(show: Show, tmp_path: Path, capsys: Captured) -> None:
+def test_what_the_nodes_are_given_wins_in_the_order_of_ros(show: Show, tmp_path: Path) -> None:
     """A single parameter wins over a file, that over the robot's files and the code; each says where it comes from."""
     file = tmp_path / "nodes.yaml"
     file.write_text(NODE_FILE, encoding="utf-8")
@@ -229,26 +226,6 @@ def test_what_the_nodes_are_given_wins_in_the_order_of_ros(show: Show, tmp_path:
     assert single[PACE.replace("sim.real_time_factor", "controller.robot")]["value"] == "tx40"
     assert single["file.drives"]["value"] == "robots/tx40/drives.yaml"
     assert single["file.drives"]["origin"] == "robot tx40"
-    for words, said in (
-        (["-p", "rx90_sim:robot:=tx40"], "robot: tx40 and rx90b; accepted: the same for both nodes"),
-        (["-p", "pace:=1"], "-p 'pace:=1': no parameter of rx90_sim or rx90_controller"),
-        (["-p", "paused"], "-p 'paused'; accepted: [NODE:]NAME:=VALUE"),
-        (["-p", "paused:=1"], "parameter paused is 1; accepted: true or false"),
-        (["--robot", "tx40", "-p", "paused:=true"], "--robot with parameters of nodes; accepted: -p robot:=..."),
-    ):
-        assert run("rx90_config", ["show", *words]) == 2
-        assert said in capsys.readouterr().err
-
-
-def test_the_table_names_assumptions_and_their_sources(capsys: Captured) -> None:
-    """For people a value stands in one line, an assumed one marked, with the number of the sentence below."""
-    assert run("rx90_config", ["show"]) == 0
-    out = capsys.readouterr().out
-    row = next(line for line in out.splitlines() if line.startswith("tool.inertial.mass"))
-    number = re.fullmatch(r"tool.inertial.mass +3.5 +kg +robots/rx90b/tool.yaml:6 +ASSUMED \[(\d+)\]", row)
-    assert number is not None, row
-    assert f"\n[{number[1]}] a welding head of 3.5 kg as a slim body" in out
-    assert re.search(r"^\d+ of \d+ values are assumed$", out, re.MULTILINE)
 
 
 OFFERED = {

@@ -10,7 +10,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -46,10 +45,7 @@ for name in frame.EXECUTABLES:
 
 @pytest.mark.parametrize("threads", [None, "3"])
 def test_help_needs_neither_compiler_nor_middleware(threads: str | None) -> None:
-    """Executables print their help, exit codes at its end, without numba, SciPy or rclpy, which take seconds.
-
-    Where the user says nothing else, they have told the linear algebra to take one thread by then.
-    """
+    """Executables print help and exit codes without numba, SciPy or rclpy, and have told OpenBLAS its threads."""
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads or ""}
     if threads is None:
         del environment["OPENBLAS_NUM_THREADS"]
@@ -90,19 +86,8 @@ def options() -> dict[str, list[argparse.Action]]:
     return found
 
 
-def test_each_command_describes_itself() -> None:
-    """Commands have descriptions of their own for `--help`, also where several stand in one module."""
-    found = {place: command_of(name, place)[0].description for name, place in EXECUTABLES.items()}
-    assert all(found.values())
-    assert len(set(found.values())) == len(found)
-
-
 def test_options_say_what_they_take(options: dict[str, list[argparse.Action]]) -> None:
-    """Each file of config/ that a help names is there; no option leaves it to Python to take a number.
-
-    What names a file in one command does so in all, and an option takes a value in all commands or in none; alone
-    `--excitation` is a kind of run where runs are planned, and takes the bags of such runs where they are used.
-    """
+    """Files that a help names are there, and an option takes the same in all commands, but for `--excitation`."""
     kinds: dict[str, set[tuple[type, object]]] = {}
     for action in itertools.chain(*options.values()):
         for file in re.findall(r"[a-z]+/\w+\.(?:yaml|urdf)", f"{action.help} {action.default}"):
@@ -164,29 +149,6 @@ def test_what_is_written_is_looked_at_before_anything_else(
     assert writers == {(option, name) for option, names in WRITTEN.items() for name in names if option != "bag"}
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["rx90_run", "--output", "there"], "there exists; accepted: a new name"),
-        (["rx90_run", "--arrays", "there"], "there exists; accepted: a new name"),
-        (["rx90_bag", "import", "log.csv", "there", "--signals", "m.yaml"], "there exists; accepted: a new name"),
-        (["rx90_experiment", "run", "--engine", "--output", "there"], "there exists; accepted: a new name"),
-        (["rx90_run", "--arrays", "none/a.npz"], "none/a.npz: the folder none does not exist; accepted: one that does"),
-        (["rx90_line", "--output", "none/a"], "none/a: the folder none does not exist; accepted: one that does"),
-        (["rx90_run", "--seed", "1e3"], "error: argument --seed: '1e3'; accepted: a whole number"),
-    ],
-)
-def test_what_is_there_and_folders_that_are_not_are_refused(
-    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """What must be new is refused where something is there, a link without an end too; so is a file without folder."""
-    (tmp_path / "there").symlink_to("nowhere")
-    monkeypatch.chdir(tmp_path)
-    assert run(words[0], words[1:]) == REFUSED
-    assert capsys.readouterr().err.endswith(f"{words[0]}: {said}\n")
-    assert [path.name for path in tmp_path.iterdir()] == ["there"]
-
-
 def test_arguments_for_ros_end_at_two_dashes() -> None:
     """What stands between --ros-args and -- is for ROS, all else for the command."""
     words = ["a", "--ros-args", "-r", "x:=y", "--", "b", "--ros-args", "-p", "c:=1"]
@@ -203,41 +165,3 @@ def test_negative_numbers_with_exponents_are_no_options() -> None:
     for word in ("-1e", "-e3", "-x1e3"):
         with pytest.raises(SystemExit):
             verb.parse_args(["--wall", "1", "1", "1", word])
-
-
-CASES = [
-    ("rx90_run", "--decimation 5", "--decimation without --output; accepted: with it"),
-    ("rx90_run", "--storage mcap --arrays run.npz", "--storage without --output; accepted: with it"),
-    ("rx90_bag", "plot bag --align start", "--align start with one bag; accepted: with two"),
-    ("rx90_bag", "export bag -o t.npz --format csv", "--format csv with the file t.npz; accepted: with a folder"),
-    ("rx90_experiment", "run --nodes --output new --storage mcap", "--storage without --engine; accepted: with it"),
-    ("rx90_experiment", "run --engine --output new --timeout 9", "--timeout without --nodes; accepted: with it"),
-    (
-        "rx90_identify",
-        "--sliding bag --output new.yaml --prior 0.2",
-        "--prior 0.2 without excitation runs; accepted: with --excitation BAG ...",
-    ),
-    ("friction_ramp", "--port /dev/rig --seed 0", "--seed with --port /dev/rig; accepted: with the emulated rig alone"),
-    ("friction_ramp", "--baud 9600", "--baud 9600 with the emulated rig; accepted: with --port of a serial line"),
-    ("friction_ramp", "--no-load-file 0.1:old.csv --repeats 2", "--repeats with old data; accepted: with a rig"),
-    ("friction_ramp", "--loaded-file 0.1:old.csv --load joint", "--load with old data; accepted: with a rig"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("command", "words", "said"), CASES)
-def test_an_option_that_would_have_no_effect_is_refused(
-    command: str,
-    words: str,
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """One line names the option and what it counts with; nothing is read or written before."""
-    monkeypatch.chdir(tmp_path)
-    assert run(command, words.split()) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    (line,) = err.splitlines()
-    assert line.startswith(f"{command}: {said}")
-    assert not list(tmp_path.iterdir())

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import sys
-import threading
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +11,6 @@ from types import SimpleNamespace
 import pytest
 from processes import Processes, wait_until
 
-from rx90_emulator.cli import view
 from rx90_emulator.cli.frame import run
 from rx90_emulator.demo import demonstration
 
@@ -29,13 +26,6 @@ def test_without_viser_nothing_is_read_before_the_refusal(
     err = capsys.readouterr().err
     assert err.startswith("rx90_view: needs viser, which is not installed; accepted: ")
     assert err.count("\n") == 1
-
-
-@pytest.mark.parametrize("words", [["--no-browser"], ["--port", "0"], ["--host", "0.0.0.0"]])
-def test_options_of_a_page_need_one(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    """The demonstration refuses options of a page that was not asked for."""
-    assert run("rx90_demo", words) == 2
-    assert capsys.readouterr().err == f"rx90_demo: {words[0]} without --view; accepted: with --view, for its page\n"
 
 
 def test_the_demonstration_hands_the_options_of_its_page_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -82,22 +72,3 @@ def test_ctrl_c_while_the_nodes_come_up(processes: Processes, said: str) -> None
     assert view.lines[-1] == "rx90_view: interrupted"
     for child in children:
         wait_until(lambda child=child: not Path(f"/proc/{child}").exists(), "the end of the nodes")  # type: ignore[misc]
-
-
-def test_a_page_that_does_not_end_says_what_it_waits_for(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """One line names each thread and the calls that it is in; no child is left."""
-    ended: list[str] = []
-    monkeypatch.setattr(view, "kill_all", lambda: ended.append("children"))
-    let_go = threading.Event()
-    waiting = threading.Thread(target=lambda: let_go.wait(60.0), name="stands still")
-    waiting.start()
-    view._say_where()
-    let_go.set()
-    waiting.join()
-    said = capsys.readouterr().err
-    assert said.startswith("rx90_view: did not end within 20 s, and was cut off. ")
-    assert said.count("\n") == 1
-    assert re.search(r"stands still: .*test_view_command.py:\d+ <lambda> > threading.py:\d+ wait", said)
-    assert ended == ["children"]

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from processes import Processes, command, wait_until
 
-from rx90_common.base.errors import DONE, FAILED, INTERRUPTED, REFUSED, VERDICT_NO
+from rx90_common.base.errors import DONE, FAILED, INTERRUPTED, VERDICT_NO
 from rx90_emulator.cli.frame import run
 from rx90_emulator.conformance import battery, bench, case, metrics
 
@@ -64,10 +64,7 @@ def test_bad_gains_do_not_pass_and_it_is_said_what_decided(tmp_path: Path, capsy
 
 @pytest.mark.usefixtures("processes", "brief", "undrawn")
 def test_another_controller_follows_set_points_at_motors_or_joints_in_the_same_bits_each_time(tmp_path: Path) -> None:
-    """An rclpy node without trajectories follows set-points by their stamps: with torques of the motors at 4 kHz.
-
-    Or with torques at the joints at 1 kHz. A second check gives the same numbers.
-    """
+    """An rclpy node without trajectories follows set-points by their stamps: with torques of the motors at 4 kHz."""
     runs = {}
     for name, side in (("motor", "motor"), ("joint", "joint"), ("again", "joint")):
         words = ["--case", "step", "--set-points", "set_points", "--command-interface", side]
@@ -108,23 +105,3 @@ def test_an_interrupted_check_leaves_no_controller(processes: Processes, tmp_pat
     check.signal(2)  # type: ignore[arg-type]
     assert check.wait() == INTERRUPTED
     assert not Path(f"/proc/{pid.read_text(encoding='utf-8')}").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["no_such_program"], "COMMAND 'no_such_program': no such program; accepted: "),
-        (["--case", "dance", "true"], "--case 'dance'; accepted: step, line, "),
-        (["--command-rate", "500", "true"], "--command-rate without --command-interface joint"),
-        (["--set-points", "set points", "true"], "--set-points 'set points'; accepted: a topic such as "),
-    ],
-)
-def test_what_cannot_be_checked_is_refused(
-    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-    ros_domain: int,  # noqa: ARG001 - its environment
-) -> None:  # fmt: skip
-    """Exit code 2, one line with the value and what is accepted, and no folder."""
-    monkeypatch.chdir(tmp_path)
-    assert run("rx90_controller_check", words) == REFUSED
-    assert said in capsys.readouterr().err.splitlines()[-1]
-    assert not (tmp_path / "controller_check").exists()

@@ -11,12 +11,9 @@ import pytest
 
 import rx90_emulator as rx
 from rx90_common.bags.comparison import compare_bags
-from rx90_common.base.errors import ConfigError
 from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.cli import demo as command
-from rx90_emulator.cli.frame import run as run_command
 from rx90_emulator.demo.animation import Animation, animate
 from rx90_emulator.demo.demonstration import SWITCHED_OFF, RunReport
 from rx90_emulator.loop.setup import Setup
@@ -114,17 +111,6 @@ def test_the_animated_arm_is_where_kinematics_say(
                        np.linalg.norm(direct - animation.views[:, 5, :, 3], axis=1))  # fmt: skip
 
 
-def test_the_arm_stays_in_its_picture(animation: Animation) -> None:
-    """All outlines of all frames lie within the picture, and shapes nearer to the eye are drawn over others."""
-    for frame in (0, animation.still, len(animation.times) - 1):
-        outlines = animation.outlines(frame)
-        assert sorted(which for which, _ in outlines) == list(range(len(animation.shapes)))
-        points = np.array([[float(v) for v in point.split(",")] for _, text in outlines for point in text.split()])
-        assert points.min() >= 0.0
-        assert points[:, 0].max() <= 720.0
-        assert points[:, 1].max() <= 460.0
-
-
 def test_the_report_in_a_browser(check_report: Any, pages: list[Path], animation: Animation) -> None:
     """The page holds to what all reports do; its arm is scrubbed and played, and stands still without scripts."""
     check_report(pages[0])
@@ -152,19 +138,6 @@ def test_the_report_in_a_browser(check_report: Any, pages: list[Path], animation
     plain.page.context.close()
 
 
-def test_a_finger_that_swipes_over_a_plot_scrolls_the_page(check_report: Any, pages: list[Path]) -> None:
-    """On a touch screen plots take no gesture until one of their tools is chosen."""
-    report = check_report.open(pages[0], viewport={"width": 390, "height": 800}, is_mobile=True, has_touch=True)
-    box = report.plot(1).locator(".live").bounding_box()
-    session = report.page.context.new_cdp_session(report.page)
-    before = report.page.evaluate("() => scrollY")
-    x, y = box["x"] + 150, min(box["y"] + 120, 700)
-    for kind, points in (("touchStart", [y]), *(("touchMove", [y - 25 * k]) for k in range(1, 9)), ("touchEnd", [])):
-        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": [{"x": x, "y": at} for at in points]})
-    report.page.wait_for_function(f"() => scrollY - {before} > 100")
-    report.page.context.close()
-
-
 def outlines(page: Any) -> list[float]:
     """Return the corners of the boxes around the shapes, shape by shape, as the browser has them."""
     texts = page.locator(".player polygon").evaluate_all(
@@ -185,53 +158,3 @@ def boxes(shapes: list[tuple[int, str]]) -> list[float]:
         points = np.array([[float(v) for v in point.split(",")] for point in text.split()])
         found += [*points.min(axis=0).tolist(), *points.max(axis=0).tolist()]
     return found
-
-
-class Noon:
-    """A clock that stands still."""
-
-    @staticmethod
-    def now() -> Noon:
-        """Return noon."""
-        return Noon()
-
-    def strftime(self, _layout: str) -> str:
-        """Return its name."""
-        return "noon"
-
-
-def test_two_demonstrations_in_a_second_have_folders_of_their_own(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """Folders named by the time do not collide, and each has its folder of logs."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(command, "datetime", Noon)
-    made = [command._folder(None) for _ in range(3)]
-    assert [folder.name for folder in made] == ["noon", "noon-2", "noon-3"]
-    assert all((folder / "log").is_dir() for folder in made)
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
-    """A folder that exists, or lies in a file, is refused with its name."""
-    file = tmp_path / "file"
-    file.touch()
-    for folder in (tmp_path, file / "inside"):
-        with pytest.raises(ConfigError, match=f"--output {folder}"):
-            command._folder(folder)
-
-
-@pytest.mark.parametrize("task", ["nowhere.yaml", "out_of_reach.yaml"])
-def test_a_bad_task_leaves_nothing_behind(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], task: str
-) -> None:
-    """A task that cannot be read or travelled is one line; no folder is made."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "out_of_reach.yaml").write_text(
-        "line: {provenance: assumed, source: test, start: [0.6, 0.0, 0.2], end: [2.6, 0.0, 0.2], speed: 0.1, "
-        "acceleration: 1.0, tool_rpy_degrees: [0.0, 180.0, 0.0]}",
-        encoding="utf-8",
-    )
-    assert run_command("rx90_demo", ["--task", task]) == 2
-    error = capsys.readouterr().err.splitlines()[-1]
-    assert error.startswith("rx90_demo: ")
-    assert [path.name for path in tmp_path.iterdir()] == ["out_of_reach.yaml"]

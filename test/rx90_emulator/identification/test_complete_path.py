@@ -32,10 +32,7 @@ from rx90_emulator.loop.setup import Setup
 def test_the_runs_of_one_joint_tell_that_joint_alone(
     series: Path, identified: tuple[Path, str], shipped: Setup, check_report: Callable[[Path], None]
 ) -> None:
-    """From bags of joint 3 come a file that the simulation loads, with its values alone, a report and a verdict.
-
-    Neighbours that only react to it, and the weights of others, are not identified; true values stand beside.
-    """
+    """From bags of joint 3 come a file that the simulation loads, with its values alone, a report and a verdict."""
     output, said = identified
     found, truth = (
         load_friction(output, RX_WRIST.element_names(shipped.robot.joint_names)).elements[2],
@@ -91,12 +88,7 @@ def test_experiments_run_on_the_real_nodes(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The recorder's bag of a planned excitation run has the set-points and torques of the engine, to the bit.
-
-    What a bag lacks of a motion's end is recorded again. Ctrl-C in an experiment ends with 130, those before it in the
-    index, and no recorder left behind. Beside the bags stands the friction of the simulation. From the bags of joint 4
-    comes a friction file with its parameters.
-    """
+    """The recorder's bag of a planned excitation run has the set-points and torques of the engine, to the bit."""
     cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=1.0")
     run_of_plan, series = plan_excitation(shipped, EXCITATION).experiments[0], short_series(shipped)
     monkeypatch.setattr(plans, "make_plan", lambda *_: [run_of_plan, *series])

@@ -21,6 +21,8 @@ from rx90_emulator.identification.experiments.arms import robot_of_urdf
 from rx90_emulator.identification.experiments.workspace import Workspace
 from rx90_emulator.identification.options import Wall
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 ARM = ["--joints", *JOINTS]
 SHORT = ["--runs", "1", "--harmonics", "5", "--period", "6", "--periods", "1", "--steps", "8"]
@@ -65,11 +67,7 @@ def _knots(file: Path) -> tuple[list[str], Array, Array]:
 
 @pytest.mark.parametrize("name", ["excitation_1", "validation"])
 def test_a_motion_keeps_the_limits_of_the_urdf(urdf: Path, motions: Path, name: str) -> None:
-    """Ranges, 80 % of speeds, of the speeds in 0.5 s as accelerations, and of efforts by Pinocchio's inverse dynamics.
-
-    It begins and ends at rest in the middle of the ranges; a continuous joint without one has half a turn either way.
-    Some joint comes near to a limit: the motion is not safe by being small.
-    """
+    """Ranges, 80 % of speeds, these in 0.5 s as accelerations, and efforts by Pinocchio's inverse dynamics are kept."""
     names, times, knots = _knots(motions / f"{name}.yaml")
     assert tuple(names) == JOINTS
     model = _held(urdf)

@@ -14,7 +14,7 @@ import pytest
 from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import DONE, REFUSED
+from rx90_common.base.errors import DONE
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identification_job
 from rx90_emulator.identification.excitation import filtering, identify
@@ -25,6 +25,8 @@ from rx90_emulator.identification.experiments.series import describe_excitation,
 from rx90_emulator.identification.experiments.workspace import Workspace
 from rx90_emulator.identification.options import ExcitationOptions, RobotOptions, Wall
 from rx90_emulator.loop.setup import Setup
+
+pytestmark = pytest.mark.slow
 
 TABLE, WALL = 0.12, (-1.0, -0.5, 0.0, -0.45)
 OPTIONS = ExcitationOptions(
@@ -88,12 +90,7 @@ def test_a_run_keeps_every_limit_and_the_table_shows_motors(
 def test_every_shape_stays_away_from_table_and_wall(
     plan: ExcitationPlan, motion: tuple[Array, Array, Array], tx40: Setup
 ) -> None:
-    """Corners of boxes, rims of cylinders and points of spheres, placed by Pinocchio, keep the clearance.
-
-    What is reported is their least distance.
-
-    Base and shoulder do not count for the table, which they cannot come nearer to, nor does the base for the wall.
-    """
+    """Corners of boxes, rims of cylinders and points of spheres, placed by Pinocchio, keep the clearance."""
     normal = np.array(WALL[:3]) / np.linalg.norm(WALL[:3])
     planes = [(np.array([0.0, 0.0, 1.0]), TABLE, 1), (normal, WALL[3] / float(np.linalg.norm(WALL[:3])), 0)]
     model, data = tx40.robot.model, tx40.robot.model.createData()
@@ -249,28 +246,6 @@ def test_the_arm_does_not_touch_itself(shipped: Setup) -> None:
     move = 1e-4 * slope / np.abs(slope).max()
     after, before = (search.workspace.nearness(position + sign * move, 0.02)[0] for sign in (1.0, -1.0))
     assert np.sum(slope * move) == pytest.approx(0.5 * (after - before), rel=0.1)
-
-
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["--runs", "3"], "--runs without --excitation"),
-        (["--excitation", "--group", "joint_1"], "--group with --excitation"),
-        (["--excitation", "--harmonics", "2"], "--excitation: harmonics is 2; accepted: an integer in [3, 50]"),
-        (["--excitation", "--wall", "0", "0", "0", "1"], "--wall 0 0 0 1; accepted: NX NY NZ D"),
-        (["--excitation", "--wall", "0", "0", "-1", "-1"], "at home tcp is -"),
-        (["--excitation", "--wall", "1", "0", "0", "-1e308"], "--wall 1 0 0 -1e+308: 1e+308 m from the base"),
-        (["--excitation", "--clearance", "1"], "--clearance 1.0 without --keep-above or --wall"),
-        (["--excitation", "--torque-noise", "1", "2"], "--torque-noise: 2 values; accepted: 6"),
-        (["--excitation", "--share", "0.05"], "even of a small one the torque of joint_3 is 1"),
-    ],
-)
-def test_what_does_not_fit_is_refused(words: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Options that do not go together, values beyond their ranges and walls at home are refused in one line."""
-    assert run("rx90_experiment", ["plan", *words]) == REFUSED
-    said = capsys.readouterr().err.strip().splitlines()
-    assert text in said[-1]
-    assert len(said) == 1
 
 
 def test_a_folder_of_excitation_runs_is_identified_as_such(

@@ -26,14 +26,13 @@ from rx90_emulator.identification.experiments.plan import (
 )
 from rx90_emulator.loop.setup import Setup
 
+pytestmark = pytest.mark.slow
+
 HOME = (0.0,) * 6
 
 
 def test_the_plan_keeps_every_limit(shipped: Setup) -> None:
-    """Each experiment of the default plan stays within ranges, speeds and torques, by the controller's own check.
-
-    They can be run in any order, because each begins and ends at the home pose.
-    """
+    """Each experiment of the default plan stays within ranges, speeds and torques, by the controller's own check."""
     for experiment in make_plan(shipped.robot, shipped.drives):
         assert np.allclose(experiment.points.position[[0, -1]], Poses.of(shipped).home, atol=1e-12)
         shares, _ = PlannedArm.from_setup(shipped).check(experiment)
@@ -49,10 +48,7 @@ def test_a_robot_brings_its_own_poses_and_its_ranges_bound_the_sweeps(tx40: Setu
 
 
 def test_sweeps_hold_a_logarithmic_range_in_both_directions(shipped: Setup) -> None:
-    """Joint 1 is held at 28 speeds in each direction, all different, evenly spaced in their logarithms.
-
-    They last 4 s, or 0.6 rad of travel where that is less, but at least 0.7 s.
-    """
+    """Joint 1 is held at 28 speeds in each direction, all different, evenly spaced in their logarithms."""
     points = make_plan(shipped.robot, shipped.drives, PlanOptions(groups=("joint_1",)))[0].points
     assert points.velocity is not None
     same = (points.velocity[:-1, 0] == points.velocity[1:, 0]) & (points.velocity[:-1, 0] != 0.0)
@@ -111,10 +107,7 @@ def test_a_plan_that_does_not_fit_is_refused(shipped: Setup, change: dict[str, o
 
 
 def test_a_plan_beyond_what_joints_or_motors_may_do_is_refused(shipped: Setup) -> None:
-    """More torque than the URDF allows, or acceleration than the controller, is refused with joint, value and limit.
-
-    Joints 5 and 6 within their speeds turn motor 6 too fast, and a weak motor 5 cannot carry their difference.
-    """
+    """More torque than the URDF allows, or acceleration than the controller, is refused with joint, value and limit."""
     robot, drives = shipped.robot, shipped.drives
     sweep_2, sweep_5 = (make_plan(robot, drives, PlanOptions(groups=(f"joint_{k}",)))[0] for k in (2, 5))
     way = 1.5 * robot.max_velocity / robot.max_velocity[4] * (0.0, 0.0, 0.0, 0.0, 1.0, 1.0)
@@ -156,10 +149,7 @@ def test_the_engine_writes_the_bags_that_the_recorder_would(series: Path) -> Non
 @pytest.mark.ros
 @pytest.mark.parametrize("delay", [0.1, 7.0])
 def test_a_run_is_followed_from_its_beginning_to_its_end(shipped: Setup, delay: float) -> None:
-    """However long a trajectory is on its way, it ends when its last sweep does, not at a rest at the same place.
-
-    A simulation without a pace is 2 s further at each look; what never begins is given up by both clocks.
-    """
+    """However long a trajectory is on its way, it ends when its last sweep does, not at a rest at the same place."""
     from rx90_emulator.identification.experiments.nodes import FollowedTrajectory
 
     motion = Motion(np.zeros(6))

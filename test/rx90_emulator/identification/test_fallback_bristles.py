@@ -62,10 +62,7 @@ def test_a_joint_without_micro_oscillations_takes_c0_and_bristles(
 
 @pytest.mark.parametrize("known", [False, True], ids=["c0 open", "c0 known"])
 def test_bristles_go_with_c0(hinge: Hinge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, known: bool) -> None:
-    """The fallback's block comes with its c0; a c0 of LuGre's fit stays LuGre's.
-
-    Without a fallback, c1, here a large one, fades so that the element gives energy at no speed.
-    """
+    """The fallback's block comes with its c0; a c0 of LuGre's fit stays LuGre's."""
     options = RobotOptions(urdf=str(hinge.urdf), fallback=str(fallback(tmp_path / "given.yaml", SLIPPING)))
     robot = RecordedRobot.load(options)
     c0 = ParameterEstimate(2e4, 1e2) if known else ParameterEstimate.unknown("too small")

@@ -15,6 +15,8 @@ from rx90_common.base.errors import DONE
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.cli.frame import run
 
+pytestmark = pytest.mark.slow
+
 CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)
 SPEEDS = np.geomspace(0.006, 1.2, 9).tolist()
 POSES = ([0.2, 0.5, 0.1], [-0.9, -0.7, 1.2])

@@ -23,6 +23,8 @@ from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import identify as identify_bags
 from rx90_emulator.identification import job as identify_job
 
+pytestmark = pytest.mark.slow
+
 Change = Callable[[Hinge, Path], list[object]]
 
 

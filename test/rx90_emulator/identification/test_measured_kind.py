@@ -19,6 +19,8 @@ from rx90_emulator.identification.sliding.fit import SlidingFit, identify_slidin
 from rx90_emulator.identification.sliding.plateaus import find_blocks
 from rx90_emulator.identification.sliding.quality import FALSE_ALARMS, Residuals, drifts_of
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 Friction = Callable[[Array], Array]
 SPEEDS = np.geomspace(0.004, 1.2, 12)
@@ -70,10 +72,7 @@ def series(
 
 @pytest.mark.parametrize(("noise", "hertz"), [(0.0, 0.1), (0.001, 0.1), (0.004, 0.1), (0.01, 0.1), (0.004, 0.05)])
 def test_the_crests_of_a_slow_sine_are_no_plateaus(noise: float, hertz: float) -> None:
-    """A sine of 0.9 rad/s, whose crest keeps within 2 % for 0.6 s, is left out, and so are the pieces noise cuts it in.
-
-    At 4 and 10 mrad/s of noise single pieces of 0.1 to 0.25 s look straight.
-    """
+    """A sine of 0.9 rad/s, whose crest keeps within 2 % for 0.6 s, is left out, and pieces that noise cuts it in."""
     time = np.arange(0.0, 4.0 / hertz, 0.004)
     velocity = 0.9 * np.sin(2.0 * np.pi * hertz * time)
     sine = record(time, velocity, straight(velocity))

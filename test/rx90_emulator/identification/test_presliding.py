@@ -23,6 +23,8 @@ from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.setup import Setup
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 WRIST = ["joint_5", "joint_6", "joints_5_6_against"]
@@ -71,10 +73,7 @@ def test_known_bristles_come_out(shipped: Setup, noise: float, seed: int) -> Non
 
 @pytest.mark.parametrize("seed", [4, 5])
 def test_bristles_of_the_wrist_separate(shipped: Setup, seed: int) -> None:
-    """The elements of joints 5, 6 and 5+6 come back apart, also where 6 and 5+6 are so weak that they break away.
-
-    Twenty times the rig's noise leaves every parameter not identifiable or within four deviations.
-    """
+    """The elements of joints 5, 6 and 5+6 come back apart, also where 6 and 5+6 are so weak that they break away."""
     setup = random_set(shipped, seed)
     runs = oscillated(setup, WRIST)
     quiet, loud = (
@@ -120,10 +119,7 @@ def test_intervals_hold_the_truth(fourth: tuple[Setup, list[Any]]) -> None:
 
 
 def test_a_fit_without_noise(fourth: tuple[Setup, list[Any]]) -> None:
-    """The simulated friction torque follows the measured one, joints at rest get a reason, known sliding is surer.
-
-    A sliding regime with ten times the usual deviations leaves c0 and c1 as they are and makes them less certain.
-    """
+    """The simulated friction torque follows the measured one, joints at rest get a reason, known sliding is surer."""
     setup, runs = fourth
     records = measured(setup, runs, 0.0)
     fit = fitted(setup, records)

@@ -101,11 +101,7 @@ def test_what_does_not_fit_is_refused(urdf: Path, arguments: dict[str, object], 
     ("old", "new", "said"),
     [
         ("</robot>", "", "no URDF that Pinocchio can read"),
-        (
-            '<axis xyz="0 1 0"',
-            '<axis xyz="0 0 0"',
-            r"no URDF .* \(axis of joint \[shoulder\] is 0 0 0\)",
-        ),
+        ('<axis xyz="0 1 0"', '<axis xyz="0 0 0"', r"no URDF .* \(axis of joint \[shoulder\] is 0 0 0\)"),
         # The parser below Pinocchio drops such a body, says so on stderr, and goes on without it.
         ('mass value="', 'mass value="nan', r"no URDF that Pinocchio can read \(Inertial: mass \[nan"),
         ('mass value="', 'mass value="-', "the mass of link '.*' is -[0-9.]+ kg; accepted: 0 to 100000 kg"),
@@ -127,10 +123,7 @@ def test_a_file_that_is_no_urdf_is_refused(
 
 
 def test_kinematics_of_a_urdf_without_inertials(urdf: Path, tmp_path: Path) -> None:
-    """Where only kinematics are wanted, links need no <inertial>, and the regressor is the same without it.
-
-    A foreign attribute, as some tools write, is none of the numbers.
-    """
+    """Where only kinematics are wanted, links need no <inertial>, and the regressor is the same without it."""
     bare = tmp_path / "bare.urdf"
     text = urdf.read_text().replace("<origin ", '<origin note="made by hand" ')
     bare.write_text(re.sub(r"<inertial>.*?</inertial>", "", text, flags=re.DOTALL))

@@ -36,15 +36,12 @@ from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
 from rx90_emulator.identification.output.assumed_files import weight_warning
 from rx90_emulator.identification.output.friction_file import elements_text
-from rx90_emulator.identification.output.robot_files import (
-    FolderBase,
-    folder_base,
-    robot_texts,
-    viscous_sum,
-)
+from rx90_emulator.identification.output.robot_files import FolderBase, folder_base, robot_texts, viscous_sum
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
+
+pytestmark = pytest.mark.slow
 
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(5)

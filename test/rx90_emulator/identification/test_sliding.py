@@ -29,6 +29,8 @@ from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
+pytestmark = pytest.mark.slow
+
 
 def errors(estimate: ElementEstimate, element: FrictionElement) -> dict[str, float]:
     """Return relative errors by parameter."""
@@ -70,10 +72,7 @@ def test_a_coulomb_difference_of_element_seven_moves_to_joints_five_and_six(
 
 
 def test_an_unknown_payload_of_one_kilogram_does_not_move_tau_c(sweeps: Any, arm: RigidArm) -> None:
-    """A payload of 1 kg that the model does not have shifts tau_c by less than 2 %.
-
-    Rigid torque with the found inertial error and friction add up to the torque that the payload makes.
-    """
+    """A payload of 1 kg that the model does not have shifts tau_c by less than 2 %."""
     (without, friction), (loaded, _) = (sweeps([1, 2], 4, Noise(0.0), payload=mass) for mass in (0.0, 1.0))
     bare, full = (identify_sliding([record], arm) for record in (without, loaded))
     for joint in (1, 2):
@@ -213,10 +212,7 @@ def test_what_tells_no_friction_is_refused(
 
 
 def test_clusters_of_residuals_give_the_jackknifes_variances_and_unbiased_ones() -> None:
-    """With all of the leverage taken off, they are the squared changes of fits without each cluster, by NumPy.
-
-    With the root of it they are right in the mean over white noise, of which each sample counts by itself.
-    """
+    """With all of the leverage taken off, they are the squared changes of fits without each cluster, by NumPy."""
     rng = np.random.default_rng(2)
     slope, cluster = rng.normal(size=(30, 3)), np.repeat(np.arange(6), [2, 3, 4, 5, 7, 9])
     target = rng.normal(size=30)

@@ -21,6 +21,8 @@ from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import TorquePrediction
 from rx90_emulator.loop.setup import Setup
 
+pytestmark = pytest.mark.slow
+
 STILL = 3  # the joint that rests: joint_4
 MOVE = [k for k in range(6) if k != STILL]
 
@@ -81,11 +83,7 @@ def scaled(measured: Measured, factor: float) -> rx.Setup:
 
 
 def test_the_engines_own_run_is_met_and_wrong_friction_shows_with_its_size(measured: Measured) -> None:
-    """Along recorded set-points the same robot gives the bag's torques to 0.2 % and its positions to 5 urad.
-
-    With 30 % more friction the verdict is no, and joint 1 differs by 0.3 times its steady friction torque. The tip's
-    path errors are those of the run, along and across the path of its set-points, but for the low-pass.
-    """
+    """Along recorded set-points the same robot gives the bag's torques to 0.2 % and its positions to 5 urad."""
     result = rx.compare_measured(measured.bag, measured.setup)
     assert result.setpoints == "rx90_controller/reference in the bag"
     assert result.passed
@@ -136,10 +134,7 @@ def test_torques_are_compared_below_their_smoothing(measured: Measured) -> None:
 
 
 def test_a_delay_and_a_gap_are_found(measured: Measured) -> None:
-    """States 8 ms later than in truth make the simulation 8 ms earlier, and the torques agree all the same.
-
-    Where states are missing after half a second, what comes later is compared, and a remark says so.
-    """
+    """States 8 ms later than in truth make the simulation 8 ms earlier, and the torques agree all the same."""
     states, reference = measured.joints(), measured.run.series["rx90_controller/reference"]
     late = measured.compare("late", replace(states, stamp_ns=states.stamp_ns + 8_000_000), reference)
     assert late.lag == pytest.approx(-8e-3, abs=5e-5)

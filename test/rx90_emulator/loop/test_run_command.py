@@ -25,29 +25,6 @@ from rx90_emulator.loop.parameters import with_parameters
 from rx90_emulator.loop.result import MotionCommand
 from rx90_emulator.loop.setup import Setup
 
-
-def test_what_cannot_be_written_is_refused_before_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A decimation of 0, a start without end and a bag that exists are one line each, and nothing is simulated."""
-    (tmp_path / "file").touch()
-    for words, complaint in (
-        (["--decimation", "0"], "--decimation is 0; accepted: a whole number >= 1"),
-        (["--start-time", "1e10"], "start time is 10000000000.0 s; accepted: a finite number up to 2.14748e+09 s"),
-        (
-            ["--initial-position", *"000000"],
-            "--initial-position without --trajectory or --from-bag; accepted: with one",
-        ),
-        (["--from-bag", "x", "--start-time", "1"], "--start-time with --from-bag; accepted: the times in the bag"),
-        (["--output", str(tmp_path)], f"{tmp_path} exists; accepted: a new name"),
-        (["--output", f"{tmp_path}/file/bag"], f"{tmp_path}/file/bag: cannot be written (Not a directory)"),
-        (["--arrays", f"{tmp_path}/file/a.npz"], f"{tmp_path}/file/a.npz: cannot be written (Not a directory)"),
-    ):
-        assert run("rx90_run", words) == 2
-        out, err = capsys.readouterr()
-        assert out == ""
-        assert err.splitlines()[-1] == f"rx90_run: {complaint}"
-        assert "Traceback" not in err
-
-
 TRAJECTORY = """
 header: {stamp: {sec: 0, nanosec: 0}, frame_id: ''}
 joint_names: [joint_6, joint_1, joint_2, joint_3, joint_4, joint_5]

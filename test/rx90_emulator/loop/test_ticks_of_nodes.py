@@ -76,6 +76,7 @@ print(sorted(name for name, _, _ in compiled() - before))
 """
 
 
+@pytest.mark.slow
 def test_everything_is_compiled_before_the_first_tick() -> None:
     """After the warm-up of plant and controller, motions at any speed, reset and brakes compile and load nothing."""
     run = subprocess.run([sys.executable, "-c", _WARM], capture_output=True, text=True, timeout=300, check=False)

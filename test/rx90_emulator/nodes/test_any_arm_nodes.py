@@ -34,10 +34,7 @@ def by_stamp(heard: list[Any]) -> dict[float, Any]:
 def test_nodes_give_the_engines_bits(
     processes: Processes, client: Client, tmp_path: Path, joints: int, nodes: tuple[str, ...]
 ) -> None:
-    """In lock-step all states of a short motion, as heard and as recorded, are those of the loop without ROS.
-
-    Nodes, recorder and the sender of the trajectory are processes of their own.
-    """
+    """In lock-step all states of a short motion, as heard and as recorded, are those of the loop without ROS."""
     coupling = None
     if joints > 1:
         turns = np.eye(joints)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import signal
 import struct
 import subprocess
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +15,17 @@ from line_run import TOPICS, run_both_ways
 from needs import need
 from own_model import by_model
 from processes import Processes
-from ros_client import Client
+from ros_client import Client, seconds
 from rosbags.highlevel import AnyReader
 
 import rx90_emulator as rx
 from rx90_common.bags.comparison import Verdict
 from rx90_common.bags.tables import comparison_text
+from rx90_common.base.errors import ConfigError
 from rx90_controller.law.parameters import MODEL_PARTS
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
+from rx90_emulator.composed_cell import own_parameters
 from rx90_emulator.loop.setup import Setup
 
 SHARE = 0.01
@@ -43,12 +47,7 @@ def lossy_udp(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine_that_loses_datagrams(
     lossy_udp: Path, processes: Processes, client: Client, tx40: Setup, tmp_path: Path
 ) -> None:
-    """With a core busy and 1 % of what both nodes send lost, every number equals the closed loop without ROS.
-
-    The controller feeds forward by a model of its own. The robot is the one that a parameter names, and so is the
-    description that the simulation publishes. The bag tells which trajectory ran and from when on, although its sender
-    is gone before the recorder begins.
-    """
+    """With a core busy and 1 % of what both nodes send lost, every number equals the closed loop without ROS."""
     counts = tmp_path / "counts"
     counts.write_bytes(bytes(16))
     around = (
@@ -81,14 +80,40 @@ def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine_that_loses_dat
 def test_one_process_gives_the_closed_loops_bits(
     processes: Processes, client: Client, shipped: Setup, tmp_path: Path
 ) -> None:
-    """With a parameter file for both, every recorded number equals the closed loop without ROS, to the last bit.
-
-    So it does when the simulation is deactivated and activated in the middle of the motion, and its pace is changed,
-    with friction elements that have all parts and a seed of their scatter. The line is played with a correction, which
-    fades out behind its end: the bag holds its offsets, too.
-    """
+    """With a parameter file for both, every recorded number equals the closed loop without ROS, to the last bit."""
     friction = write_with_parts(shipped.friction.file, tmp_path / "friction.yaml")
     setup = rx.load_setup(friction=friction, seed=11)
     comparison = run_both_ways(processes, client, setup, tmp_path, composed=True, rests=2, corrected=True)
     assert {topic.topic for topic in comparison.topics} == {*TOPICS, "/rx90_controller/correction"}
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
+
+
+@pytest.mark.ros
+def test_services_and_the_end_in_free_running_time_are_those_of_two_processes(processes: Processes) -> None:
+    """In a namespace: a motion, no torque, time that begins anew, Ctrl-C; time under one's hand: action/."""
+    with closing(Client("/cell_1")) as client:
+        cell = processes.start(
+            "rx90_cell", "--ros-args", "-r", "__ns:=/cell_1", "-p", "rx90_sim:time_mode:=free_running"
+        )
+        joints, reference = client.listen("joint_states", depth=1), client.listen("rx90_controller/reference", depth=1)
+        client.spin_until(lambda: bool(joints) and max(joints[-1].effort) > 0.0, "the drives' torque")
+        client.send([(0.3, [0.02] * 6)])
+        end = pytest.approx([0.02] * 6, abs=1e-12)
+        client.spin_until(lambda: bool(reference) and list(reference[-1].position) == end, "the end of the motion")
+        client.enable(False)
+        client.spin_until(lambda: list(joints[-1].effort) == [0.0] * 6, "no torque")
+        before = seconds(joints[-1])
+        client.simulation.reset()
+        client.spin_until(lambda: seconds(joints[-1]) < before, "time to go back")
+        cell.signal(signal.SIGINT)
+        assert cell.wait() == 0
+        assert "Traceback" not in cell.output
+
+
+def test_a_parameter_of_another_node_is_refused() -> None:
+    """A parameter goes to the node that it names, whatever the namespace; a node that is not there is refused."""
+    words = ["--ros-args", "-p", "rx90_sim:a:=1", "-p", "b:=rx90_sim:c", "--param", "rx90_controller:d:=x:=y"]
+    own = own_parameters(words)
+    assert own == {"rx90_sim": ["--ros-args", "-p", "a:=1"], "rx90_controller": ["--ros-args", "-p", "d:=x:=y"]}
+    with pytest.raises(ConfigError, match="'rx90_simulation:a:=1': no such node here; accepted: rx90_sim, rx90_cont"):
+        own_parameters(["-p", "rx90_simulation:a:=1"])

@@ -27,6 +27,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from type_description_interfaces.srv import GetTypeDescription
 
 from rx90_common.base.quoting import LINE_LIMIT
 from rx90_common.exchange.cdr import JointStateCodec
@@ -37,6 +38,8 @@ NODES = ("rx90_sim", "rx90_controller", "friction_bench")
 NAMES = ("", "a\n[FATAL] [1.0] [rx90_sim]: forged", "n" * 100_000, "qos_overrides./tf.publisher.depth", "\x1b[2J\u202e")
 KNOWN = {"rx90_sim": "step_ticks", "rx90_controller": "base_rate", "friction_bench": "ramp_slope"}
 VALUES = (
+    ParameterValue(type=77),
+    ParameterValue(type=255, string_value=NAMES[2]),
     *(ParameterValue(type=kind) for kind in range(10)),
     ParameterValue(type=3, double_value=float("nan")),
     ParameterValue(type=2, integer_value=-(2**63)),
@@ -78,6 +81,8 @@ def requests(known: str) -> Iterator[tuple[Any, str, Any]]:
         for asked in ([], [known] * 1000, *([name] for name in NAMES)):
             yield kind, service, kind.Request(names=asked)
     yield ListParameters, "list_parameters", ListParameters.Request(prefixes=[*NAMES], depth=2**64 - 1)
+    for name in (*NAMES, "RIHS01_" + 64 * "0"):
+        yield GetTypeDescription, "get_type_description", GetTypeDescription.Request(type_name=name, type_hash=name)
 
 
 def trajectory() -> JointTrajectory:

@@ -131,10 +131,7 @@ def commands_of_two_laws(setup: Setup, before: CS7BParameters, after: CS7BParame
 def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
     processes: Processes, client: Client, shipped: Setup, tmp_path: Path
 ) -> None:
-    """What is safe changes at a position tick that topic and bag tell; from it on the torque is that of the new law.
-
-    The oracle steps plant and law by hand, with the files' gains but for one that was given at the start.
-    """
+    """What is safe changes at a position tick that topic and bag tell; from it on the torque is that of the new law."""
     viscous = (shipped.controller.viscous * 0.5).tolist()
     cell = processes.start(
         "rx90_cell",

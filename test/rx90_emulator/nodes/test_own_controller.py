@@ -34,10 +34,7 @@ def law(position: np.ndarray, velocity: np.ndarray, t: float) -> np.ndarray:
 
 
 def test_the_node_gives_the_bits_of_one_process(processes: Processes, client: Client) -> None:
-    """At 500 Hz, joints named backwards: links and measured states are, to the bit, those of `rx.run_controller`.
-
-    Before each 20th command comes one with the same stamp that cannot be read: it changes no torque, and time waits on.
-    """
+    """At 500 Hz, joints named backwards: links and measured states are, to the bit, those of `rx.run_controller`."""
     publisher = client.node.create_publisher(JointState, "joint_commands", 10)
 
     def answer(states: Any) -> None:

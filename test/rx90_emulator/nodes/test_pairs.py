@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from builtin_interfaces.msg import Duration
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from processes import Processes, open_files
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ros_client import JOINTS, Client, seconds
@@ -28,11 +28,7 @@ QOS = ("reliability:=best_effort", "durability:=transient_local", "depth:=5")
 
 @pytest.mark.ros
 def test_a_paused_pair_is_heard_and_takes_a_trajectory(processes: Processes, client: Client) -> None:
-    """Samples come again to the bit; a line is approached and begins when time runs; each node says ready once.
-
-    Diagnostics carry the namespace, and the quality of service of a topic is the one given as parameters. With the
-    range LOCALHOST UDP sockets are bound to 127.0.0.1 alone, and no memory is shared.
-    """
+    """Samples come again to the bit; a line is approached and begins when time runs; each node says ready once."""
     overrides = [f"qos_overrides./cell_1/friction_states.publisher.{policy}" for policy in QOS]
     simulation = processes.start(
         "rx90_sim", *ROS_ARGS, *("-p", "paused:=true"), *(w for override in overrides for w in ("-p", override))
@@ -91,9 +87,9 @@ def to_rest(duration: float, position: list[float], names: list[str] = JOINTS) -
 
 @pytest.mark.ros
 def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, client: Client) -> None:
-    """Refused trajectories leave the motion that runs alone; without power the brakes hold.
+    """Refused trajectories leave the motion that runs alone; without power the brakes hold; diagnostics tell the rate.
 
-    The nodes run with integers where reals are asked for.
+    Beyond a supervised limit they are an ERROR until `enable`. The nodes run with integers where reals are asked for.
     """
     given = ("-p", "real_time_factor:=0", "-p", "initial_position:=[0.0, 0.8, 0.8, 0.0, 0.5, 0.0]")
     processes.start("rx90_sim", "--ros-args", *given)
@@ -130,13 +126,27 @@ def test_an_unpaced_pair_answers_whatever_is_asked_of_it(processes: Processes, c
     client.enable(True)
     client.spin_until(lambda: len(commands[-1].effort) == 6, "commands with torque again")
 
+    # Slowly, because diagnostics come by the wall clock; the controller's rate is that of the ticks it answers.
+    assert client.set_parameters("rx90_sim", real_time_factor=0.1) == [""]
+    heard = client.listen("/diagnostics", DiagnosticArray)
+
+    def told(word: str) -> bool:
+        newest = [message.status[0] for message in heard if message.status[0].name == "rx90_controller"][-1]
+        rate = next(float(pair.value) for pair in newest.values if pair.key == "rate, Hz")
+        is_error = newest.level == DiagnosticStatus.ERROR
+        return is_error == bool(word) and word in newest.message and 300.0 < rate < 500.0
+
+    assert client.set_parameters("rx90_controller", supervision__following_error=[5e-4] * 6) == [""]
+    publisher.publish(to_rest(0.4, [angle + 0.1 for angle in target]))
+    controller.wait_for(r"joint_\d: following error .* rad at .* s; accepted: up to 0.0005 rad; torque off")
+    client.spin_until(lambda: told("accepted: up to 0.0005 rad"), "the fault and a rate near 400 Hz")
+    client.enable(True)
+    client.spin_until(lambda: told(""), "its end")
+
 
 @pytest.mark.ros
 def test_time_runs_by_the_clock_with_pauses_and_without_a_controller(processes: Processes, client: Client) -> None:
-    """A motion rests while time stands still, and goes on where it was; without a controller the brakes close.
-
-    Time runs on without it, and the brakes open when it goes on.
-    """
+    """A motion rests while time stands still, and goes on where it was; without a controller the brakes close."""
     simulation = processes.start(
         "rx90_sim",
         "--ros-args",
@@ -180,10 +190,7 @@ UNPACED = ("--ros-args", "-p", "real_time_factor:=0.0")
 
 @pytest.mark.ros
 def test_either_node_is_killed_and_comes_back(processes: Processes, client: Client, tmp_path: Path) -> None:
-    """Without its controller time stands still, announced once, until the next one; a new simulation begins anew.
-
-    A recorder that is killed holds nothing up.
-    """
+    """Without its controller time stands still, announced once, until the next one; a new simulation begins anew."""
     recorder = processes.start("rx90_bag", "record", "--output", tmp_path / "bag", "motor_states", "motor_commands")
     simulation = processes.start("rx90_sim", *UNPACED)
     first = processes.start("rx90_controller")

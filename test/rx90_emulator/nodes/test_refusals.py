@@ -129,10 +129,7 @@ def _values() -> Iterator[tuple[str, Any, str]]:
 
 
 def test_what_a_declaration_does_not_accept_is_named(client: Client, shipped: Setup) -> None:
-    """A value of another type, an empty one and one out of the range are refused with parameter, value and range.
-
-    So is a list of another length than the arm's.
-    """
+    """A value of another type, an empty one and one out of the range are refused with parameter, value and range."""
     for number, (name, value, accepted) in enumerate(_values()):
         given = [Parameter(name, value=value)]
         node = rclpy.create_node(f"node_{number}", context=client.node.context, parameter_overrides=given)

@@ -43,10 +43,7 @@ def description(mode: str, **more: str) -> ET.Element:
     ],
 )
 def test_the_description_names_joints_interfaces_and_topics(mode: str, commands: str, states: str) -> None:
-    """The arm is in it whole; joints are the robot's, in its order, each commanded by the one interface of the mode.
-
-    The controller of that mode in controllers.yaml has the same joints and interface.
-    """
+    """The arm is in it whole; joints are the robot's, in its order, each commanded by the one interface of the mode."""
     files = RobotFiles()
     made = description(mode, namespace="/cell", urdf=str(files.urdf))
     arm = load_robot(files.urdf)
@@ -116,10 +113,7 @@ def manage(client: Client, hardware: TopicHardware, until: Callable[[], bool], u
 
 
 def test_efforts_of_the_hardware_drive_the_arm(processes: Processes, client: Client) -> None:
-    """Stamped by its own clock, at 250 Hz; NaN before a controller writes keeps the brakes closed and is one line.
-
-    So is the other clock; when the hardware stops, the brakes close after the age limit.
-    """
+    """Stamped by its own clock, at 250 Hz; NaN before a controller writes keeps the brakes closed and is one line."""
     simulation = processes.start(
         "rx90_sim", "--ros-args", "-p", "time_mode:=free_running", "-p", "command_interface:=joint",
         "-p", "command_rate:=250",

@@ -39,10 +39,7 @@ def misplaced(shipped: Setup, transform: Any, position: Any) -> float:
 @pytest.mark.ros
 @pytest.mark.usefixtures("needs_tf")
 def test_frames_are_where_pinocchio_has_them(processes: Processes, shipped: Setup) -> None:
-    """In a namespace each frame of the URDF has one transform, as Pinocchio's of the joint_states of the same stamp.
-
-    Also before time runs; then at the rate asked for.
-    """
+    """In a namespace each frame of the URDF has one transform, as Pinocchio's of the joint_states of the same stamp."""
     from tf2_msgs.msg import TFMessage
 
     with closing(Client("/cell_1")) as client:

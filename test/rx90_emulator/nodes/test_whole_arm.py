@@ -137,13 +137,7 @@ def the_same(one: Path, other: Path) -> None:
 def test_all_parts_of_an_arm_in_nodes(
     processes: Processes, client: Client, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With elastic gears, play, cogging, sensors, windings and all parts of friction nodes and engine agree bit by bit.
-
-    So does a run after ~/reset, which puts scatter, noise, twists and temperatures back; and `rx90_run --from-bag`,
-    which takes the seed from the bag alone. `motor_current` is the torque of `motor_states` over the torque
-    constant: with offset, noise and steps. Log, once, and diagnostics name the motor whose torque its winding limits,
-    how warm it is and what is left.
-    """
+    """With elastic gears, cogging, sensors, windings and all parts of friction nodes and engine agree bit by bit."""
     setup = written(tmp_path)
     output, status = run_nodes(processes, client, setup, tmp_path)
     first, again = tmp_path / "first", tmp_path / "again"

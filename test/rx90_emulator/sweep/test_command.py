@@ -74,10 +74,7 @@ def assert_true_rows(output: Path, plan_file: Path) -> int:
 def test_interrupt_and_kill_keep_what_is_done(
     tmp_path: Path, plan_file: Path, start_apart: Start, request: pytest.FixtureRequest
 ) -> None:
-    """Ctrl-C exits 130, says how to go on and leaves one readable file; a resumed sweep that is killed adds to it.
-
-    No process is left behind by either.
-    """
+    """Ctrl-C exits 130, says how to go on and leaves one readable file; a resumed sweep that is killed adds to it."""
     output = tmp_path / "out.parquet"
     command = executable("rx90_sweep", "run", plan_file, "--output", output, "--workers", "2")
     first = start_apart(*command, cwd=ROOT)
@@ -103,42 +100,9 @@ def test_interrupt_and_kill_keep_what_is_done(
     assert assert_true_rows(output, plan_file) > kept
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["run", "none.yaml", "--output", "out.parquet"], "no file 'none.yaml'"),
-        (["run", "bad.yaml", "--output", "out.parquet"], "'sped' is unknown"),
-        (["run", "sweep/reference_1000.yaml", "--output", "no/out.parquet"], "the folder no does not exist"),
-        (["run", "sweep/reference_1000.yaml", "--output", "out.parquet", "--workers", "0"], "workers is 0"),
-        (["run", "sweep/reference_1000.yaml", "--output", ""], ". is a folder; accepted: a file"),
-        (["info", ""], ". is a folder; accepted: a file"),
-        (["info", "none.parquet"], "none.parquet does not exist"),
-        (["info", "bad.yaml"], "cannot be read as Parquet"),
-    ],
-)
-def test_mistakes_get_one_line(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    arguments: list[str],
-    said: str,
-) -> None:
-    """A mistake exits 2 with one line on stderr, and leaves no file behind."""
-    monkeypatch.chdir(tmp_path)
-    Path("bad.yaml").write_text("blocks: {a: {grid: {task.sped: {value: [1]}}}}", encoding="utf-8")
-    assert run("rx90_sweep", arguments) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("rx90_sweep: ")
-    assert said in line
-    assert [path.name for path in tmp_path.iterdir()] == ["bad.yaml"]
-
-
 @pytest.mark.parametrize("speeds", ["0.05, -1, 0.1", "-1, -2"])
 def test_run_and_info(speeds: str, tmp_path: Path, task_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A plan runs to its end, is not run over again without need, and info shows what came of it.
-
-    Where not one run of the file succeeded, run exits 3 with a line that says why; resumed it does so again.
-    """
+    """A plan runs to its end, is not run over again without need, and info shows what came of it."""
     plan, output, page = tmp_path / "plan.yaml", tmp_path / "out.parquet", tmp_path / "page.html"
     grid = f"{{a: {{grid: {{task.speed: {{value: [{speeds}]}}}}}}}}"
     plan.write_text(f"base: {{task: {task_file}}}\nblocks: {grid}", encoding="utf-8")

@@ -45,10 +45,7 @@ def assert_same(table: pa.Table, expected: pa.Table) -> None:
 
 
 def test_workers_change_nothing(tmp_path: Path, sweep: Sweep, expected: pa.Table) -> None:
-    """One worker and three write the same file, byte for byte, with the results of runs in this process.
-
-    A run gives the same after any other runs, failed ones included, by another object of the same plan.
-    """
+    """One worker and three write the same file, byte for byte, with the results of runs in this process."""
     for workers in (1, 3):
         assert run_sweep(sweep, tmp_path / f"{workers}.parquet", workers=workers, quiet=True) == (len(sweep), 4)
     assert_same(read_sweep(tmp_path / "1.parquet"), expected)

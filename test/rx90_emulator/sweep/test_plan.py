@@ -134,10 +134,7 @@ def test_hash_is_of_the_content(tmp_path: Path) -> None:
 def test_shipped_and_documented_plans_fit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Every shipped plan is named in --help, found from any folder, and names what there is; so does the page's.
-
-    The plan in docs/howto/sweep.md has as many runs as the page counts.
-    """
+    """Every shipped plan is named in --help, found from any folder, and names what there is; so does the page's."""
     monkeypatch.chdir(tmp_path)
     assert run("rx90_sweep", ["run", "--help"]) == 0
     named = set(re.findall(r"sweep/\w+\.yaml", capsys.readouterr().out))
@@ -187,10 +184,7 @@ def test_bad_plans_get_one_line(tmp_path: Path, block: str, said: str) -> None:
 
 
 def test_a_plan_names_a_robot_and_an_option_another(tmp_path: Path) -> None:
-    """`robot` sets all files and the task, single files win over it, and who runs the plan may take another robot.
-
-    `tool: none` means what it means to commands and nodes: no tool, and the shipped other files.
-    """
+    """`robot` sets all files and the task, single files win over it, and who runs the plan may take another robot."""
     blocks = "blocks: {one: {grid: {task.speed: {value: [0.1]}}}}\n"
     assert load_sweep_plan(written(tmp_path, f"base: {{tool: none}}\n{blocks}")).base.files == RobotFiles(tool=None)
     plan = written(tmp_path, f"base: {{robot: tx40, friction: robots/rx90b/friction.yaml}}\n{blocks}")
@@ -233,10 +227,7 @@ def test_grid_is_the_full_product(catalogue: Catalogue) -> None:
 
 
 def test_runs_do_not_depend_on_how_many_are_asked_for(catalogue: Catalogue) -> None:
-    """More draws, blocks before it and parameters after it leave the values of a run as they are.
-
-    Each draw meets every point of the grid, so that points are compared on the same random robots.
-    """
+    """More draws, blocks before it and parameters after it leave the values of a run as they are."""
     block = Block("a", (parameter("task.speed", 1.0, 2.0),), (drawn("friction.*.c0"),), draws=3)
     other = Block("other", (parameter("task.speed", 3.0),), (drawn("friction.*.c1"),), draws=4)
     wider = replace(block, random=(*block.random, drawn("friction.*.c2")))

@@ -37,10 +37,7 @@ def output(tmp_path: Path, sweep: Sweep, outcomes: list[RunOutcome]) -> Path:
 
 
 def test_units_and_plan_are_in_the_file(output: Path, sweep: Sweep) -> None:
-    """PyArrow and pandas find the unit of every number, and the metadata hold plan, seed, files and versions.
-
-    The summary tells state, failures and each column's unit and range.
-    """
+    """PyArrow and pandas find the unit of every number, and the metadata hold plan, seed, files and versions."""
     schema = pq.read_schema(output)
     units = {field.name: field.metadata[b"unit"].decode() for field in schema}
     for name, unit in (("path_error_worst", "m"), ("friction_work_joint_5_6", "J"), ("arm.link_3.mass", "kg"),
@@ -162,10 +159,7 @@ def test_a_damaged_part_is_named(tmp_path: Path, sweep: Sweep, outcomes: list[Ru
 
 
 def test_one_sweep_at_a_time(tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A second sweep that resumes the same output is turned away while the first one runs, or takes its folder away.
-
-    So is an output in a folder that does not exist, before any run.
-    """
+    """A second sweep that resumes the same output is turned away while the first one runs, or takes its folder away."""
     file = tmp_path / "out.parquet"
     with ResultStore(file, sweep), pytest.raises(SweepError, match="another sweep is writing"):
         ResultStore(file, sweep, resume=True)

@@ -18,29 +18,17 @@ from scipy.signal import lfilter
 from benchmarks.random_arms import FrictionLaw
 from rx90_emulator.identification.arm import RigidArm, joint_groups
 from rx90_emulator.identification.estimates import PARAMETERS, ElementEstimate, ParameterEstimate
-from rx90_emulator.identification.excitation.choice import (
-    PartKey,
-    Scored,
-    Selection,
-    TimeBlocks,
-    left_out,
-)
-from rx90_emulator.identification.excitation.filtering import (
-    Bandwidths,
-    FilteredRun,
-    filter_record,
-    recording_notes,
-)
+from rx90_emulator.identification.excitation.choice import PartKey, Scored, Selection, TimeBlocks, left_out
+from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record, recording_notes
 from rx90_emulator.identification.excitation.final_fit import FinalFit, blur_shifts, bounded_covariance
 from rx90_emulator.identification.excitation.fit import SeparableFit, WeightedProblem, fit_shapes, nonnegative
-from rx90_emulator.identification.excitation.friction import (
-    FrictionSelection,
-    identify_friction_parts,
-)
+from rx90_emulator.identification.excitation.friction import FrictionSelection, identify_friction_parts
 from rx90_emulator.identification.excitation.law import ElementMotion, ElementShape, Part, element_rows
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import simulated_elements
 from rx90_emulator.identification.records import BagSource, JointRecord
+
+pytestmark = pytest.mark.slow
 
 Array = NDArray[np.float64]
 Law = Callable[[Array], Array]
@@ -319,10 +307,7 @@ def test_a_block_is_predicted_by_a_fit_without_it(weighted: WeightedProblem) -> 
 
 
 def test_blocks_are_long_against_the_correlation_and_hold_all_repetitions(arm: RigidArm) -> None:
-    """The time in which residuals fade is that of their autoregression, (1 + r) / (1 - r) rows.
-
-    Blocks are not shorter than a 60th. A time and its repetition share one; different motions share none.
-    """
+    """The time in which residuals fade is that of their autoregression, (1 + r) / (1 - r) rows."""
     whole = record(LAWS, 8)
     late = {name: getattr(whole, name)[400:] for name in ("time", "position", "velocity", "torque")}
     problem = problem_of(arm, whole, replace(whole, **late), record(LAWS, 9))
@@ -407,10 +392,7 @@ def test_an_exponent_left_at_1_has_the_deviation_of_what_it_hides(weighted: Weig
 
 
 def test_a_column_of_mere_rounding_gets_no_share() -> None:
-    """A column that the regressor explains, whose square rounding makes negative, is 0 beside one that is fitted.
-
-    So is one of zeros in the prediction of a block.
-    """
+    """A column that the regressor explains, whose square rounding makes negative, is 0 beside one that is fitted."""
     gram = np.array([[4.0, 1e-16], [1e-16, -1e-15]])
     assert nonnegative(gram, np.array([2.0, 1e-9])) == pytest.approx([0.5, 0.0])
     tangent = np.column_stack([np.full(4, 0.5), np.zeros(4)])

@@ -18,6 +18,8 @@ from rx90_emulator.identification.excitation.fit import hac, solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import misfits, residuals_by_speed
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def problem(tmp_path_factory: pytest.TempPathFactory) -> ExcitationProblem:

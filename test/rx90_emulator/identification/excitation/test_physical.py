@@ -33,6 +33,8 @@ from rx90_emulator.identification.excitation.filtering import Bandwidths, filter
 from rx90_emulator.identification.excitation.fit import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(11)
 JOINTS = ["a", "b", "c"]
@@ -232,10 +234,7 @@ def few_instants(folder: Path, speed: tuple[float, float]) -> tuple[SyntheticArm
 
 @pytest.mark.parametrize("speed", [(1.0, 2.0), (0.3, 0.7)], ids=["brisk", "slow"])
 def test_few_instants_of_seven_joints_tell_plausible_bodies(tmp_path: Path, speed: tuple[float, float]) -> None:
-    """With fewer instants than the covariance has rows the bodies predict as the base parameters do, or better.
-
-    No mass runs away: each is within a factor of ten of a true one, though none is in the description.
-    """
+    """With fewer instants than the covariance has rows the bodies predict as the base parameters do, or better."""
     arm, seen, unseen, fit, prior = few_instants(tmp_path, speed)
     count = len(seen.names)
     assert np.linalg.matrix_rank(fit.covariance) < len(fit.value)
@@ -331,21 +330,14 @@ def test_prior_without_inertials(urdf: str, words: list[str]) -> None:
     np.testing.assert_allclose(np.diag(inertia), mass / 5.0 * np.array([half**2 + radius**2] * 2 + [2 * radius**2]))
 
 
-@pytest.mark.parametrize("wrong", ["nothing", "rotor", "joint"])
-def test_nonsense_is_refused(arm: Arm, wrong: str) -> None:
+@pytest.mark.parametrize(
+    ("determined", "joints", "rotors"),
+    [(False, JOINTS, ROTORS), (True, JOINTS, np.array([0.1, -0.1, 0.1])), (True, ["a", "b", "d"], ROTORS)],
+)
+def test_nonsense_is_refused(arm: Arm, determined: bool, joints: list[str], rotors: Array) -> None:
     """Runs that determine nothing, impossible rotors and unknown joints are refused in one line."""
     value = arm.mapping @ arm.truth
     good = arm.estimate(value, 1.0)
-    rotors, joints = ROTORS, JOINTS
-    determined = good.determined.copy()
-    if wrong == "nothing":
-        determined[:] = False
-    elif wrong == "rotor":
-        rotors = np.array([0.1, -0.1, 0.1])
-    else:
-        joints = ["a", "b", "d"]
-    with pytest.raises(IdentificationError, match="accepted: ") as refusal:
-        consistent_inertias(
-            BaseEstimate(good.mapping, value, good.information, determined), InertialPrior.of_urdf(URDF, joints, rotors)
-        )
-    assert "\n" not in str(refusal.value)
+    estimate = BaseEstimate(good.mapping, value, good.information, good.determined & determined)
+    with pytest.raises(IdentificationError, match=r"^.*accepted: .*$"):
+        consistent_inertias(estimate, InertialPrior.of_urdf(URDF, joints, rotors))

@@ -80,10 +80,7 @@ def test_a_step_of_the_velocitys_sign_is_resampled_as_that_of_the_torque(jitter:
 
 
 def test_bandwidths_follow_the_noise_of_the_positions() -> None:
-    """The noisier the positions, the less is let pass; never less than ten times the motion, and the user reads why.
-
-    Of long runs without noise some 30,000 rows are kept; of a faster motion, a third of ten times its middle.
-    """
+    """The noisier the positions, the less is let pass; never less than ten times the motion, and the user reads why."""
     chosen = [Bandwidths.of([record(500.0, 20.0, noise=noise)]) for noise in (1e-8, 1e-2)]
     assert 10.0 <= chosen[1].position / np.mean([2.0, 1.1]) < chosen[0].position / np.mean([2.0, 1.1]) <= 0.3 * 500.0
     assert all(one.torque == pytest.approx(one.position / 3.0) for one in chosen)
@@ -218,10 +215,7 @@ def test_instants_of_equal_phase_are_the_same_point_of_the_same_motion() -> None
 
 
 def test_what_is_no_repetition_is_not_taken_for_one() -> None:
-    """Another motion of the smaller joint, another pace, and a tenth in common make another motion, 60 % does not.
-
-    A recording that begins earlier than the first of its motion has its phases from 0 on.
-    """
+    """Another motion of the smaller joint, another pace, and a tenth in common make another motion, 60 % does not."""
     rng = np.random.default_rng(0)
     waves = np.cumsum(rng.normal(size=(3000, 4)), axis=0)
     waves = np.sin(0.05 * (waves - np.linspace(0.0, 1.0, 3000)[:, None] * waves[-1]) + np.arange(4))

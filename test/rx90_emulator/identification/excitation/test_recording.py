@@ -28,6 +28,8 @@ from rx90_emulator.identification.excitation.identify import log_warnings
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.records import JointRecord
 
+pytestmark = pytest.mark.slow
+
 ARM = plain_arm(7, 2, coupled=False)
 RATE = 500.0
 Equations = Callable[[Sequence[JointRecord], Bandwidths], ExcitationProblem]

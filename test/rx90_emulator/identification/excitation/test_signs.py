@@ -111,10 +111,7 @@ def test_quarter_turns_of_zeros_are_named(encoder: tuple[float, ...], tmp_path: 
 
 
 def test_a_second_of_a_log_names_no_sign(tmp_path: Path) -> None:
-    """With 1.4 equations for a parameter any sign fits: none is named, and the log is called short.
-
-    With fewer than one the log is refused for that reason. Both efforts and gears of this arm had been called wrong.
-    """
+    """With 1.4 equations for a parameter any sign fits: none is named, and the log is called short."""
     true = plain_arm(5, 5, coupled=False)
     arm, run = rigid_arm(true, tmp_path), measured(true, FourierMotion.random(true, 5, periods=1), 100.0, 5, NOISE)
     records = [some_rows(run.record(true), slice(500, last)) for last in (650, 610)]

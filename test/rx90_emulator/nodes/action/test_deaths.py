@@ -110,10 +110,7 @@ def test_a_stamped_goal_gives_the_same_bits_in_every_run_and_who_dies_ends_one(
     needs_action: None,  # noqa: ARG001
     tmp_path: Path,
 ) -> None:
-    """In lock-step, messages, feedback and result of another run by other processes are the same to the last bit.
-
-    A goal ends with a process that is killed, or interrupted, in its midst.
-    """
+    """In lock-step, messages, feedback and result of another run by other processes are the same to the last bit."""
     runs = []
     for name, end in (("first", killed), ("other", interrupted)):
         (tmp_path / name).mkdir()

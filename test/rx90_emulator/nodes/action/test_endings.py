@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 from action_bench import ABORTED, CANCELED, STEP, SUCCEEDED, Bench
 
@@ -15,11 +16,7 @@ pytestmark = pytest.mark.ros
 
 
 def test_tolerances_along_the_path_and_at_the_goal(bench: Bench) -> None:
-    """Beyond a tolerance on the path -4, beyond one at the goal -5 after its time: joint, amount, limit and time.
-
-    The next goal has the defaults again; -1 takes a tolerance away. A default that is changed counts for what comes
-    next, also for trajectories on the topic.
-    """
+    """Beyond a tolerance on the path -4, beyond one at the goal -5 after its time: joint, amount, limit and time."""
     from action_client import Duration, move, stamp
     from control_msgs.msg import JointTolerance
 
@@ -56,11 +53,7 @@ def test_tolerances_along_the_path_and_at_the_goal(bench: Bench) -> None:
 
 
 def test_what_ends_a_goal_is_told_to_who_sent_it(bench: Bench) -> None:
-    """A cancel, another client's goal, a trajectory or a stop on the topic, a reset: status, code, reason and a line.
-
-    All but the last come while time stands still. A goal that waits for its start can be cancelled, one that has ended
-    cannot.
-    """
+    """A cancel, another goal, a trajectory or a stop on the topic, a reset: status, code, reason and a line."""
     from action_client import move
     from trajectory_msgs.msg import JointTrajectory
 
@@ -106,3 +99,20 @@ def test_what_ends_a_goal_is_told_to_who_sent_it(bench: Bench) -> None:
     ends(fourth, ABORTED, -1, "the states go on from 0 s; holding, at ")
     bench.begin_anew()
     bench.home()
+
+
+def test_cancelling_while_time_runs_gives_one_of_two_ends(bench: Bench) -> None:
+    """Cancel and end may cross: the client gets CANCELED or SUCCEEDED, the next goal is followed all the same."""
+    from action_client import move
+
+    bench.home()
+    bench.time.pause(False)
+    for k, set_points in enumerate(np.random.default_rng(1).integers(0, 300, 6)):
+        handle = bench.goals.send(move(0.02 * (k % 2), 0.25))
+        result = bench.goals.result_of(handle)
+        last = len(bench.set_points) + int(set_points)
+        bench.client.spin_until(lambda last=last: len(bench.set_points) > last, "set-points")
+        bench.goals.cancel(handle)
+        assert bench.goals.wait(result).status in {SUCCEEDED, CANCELED}
+    bench.time.pause(True)
+    bench.begin_anew()

@@ -97,11 +97,7 @@ def test_ten_thousand_points(bench: Bench) -> None:
 
 
 def test_speed_scaling_along_the_path(bench: Bench, acceleration: NDArray[np.float64]) -> None:
-    """At a factor f a goal takes 1/f of its time, changed on the way without a jump; at 0 it waits, and goes on.
-
-    A factor that is none is a line, the next ones are counted; one that is repeated is no line. controller_state has
-    the speed along the path.
-    """
+    """At a factor f a goal takes 1/f of its time, changed on the way without a jump; at 0 it waits, and goes on."""
     from action_client import move
     from control_msgs.msg import JointTrajectoryControllerState, SpeedScalingFactor
     from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -222,22 +218,8 @@ def allowed(bench: Bench, option: str) -> Iterator[None]:
         assert bench.client.set_parameters("rx90_controller", **{option: False}) == [""]
 
 
-def test_a_subset_of_joints_moves_while_the_others_hold(bench: Bench) -> None:
-    """With allow_partial_joints_goal a goal names some joints, in any order; the others keep their set-point."""
-    from action_client import goal, point
-
-    bench.home()
-    with allowed(bench, "allow_partial_joints_goal"):
-        ended = bench.follow(goal(point(0.3, [0.03, -0.02]), names=["joint_4", "joint_2"]))
-    assert (ended.status, ended.result.error_code) == (SUCCEEDED, 0)
-    assert list(bench.heard()[-1].position) == pytest.approx([0.0, -0.02, 0.0, 0.03, 0.0, 0.0], abs=1e-12)
-
-
 def test_a_goal_may_end_with_a_velocity_and_begin_where_the_path_is(bench: Bench) -> None:
-    """With its option the last point may move, behind which the arm brakes; with replacement a first point in the past.
-
-    Set-points have no jump of position or velocity; who has sent the goal before gets -1.
-    """
+    """With its option the last point may move, behind which the arm brakes; the first one may be in the past."""
     from action_client import goal, point
 
     bench.home()

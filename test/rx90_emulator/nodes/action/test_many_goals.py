@@ -7,10 +7,12 @@ from typing import Any
 import pytest
 from action_bench import ABORTED, CANCELED, Bench
 from rclpy.qos import QoSProfile
+from std_srvs.srv import SetBool, Trigger
 
 pytestmark = pytest.mark.ros
 
 BURST = 200
+REQUESTS = 100
 SOON = 40.0  # s; resets that waited for each other's first tick would take 50
 DEEP = QoSProfile(depth=2 * BURST)  # the client's own queues, of answers that come while it sends
 
@@ -41,3 +43,21 @@ def test_goals_results_and_cancels_of_a_burst_are_all_answered(bench: Bench) -> 
     assert [one.status for one in answers(bench, results, "results")] == [ABORTED] * (BURST - 1) + [CANCELED]
     bench.time.run(0.4)
     action.destroy()
+
+
+def test_requests_of_a_burst_are_all_answered(bench: Bench) -> None:
+    """100 at once to the simulation and to the controller, while time stands still, and while it runs."""
+    node = bench.client.node
+    for paused in (True, False):
+        bench.time.pause(paused)
+        for kind, service, request in (
+            (Trigger, "rx90_sim/reset", Trigger.Request()),
+            (SetBool, "rx90_controller/enable", SetBool.Request(data=True)),
+        ):
+            client = node.create_client(kind, service, qos_profile=DEEP)
+            bench.client.spin_until(client.service_is_ready, service)
+            told = answers(bench, [client.call_async(request) for _ in range(REQUESTS)], service)
+            assert all(one.success for one in told)
+            node.destroy_client(client)
+        bench.time.pause(True)
+        bench.begin_anew()

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import re
-
 import pytest
 from action_bench import ABORTED, STEP, SUCCEEDED, Bench
 from diagnostic_msgs.msg import DiagnosticArray
 from ros_client import JOINTS
 
-from rx90_emulator.loop.setup import Setup
-
 pytestmark = pytest.mark.ros
 
 
 def test_what_is_no_goal_is_rejected_and_logged_and_the_one_before_goes_on(bench: Bench) -> None:
-    """Bad goals, of which test_goals.py has every kind, are rejected with a line each; the goal before is not touched.
-
-    One that begins where the arm is not is aborted instead: INVALID_GOAL, with the reason.
-    """
+    """Bad goals, of which test_goals.py has every kind, get a line each; the goal before is not touched."""
     from action_client import goal, move, point
 
     bench.home()
@@ -56,10 +49,7 @@ def test_what_is_no_goal_is_rejected_and_logged_and_the_one_before_goes_on(bench
 
 
 def test_brakes_end_a_goal_and_refuse_the_next(bench: Bench) -> None:
-    """With the torque off the goal is aborted with INVALID_GOAL, at once; goals are rejected until it is on again.
-
-    So they are when the node is deactivated. One that is sent at once when the torque is on again is followed.
-    """
+    """With the torque off the goal is aborted with INVALID_GOAL, at once; goals are rejected until it is on again."""
     from action_client import move
 
     def deactivate() -> None:
@@ -99,22 +89,3 @@ def test_brakes_end_a_goal_and_refuse_the_next(bench: Bench) -> None:
         bench.client.enable(on)
     # It waits for the tick with which the torque comes back.
     assert bench.time.until(bench.goals.result_of(bench.goals.send(move(0.02, 0.3)))).status == SUCCEEDED
-
-
-def test_a_fault_of_the_supervision_ends_a_goal_and_refuses_the_next(bench: Bench, shipped: Setup) -> None:
-    """Beyond the following error: ABORTED, -1, with joint, value and limit; goals are rejected until `enable`."""
-    from action_client import move
-
-    bench.home()
-    usual = shipped.controller.following_error.tolist()
-    assert bench.client.set_parameters("rx90_controller", supervision__following_error=[1e-5] * 6) == [""]
-    ended = bench.follow(move(0.05, 0.4))
-    assert (ended.status, ended.result.error_code) == (ABORTED, -1)
-    reason = r"joint_\d: following error \S+ rad at \S+ s; accepted: up to 1e-05 rad; torque off, brakes closed, at .*"
-    assert re.fullmatch(reason, ended.result.error_string), ended.result.error_string
-    assert not bench.goals.send(move(0.0)).accepted
-    bench.cell.wait_for(r"goal rejected: joint_\d: following error .*; accepted: after a call of ~/enable with true")
-    assert bench.client.set_parameters("rx90_controller", supervision__following_error=usual) == [""]
-    bench.client.enable(True)
-    bench.time.run(0.1)
-    bench.home()
