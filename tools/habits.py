@@ -20,7 +20,7 @@ import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
-from tools.sizes import ROOMS, ROOT, tracked
+from tools.sizes import ROOMS, ROOT, files
 
 COUNTS = ROOT / "tools/habits.json"
 MOST_ARGUMENTS = 7
@@ -35,7 +35,7 @@ Place = tuple[str, int]
 
 def find_habits() -> dict[str, list[Place]]:
     """Return the places of each habit in the product's code."""
-    names = tracked(*(f"{room}/*.py" for room in ROOMS))
+    names = files(*(f"{room}/**/*.py" for room in ROOMS))
     places = {habit: _find_by_ruff(rule) for habit, rule in RUFF_RULES.items()}
     places |= {habit: [] for habit in (*SYNTAX_HABITS, "fmt: skip")}
     for name in names:

@@ -113,11 +113,10 @@ def install(needs: Sequence[Need]) -> None:
 
 
 def _apt_get(prefix: Sequence[str], *arguments: str) -> bool:
-    environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
-    command = [*prefix, "apt-get", *arguments]
-    done = subprocess.run(
-        command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
-    )
+    # By env: sudo does not hand variables on. Without a network it shall not wait for minutes.
+    patience = ("-o", "Acquire::Retries=0", "-o", "Acquire::http::Timeout=20", "-o", "Acquire::https::Timeout=20")
+    command = [*prefix, "/usr/bin/env", "DEBIAN_FRONTEND=noninteractive", "apt-get", *arguments, *patience]
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
     if done.returncode:
         errors = [line for line in done.stderr.splitlines() if line.strip()]
         _say(f"apt-get {arguments[0]} ended with {done.returncode}: {errors[-1] if errors else 'without a word'}")

@@ -4,7 +4,7 @@
 
 The goals are the project's own upper limits: a change may not raise a figure above its goal without need.
 
-Tokens are those of Python's tokenizer in tracked product files, without comments, docstrings, blank lines and
+Tokens are those of Python's tokenizer in product files, without comments, docstrings, blank lines and
 indentation: neither formatting nor documentation counts. An option is a call of `add_argument` with a name that begins
 with a dash, wherever it is declared. Words are those of the Markdown pages of docs/, as `wc -w` counts them.
 """
@@ -14,7 +14,6 @@ from __future__ import annotations
 import ast
 import io
 import re
-import subprocess
 import sys
 import tokenize
 from dataclasses import dataclass
@@ -77,13 +76,17 @@ def measure(source: str) -> Size:
     """Measure the source text of a Python file."""
     docstrings = docstring_lines(ast.parse(source))
     tokens = 0
+    depth = 0  # of formatted strings, which are tokens of several parts from Python 3.12 on, and one before
     code_lines = set()
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         is_docstring = token.type == tokenize.STRING and token.start[0] in docstrings
         if token.type in _LAYOUT or is_docstring:
             continue
-        tokens += 1
-        code_lines.add(token.start[0])
+        name = tokenize.tok_name[token.type]
+        if depth == 0:
+            tokens += 1
+            code_lines.add(token.start[0])
+        depth += (name == "FSTRING_START") - (name == "FSTRING_END")
     return Size(tokens, len(code_lines), source.count("\n"))
 
 
@@ -113,16 +116,14 @@ def _declares_option(node: ast.AST) -> bool:
     return node.func.attr == "add_argument" and name.value.startswith("-")
 
 
-def tracked(*patterns: str) -> list[str]:
-    """Return the tracked files of these patterns that are there."""
-    command = ["git", "ls-files", *patterns]
-    listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    return [name for name in listed.splitlines() if (ROOT / name).is_file()]
+def files(*patterns: str) -> list[str]:
+    """Return the files of these patterns, relative to the root, in their order."""
+    return sorted(str(path.relative_to(ROOT)) for pattern in patterns for path in ROOT.glob(pattern))
 
 
 def main() -> int:
     """Print the tables."""
-    sources = {name: _read(name) for name in tracked(*(f"{room}/*.py" for room in ROOMS))}
+    sources = {name: _read(name) for name in files(*(f"{room}/**/*.py" for room in ROOMS))}
     sizes = {name: measure(source) for name, source in sources.items()}
     print(f"{'':30} {'tokens':>8} {'goal':>8} {'a line':>7} {'lines':>7} {'modules':>8}")
     for folder in ("", *FOLDERS):
@@ -135,8 +136,8 @@ def main() -> int:
         print(f"{title:30} {tokens:8} {goal:>8} {tokens / max(code_lines, 1):7.2f} {lines:7} {len(inside):8}")
 
     options = sum(count_options(source) for source in sources.values())
-    words = sum(len(_read(name).split()) for name in tracked("docs/*.md"))
-    test_lines = sum(_read(name).count("\n") for name in tracked("test/*.py"))
+    words = sum(len(_read(name).split()) for name in files("docs/**/*.md"))
+    test_lines = sum(_read(name).count("\n") for name in files("test/**/*.py"))
     print()
     print(f"{'':30} {'now':>8} {'goal':>8}")
     print(f"{'commands':30} {len(_commands()):8} {5:8}")

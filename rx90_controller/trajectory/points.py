@@ -130,10 +130,6 @@ class TrajectoryPoints:
             np.array(times, dtype=np.float64), q, v, a, np.isin(np.arange(len(robot_joints)), columns), degrees=degrees
         )
 
-    def prepared(self) -> TrajectoryPoints:
-        """Return them as they are: nothing need be computed beforehand; kept for programs that call it."""
-        return self
-
     def smoothed(self) -> TrajectoryPoints:
         """Return them for the smooth spline through their positions, with their velocities at both ends.
 

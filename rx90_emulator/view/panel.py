@@ -177,7 +177,7 @@ class ControlPanel:
             trace = self._trace
             if trace is not None:
                 drawn = gui.add_dropdown("error drawn \u00d7", _MAGNIFICATIONS)
-                drawn.on_update(self._from_user(lambda factor: trace.magnify(float(factor))))
+                drawn.on_update(self._from_user(partial(_magnify, trace)))
                 gui.add_button("Clear the trace").on_click(self._from_user(lambda _: trace.clear()))
         self._sliders[client.client_id] = sliders
 
@@ -339,3 +339,9 @@ class Jogs:
         shown = np.degrees(arm.position if self.target is None else self.target)
         ends = zip(shown.tolist(), self.ranges, strict=True)
         return [min(max(round(angle, 1), low), high) for angle, (low, high) in ends]
+
+
+def _magnify(trace: LineScene, factor: object) -> None:
+    """Draw the error as many times larger as a client chose; it may send what the list does not offer."""
+    if factor in _MAGNIFICATIONS:
+        trace.magnify(float(str(factor)))
