@@ -208,8 +208,9 @@ def _with_coupling(fit: FrictionFit, arm: Arm, joint: int, used: Sequence[Array]
     The joint's friction and the target's law are compared over the grid of all their speeds in use, of either sign.
     """
     rows = arm.drives.turning.element_matrix
-    felt = np.flatnonzero(rows[:, joint])
-    joints = [joint, *(k for k in np.flatnonzero(rows[felt].any(axis=0)) if k != joint)]
+    felt: list[int] = np.flatnonzero(rows[:, joint]).tolist()
+    turning: list[int] = np.flatnonzero(rows[felt].any(axis=0)).tolist()
+    joints = [joint, *(k for k in turning if k != joint)]
     if len(joints) == 1:
         return fit
     count = int(_GRID ** (1.0 / len(joints))) // 2
