@@ -22,8 +22,8 @@ it is a torque that the drive cannot measure.
 
 **Resolvers** have a tracking converter. It rounds the position to its counts, but its velocity is the analog signal
 inside the tracking loop (Analog Devices, data sheet of the AD2S83: it replaces a tachogenerator), so counts do not
-appear in it. A velocity computed from counts would jump by 1.8 mrad/s for one count of joint 1 or 2, to which the
-velocity loop would respond with 10 Nm.
+appear in it. If it followed the counts, it would jump by 1.05 mrad/s for one count of joint 2, to which the velocity
+loop would respond with 6.3 Nm.
 """
 
 from __future__ import annotations

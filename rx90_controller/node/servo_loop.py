@@ -301,6 +301,9 @@ class ServoLoop:
             with self.between_ticks:
                 self._refused(kind, error)
             return None
+        if request.remark:
+            with self.between_ticks:
+                self._note(f"{kind}: {request.remark}", wrong=True)
         if goal is None:
             self.offer(request)
         return request

@@ -27,6 +27,32 @@ FASTEST = 0.5
 the joints' speed."""
 
 
+@dataclass(frozen=True)
+class LearnedMotion:
+    """The motion that a correction was learned on.
+
+    Attributes:
+        robot: the robot's name in its URDF.
+        identity: digest of the trajectory's points.
+        speed: largest speed of the tip, m/s.
+        duration: from first to last point, s.
+        start: where it begins, rad, of each joint.
+    """
+
+    robot: str
+    identity: str
+    speed: float
+    duration: float
+    start: tuple[float, ...]
+
+    @property
+    def path(self) -> str:
+        """Return the path in words."""
+        start = ", ".join(f"{angle:.4g}" for angle in self.start)
+        speed = f"{1e3 * self.speed:.4g} mm/s"
+        return f"a path of {self.duration:.6g} s at {speed} from {start} rad (digest {self.identity})"
+
+
 @dataclass(frozen=True, eq=False)
 class Correction:
     """Offsets of the position set-points along a trajectory.
@@ -34,6 +60,7 @@ class Correction:
     Attributes:
         offsets: of the joints on set-points 0, 1, ... of the trajectory, rad, shape (n, j).
         period: of the set-points, s.
+        learned_on: the motion that it was learned on, and on no other is played; None for any.
 
     Raises:
         TrajectoryError: for another shape, values that are no numbers, and offsets beyond LARGEST or faster than
@@ -42,6 +69,7 @@ class Correction:
 
     offsets: Array
     period: float
+    learned_on: LearnedMotion | None = None
 
     def __post_init__(self) -> None:
         offsets = self.offsets
@@ -62,7 +90,7 @@ class Correction:
     def later(self, time: float) -> Correction:
         """Return it for its trajectory behind a move that takes `time`, s, a whole number of set-points."""
         rest = np.zeros((round(time / self.period), self.offsets.shape[1]))
-        return replace(self, offsets=np.concatenate([rest, self.offsets]))
+        return replace(self, offsets=np.concatenate([rest, self.offsets]), learned_on=None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from rx90_controller.trajectory.generator import PastError, Schedule, Trajectory
 from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, points_from_message
 
 _QUANTITIES = (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s^2"))  # the rows of tolerances
+_ERASE = 1.2e-7  # float's epsilon: how near to -1 a tolerance erases the default
 # points, s: of a trajectory that can be joined between two ticks
 _SHORT_POINTS = 20
 _SHORT_S = 20.0
@@ -117,7 +118,9 @@ class GoalTolerances:
         return math.isfinite(self.goal_time) or bool(np.isfinite(self.path).any())
 
     def of_goal(self, path: Sequence[Any], goal: Sequence[Any], goal_time: float) -> GoalTolerances:
-        """Return these with those of a goal in their place: 0 keeps the default, -1 erases it.
+        """Return these with those of a goal in their place, as joint_trajectory_controller reads them.
+
+        0, and what is no number, keeps the default, -1 erases it; of several for a joint the last one counts.
 
         Args:
             path: control_msgs/JointTolerance: name, position, velocity, acceleration.
@@ -125,21 +128,20 @@ class GoalTolerances:
             goal_time: goal_time_tolerance, s; 0 keeps the default, -1 is "for ever".
 
         Raises:
-            TrajectoryError: for an unknown or repeated joint, and another negative number or one that is not finite.
+            TrajectoryError: for an unknown joint, and another negative number.
         """
         tables = []
         for what, given, defaults in (("path_tolerance", path, self.path), ("goal_tolerance", goal, self.goal)):
             table = defaults.copy()
-            joints = [str(tolerance.name) for tolerance in given]
-            for name, tolerance in zip(joints, given, strict=True):
-                if name not in self.names or joints.count(name) > 1:
-                    reason = "stands twice" if name in self.names else "is unknown"
-                    accepted = f"{', '.join(self.names)}, each at most once"
-                    raise TrajectoryError(f"{what}: joint {quoted(name)} {reason}; accepted: {accepted}")
+            for tolerance in given:
+                name = str(tolerance.name)
+                if name not in self.names:
+                    accepted = ", ".join(self.names)
+                    raise TrajectoryError(f"{what}: joint {quoted(name)} is unknown; accepted: {accepted}")
                 joint = self.names.index(name)
                 for row, (quantity, unit) in enumerate(_QUANTITIES):
                     value = float(getattr(tolerance, quantity))
-                    table[row, joint] = _resolved(f"{what}: {quantity} of {name}", unit, value, table[row, joint])
+                    table[row, joint] = _resolved(f"{what}: {quantity} of {name}", unit, value, defaults[row, joint])
             tables.append(table)
         most = _resolved("goal_time_tolerance", "s", goal_time, self.goal_time)
         return GoalTolerances(self.names, tables[0], tables[1], most)
@@ -160,15 +162,13 @@ class GoalTolerances:
 
 def _resolved(what: str, unit: str, value: float, default: float) -> float:
     """Return the meaning of a goal's tolerance value."""
-    if value == 0.0:
-        return default
-    if value == -1.0:
+    if value > 0.0:
+        return value
+    if abs(value + 1.0) < _ERASE:
         return math.inf
-    if not 0.0 < value < math.inf:
-        raise TrajectoryError(
-            f"{what} is {value:g} {unit}; accepted: a finite number > 0, 0 for the default, -1 for none"
-        )
-    return value
+    if value < 0.0:
+        raise TrajectoryError(f"{what} is {value:g} {unit}; accepted: a number > 0, 0 for the default, -1 for none")
+    return default
 
 
 class State(Enum):
@@ -210,6 +210,7 @@ class TrajectoryRequest:
         start: its stamp in position ticks; None for now.
         tolerances: that apply to it.
         options: permitted exceptions at its arrival.
+        remark: what was not taken of it, one line; empty for nothing.
         is_goal: whether it was received as a goal: the way to its points then starts on the running path. A point at
             the start of a topic's trajectory is followed to the bit, unless the start is past.
         on_feedback: of a goal, called by the executor's thread now and then while it is followed.
@@ -226,6 +227,7 @@ class TrajectoryRequest:
     tolerances: GoalTolerances
     options: GoalOptions
     is_goal: bool = False
+    remark: str = ""
     on_feedback: Callable[[Feedback], None] | None = None
     on_result: Callable[[], None] | None = None
     state: State = State.RECEIVED
@@ -319,13 +321,14 @@ def check_request(
         options: permitted exceptions from the checks.
         position_hz: rate of the position loop, Hz.
         goal: control_msgs/action/FollowJointTrajectory goal that contains the trajectory, or anything with its
-            attributes.
+            attributes. If one of its tolerances cannot be taken, the defaults hold, as `remark` says.
 
     Raises:
         TrajectoryError: naming joint, index of the point or field, and reason.
     """
     tolerances = defaults
     points = None
+    remark = ""
     if goal is not None:
         if goal.multi_dof_trajectory.joint_names or goal.multi_dof_trajectory.points:
             raise TrajectoryError("multi_dof_trajectory is given; accepted: an empty one")
@@ -333,7 +336,10 @@ def check_request(
             if given := getattr(goal, name):
                 raise TrajectoryError(f"{name} of {len(given)} joints; accepted: none")
         goal_time = message_time_ns(goal.goal_time_tolerance) / NANOSECONDS
-        tolerances = defaults.of_goal(goal.path_tolerance, goal.goal_tolerance, goal_time)
+        try:
+            tolerances = defaults.of_goal(goal.path_tolerance, goal.goal_tolerance, goal_time)
+        except TrajectoryError as error:
+            remark = f"{error}; the default tolerances hold"
     if goal is not None or len(message.points) > 0:
         moving_end = options.allow_nonzero_velocity_at_trajectory_end
         partial = options.allow_partial_joints_goal
@@ -343,7 +349,7 @@ def check_request(
         check_joints(defaults.names, list(message.joint_names))
     stamp_ns = message_time_ns(message.header.stamp)
     start = int(-(-stamp_ns * position_hz // NANOSECONDS)) if stamp_ns else None  # the first tick not before it
-    return TrajectoryRequest(message, points, start, tolerances, options, is_goal=goal is not None)
+    return TrajectoryRequest(message, points, start, tolerances, options, is_goal=goal is not None, remark=remark)
 
 
 class JoinedAhead:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import xml.etree.ElementTree as ET
 import zipfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,10 +18,10 @@ from rx90_common.base.errors import ConfigError, TrajectoryError, warn_caller
 from rx90_common.base.groups import Group
 from rx90_common.base.quoting import plain
 from rx90_common.process.files import write_all
-from rx90_controller.trajectory.correction import Correction
-from rx90_controller.trajectory.points import trajectory_identity
+from rx90_controller.trajectory.correction import Correction, LearnedMotion
 from rx90_emulator.correction.learning import MEASUREMENTS, LearnedCorrection
-from rx90_emulator.correction.path import CorrectablePath, TrajectoryPath
+from rx90_emulator.correction.path import CorrectablePath
+from rx90_emulator.loop.learned_motion import check_correction, learned_motion
 from rx90_emulator.loop.setup import Setup
 
 _MASS = 1e-6  # kg: files are rounded to this
@@ -71,19 +70,10 @@ CORRECTION = Group(
 """The contents of the head of a correction file."""
 
 
-def identity_of(setup: Setup, path: TrajectoryPath) -> dict[str, Any]:
-    """Return robot, payload and path that a correction is valid for, in the form of CORRECTION."""
+def _payload(setup: Setup) -> dict[str, Any]:
+    """Return the last link with flange and tool, in the form of CORRECTION."""
     carried = setup.robot.model.inertias[setup.robot.model.njoints - 1]
-    return {
-        "robot": ET.fromstring(setup.robot.urdf).get("name", ""),
-        "payload": {"mass": float(carried.mass), "center_of_mass": [float(x) for x in carried.lever]},
-        "path": {
-            "identity": trajectory_identity(path.points),
-            "speed": float(np.linalg.norm(np.diff(path.tip, axis=0), axis=1).max()) / path.period,
-            "duration": float(path.points.times[-1]),
-            "start": path.points.position[0].tolist(),
-        },
-    }
+    return {"mass": float(carried.mass), "center_of_mass": [float(x) for x in carried.lever]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,40 +114,23 @@ class CorrectionFile:
         Raises:
             ConfigError: for another robot, period or path, with the numbers.
         """
-        here = identity_of(setup, TrajectoryPath.of(setup, path.points, path.counted))
         period = setup.rates.position_period
         if not math.isclose(self.correction.period, period):
             raise ConfigError(
                 f"{plain(self.file)} has offsets every {self.correction.period:g} s, the controller a set-point every "
                 f"{period:g} s; accepted: the same"
             )
-        if self.head["robot"] != here["robot"]:
-            raise ConfigError(
-                f"{plain(self.file)} was learned on the robot {self.head['robot']!r}, this one is {here['robot']!r}; "
-                "accepted: the same robot"
-            )
-        if self.head["path"]["identity"] != here["path"]["identity"]:
-            raise ConfigError(
-                f"{plain(self.file)} was learned on {_in_words(self.head['path'])}, this is {_in_words(here['path'])}; "
-                "accepted: the same trajectory"
-            )
+        check_correction(setup, path.points, self.correction, plain(self.file))
         learned = self.head["payload"]
-        mass = here["payload"]["mass"]
-        lever = float(np.linalg.norm(np.subtract(learned["center_of_mass"], here["payload"]["center_of_mass"])))
+        here = _payload(setup)
+        mass = here["mass"]
+        lever = float(np.linalg.norm(np.subtract(learned["center_of_mass"], here["center_of_mass"])))
         if abs(learned["mass"] - mass) > _MASS or lever > _LEVER:
             warn_caller([
                 f"{plain(self.file)}: it was learned with {learned['mass']:.6g} kg on the last joint, there are "
                 f"{mass:.6g} kg, their centre {lever * 1e3:.3g} mm elsewhere: let it learn one more trial"
             ])  # fmt: skip
         return self.correction
-
-
-def _in_words(path: dict[str, Any]) -> str:
-    start = ", ".join(f"{angle:.4g}" for angle in path["start"])
-    return (
-        f"a path of {path['duration']:.6g} s at {1e3 * path['speed']:.4g} mm/s from {start} rad (digest "
-        f"{path['identity']})"
-    )
 
 
 def write_correction(learned: LearnedCorrection, file: Path | str, earlier: CorrectionFile | None = None) -> None:
@@ -181,8 +154,11 @@ def write_correction(learned: LearnedCorrection, file: Path | str, earlier: Corr
     buffer = io.BytesIO()
     np.savez_compressed(buffer, offsets=learned.correction.offsets, best=learned.best_offsets)
     options = [f"{key} {'none' if value is None else f'{value:g}'}" for key, value in asdict(learned.method).items()]
+    motion = asdict(learned_motion(learned.setup, learned.path.points))
     content = {
-        **identity_of(learned.setup, TrajectoryPath.of(learned.setup, learned.path.points, learned.path.counted)),
+        "robot": motion.pop("robot"),
+        "payload": _payload(learned.setup),
+        "path": {**motion, "start": list(motion["start"])},
         "period": learned.correction.period,
         "method": f"{type(learned.method).__name__}: {', '.join(options)}",
         "seen": measurements,
@@ -209,9 +185,12 @@ def load_correction(name: Path | str) -> CorrectionFile:
     file = Path(name)
     content = CORRECTION.read(load_yaml(file))
     offsets_file = file.parent / Path(content["offsets"]["file"]).name
+    path = content["path"]
+    start = tuple(float(angle) for angle in path["start"])
+    motion = LearnedMotion(content["robot"], path["identity"], path["speed"], path["duration"], start)
     try:
         with np.load(offsets_file, allow_pickle=False) as arrays:
-            correction = Correction(np.asarray(arrays["offsets"], dtype=np.float64), content["period"])
+            correction = Correction(np.asarray(arrays["offsets"], dtype=np.float64), content["period"], motion)
             best = Correction(np.asarray(arrays["best"], dtype=np.float64), content["period"]).offsets
     except (OSError, KeyError, ValueError, zipfile.BadZipFile, TrajectoryError) as error:
         raise ConfigError(f"{plain(offsets_file)}: {error}; accepted: the file written with {plain(file)}") from error

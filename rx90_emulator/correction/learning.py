@@ -31,6 +31,7 @@ from rx90_controller.trajectory.correction import FADE, Correction
 from rx90_emulator.correction.methods import NormOptimal
 from rx90_emulator.correction.path import CorrectablePath, TrajectoryPath
 from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.learned_motion import check_correction, learned_motion
 from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
@@ -254,7 +255,8 @@ class LearnedCorrection:
     @classmethod
     def of(cls, learner: Learner, where: str, offsets: Array, remark: str = "") -> LearnedCorrection:
         """Return the result of a learner with trials at `where`, and the offsets to be played, rad."""
-        played = Correction(offsets, learner.nominal.period)
+        motion = learned_motion(learner.setup, learner.path.points)
+        played = Correction(offsets, learner.nominal.period, motion)
         return cls(
             learner.setup,
             learner.path,
@@ -361,7 +363,10 @@ def learn_correction(
     """
     check_type(setup=(setup, Setup))
     planned = plan_path(setup, path) if isinstance(path, (LineTask, Path)) else path
-    before = None if previous is None else previous.offsets
+    before = None
+    if previous is not None:
+        check_correction(model or setup, planned.points, previous, "the correction")
+        before = previous.offsets
     learner = Learner(model or setup, planned, method, tip=tip, noise=noise, previous=before)
     trajectory = learner.nominal if model is None else TrajectoryPath.of(setup, planned.points, planned.counted)
     return learn(learner, lambda played: run_corrected(setup, trajectory, played)[1], trials, ENGINE, on_trial)

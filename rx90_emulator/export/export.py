@@ -29,6 +29,7 @@ REPORT = "export.yaml"
 """The file beside those of the simulator that states the errors of the export."""
 
 _FEWEST = 20  # least number of samples of a bag that determine the speeds of a joint
+_GRID = 1_000_000  # most combinations of the speeds of joints that move at once
 _ROUNDING = 1e-9  # Nm: a smaller difference is rounding
 _OTHER_SHAPE = (TypeError, ValueError, KeyError, IndexError, AttributeError)
 
@@ -85,6 +86,7 @@ class Export:
                 "largest_difference": fit.largest,
                 "rms_difference": fit.rms,
                 "more_while_others_move": fit.coupled,
+                "largest_while_others_move": fit.worst,
                 "break_away": {"robot": list(fit.break_away[0]), "exported": list(fit.break_away[1])},
                 "presliding_stiffness": {"robot": fit.stiffness[0], "exported": _finite(fit.stiffness[1])},
                 "exported": {
@@ -140,7 +142,7 @@ def export_robot(
     used, words = _speeds_in_use(arm, turns[: len(names)], speeds, bag)
     for k, (name, speed) in enumerate(zip(names, used, strict=True)):
         fit = fit_friction(simulator, name, [arm.friction.elements[e] for e in np.flatnonzero(felt[:, k])], speed)
-        fits.append(fit if simulator.mjcf else _with_coupling(fit, arm, k))
+        fits.append(fit if simulator.mjcf else _with_coupling(fit, arm, k, used))
     files = files_of(arm, simulator, fits)
     lost = _arm_losses(arm, simulator)
     if target == "mujoco-classic":
@@ -200,22 +202,43 @@ def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
         ) from error
 
 
-def _with_coupling(fit: FrictionFit, arm: Arm, joint: int) -> FrictionFit:
-    """Return the fit of a joint with the loss where its friction depends on another joint's motion, too."""
-    coupled = 0.0
+def _with_coupling(fit: FrictionFit, arm: Arm, joint: int, used: Sequence[Array]) -> FrictionFit:
+    """Return the fit of a joint with its errors where its friction depends on other joints' motion, too.
+
+    The joint's friction and the target's law are compared over the grid of all their speeds in use, of either sign.
+    """
+    rows = arm.drives.turning.element_matrix
+    felt: list[int] = np.flatnonzero(rows[:, joint]).tolist()
+    turning: list[int] = np.flatnonzero(rows[felt].any(axis=0)).tolist()
+    joints = [joint, *(k for k in turning if k != joint)]
+    if len(joints) == 1:
+        return fit
+    count = int(_GRID ** (1.0 / len(joints))) // 2
+    signed = []
+    for k in joints:
+        speeds = np.sort(used[k])
+        if len(speeds) > count:
+            speeds = speeds[np.linspace(0, len(speeds) - 1, count).astype(int)]
+        signed.append(np.concatenate([-speeds, speeds]))
+    grid = np.meshgrid(*signed, indexing="ij", sparse=True)
+    alone = grid[0]
+    difference = -np.sign(alone) * fit.law.torque(np.abs(alone))
     lost = list(fit.lost)
-    speeds = fit.speeds
-    for row, name, element in zip(
-        arm.drives.turning.element_matrix, arm.friction.names, arm.friction.elements, strict=True
-    ):
-        others = [other for other in np.flatnonzero(row) if other != joint]
-        if row[joint] and others:
-            both = np.add.outer(speeds, np.concatenate([-speeds, speeds]))
-            most = float(np.abs(element.steady_torque(both) - element.steady_torque(speeds)[:, None]).max())
-            moves = " and ".join(arm.robot.joint_names[other] for other in others)
-            lost.append(f"coupling: while {moves} moves, {name} differs by up to {most:.3g} Nm more")
+    coupled = 0.0
+    for e in felt:
+        element = arm.friction.elements[e]
+        turn = rows[e, joint]
+        inputs = sum(rows[e, k] * speeds for k, speeds in zip(joints, grid, strict=True))
+        torque = turn * element.steady_torque(inputs)
+        difference = difference + torque
+        others = [arm.robot.joint_names[k] for k in joints[1:] if rows[e, k]]
+        if others:
+            most = float(np.abs(torque - turn * element.steady_torque(turn * alone)).max())
+            name = arm.friction.names[e]
+            lost.append(f"coupling: while {' and '.join(others)} moves, {name} differs by up to {most:.3g} Nm more")
             coupled += most
-    return replace(fit, lost=tuple(lost), coupled=coupled)
+    worst = max(fit.largest, float(np.abs(difference).max()))
+    return replace(fit, lost=tuple(lost), coupled=coupled, worst=worst)
 
 
 def _arm_losses(arm: Arm, target: Target) -> list[str]:

@@ -71,7 +71,8 @@ class FrictionFit:
         break_away: of the element and of the target, each for positive and for negative velocity, Nm.
         stiffness: presliding stiffness of the element and of the target, Nm/rad; infinite for a target without one.
         lost: properties that the target does not represent, a sentence each.
-        coupled: largest additional difference while another joint moves, Nm.
+        worst: largest difference at these speeds, also while other joints move at theirs, Nm.
+        coupled: how much the torques of shared elements change at most when other joints move, Nm.
     """
 
     name: str
@@ -83,12 +84,8 @@ class FrictionFit:
     break_away: tuple[tuple[float, ...], tuple[float, ...]]
     stiffness: tuple[float, float]
     lost: tuple[str, ...]
+    worst: float
     coupled: float = 0.0
-
-    @property
-    def worst(self) -> float:
-        """Return the largest possible difference of the torque at these speeds, Nm."""
-        return self.largest + self.coupled
 
 
 def speeds_up_to(high: float, low: float = LINEAR_SPEED) -> Array:
@@ -119,16 +116,18 @@ def fit_friction(target: Target, name: str, elements: Sequence[FrictionElement],
     law = _law(target, elements, speeds, 0.5 * (forward + backward))
     static = tuple(float(sum(getattr(one, f"tau_s_{sign}") for one in elements)) for sign in SIGNS)
     difference = np.concatenate([forward, backward]) - np.tile(law.torque(speeds), 2)
+    largest = float(np.abs(difference).max())
     return FrictionFit(
         name,
         tuple(elements),
         law,
         speeds,
-        float(np.abs(difference).max()),
+        largest,
         float(np.sqrt(np.mean(difference**2))),
         (static, (law.tau_s, law.tau_s)),
         (sum(one.c0 for one in elements), law.c0),
         tuple(each for one in elements for each in _lost(target, one, float(speeds.max()))),
+        largest,
     )
 
 

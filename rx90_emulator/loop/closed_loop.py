@@ -15,6 +15,7 @@ from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import load, size, store
 from rx90_controller.law.cs7b import CS7B, position_loop, velocity_loop
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
+from rx90_emulator.loop.learned_motion import check_correction
 from rx90_emulator.loop.result import FastSeries, MotionCommand, RunResult, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.drives import warm_motors
@@ -156,7 +157,8 @@ def simulate(
         record_fast: also keep the series on base ticks.
 
     Raises:
-        ConfigError: if the duration is shorter than a tick, a time is not finite, or the arm needs more steps.
+        ConfigError: if the duration is shorter than a tick, a time is not finite, the arm needs more steps, or the
+            trajectory's correction was learned on another one, or on another robot.
         TrajectoryError: if the trajectory is refused.
         DivergenceError: naming joint and tick.
         SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
@@ -192,10 +194,14 @@ def simulate_commands(
         sample: where set-points come from, in place of `setpoints_of`.
 
     Raises:
+        ConfigError: if a correction was learned on another robot or trajectory.
         TrajectoryError: if a trajectory is refused.
         DivergenceError: naming joint and tick.
         SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
     """
+    for _, points in commands:
+        if points is not None and points.correction is not None:
+            check_correction(setup, points, points.correction, "the correction")
     if warn:
         setup.warn_of_friction()
     rates = setup.rates

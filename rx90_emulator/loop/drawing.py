@@ -1,6 +1,7 @@
 """Paths from other programs' files: points in a CSV file, DXF drawings.
 
-DXF: LINE, ARC, CIRCLE, LWPOLYLINE, POLYLINE and SPLINE, joined end to end; splines by points on them.
+DXF: LINE, ARC, CIRCLE, LWPOLYLINE, POLYLINE and SPLINE, joined end to end; splines by points on them, from one corner
+to the next, such that the curve through these points stays within SPLINE_TOLERANCE of them.
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, warn_caller
 from rx90_common.base.quoting import plain, quoted
-from rx90_common.description.rotations import rpy_rotation
+from rx90_common.description.rotations import length, rpy_rotation
 from rx90_controller.paths.curve import KINK
 from rx90_controller.paths.path import Segment
 
@@ -29,7 +31,15 @@ _DXF_UNITS = {1: "in", 4: "mm", 5: "cm", 6: "m"}
 _MOST_BYTES = 16 << 20
 _MOST_POINTS = 50_000  # what a spline through them needs is some 200 MB
 _JOIN_TOLERANCE = 1e-4  # of the drawing's unit: ends closer than this are one
-_POINTS_PER_SPAN = 12  # points on each span of a drawing's spline
+SPLINE_TOLERANCE = 1e-5
+"""How far a path may be off a drawing's spline, m."""
+_POINTS_PER_SPAN = 12  # least number of points on each span of a drawing's spline
+_ROUNDS = 40  # in which an interval between points may be halved
+_BETWEEN = np.array([0.25, 0.5, 0.75])  # where a spline is compared between two points, and on how many samples
+_SAMPLES = 33
+_STRAIGHT = 1e-9  # of the length of a spline: how far a straight one may be off its chord
+_CORNER = 0.02  # rad, between secants of a spline before and behind a knot, each over _SECANT of its span
+_SECANT = 1e-3
 _HEAD = re.compile(r"\s*(\w+)\s*(?:\[\s*(\w+)\s*\])?\s*")
 
 
@@ -92,7 +102,7 @@ class Drawing:
 
     Attributes:
         file: its name ends with .csv or .dxf.
-        unit: of its numbers, one of UNITS; None: that the file names.
+        unit: of its numbers, one of UNITS, even if a drawing names another one; None: that the file names.
         origin: where its origin lies, m.
         rpy: roll, pitch and yaw of its axes, rad.
         points: "spline" or "lines" through the points of a CSV file.
@@ -186,12 +196,12 @@ class Drawing:
         try:
             document = readfile(self.file)
             space = document.modelspace()
-            unit = self._unit(_DXF_UNITS.get(document.header.get("$INSUNITS", 0)))
+            unit = self._dxf_unit(document)
             drawn = [
                 one
                 for entity in space
                 if self.layer is None or entity.dxf.layer == self.layer
-                for one in self._entity(entity)
+                for one in self._entity(entity, UNITS[unit])
             ]
         except (OSError, ValueError, LookupError, ArithmeticError, TypeError, AttributeError, DXFError) as error:
             raise ConfigError(f"{plain(self.file)}: cannot be read ({error}); accepted: a DXF file") from error
@@ -201,8 +211,19 @@ class Drawing:
             self._refuse(f"holds no path{where}; accepted: lines, arcs and splines")
         return unit, *self._chained(drawn)
 
-    def _entity(self, entity: Any) -> list[_Drawn]:
-        """Return what an entity draws, in its order."""
+    def _dxf_unit(self, document: Any) -> str:
+        """Return the user's unit, else that of the drawing; ezdxf has one also for a drawing without header."""
+        named = None
+        if b"$INSUNITS" in self.file.read_bytes():
+            named = _DXF_UNITS.get(document.header.get("$INSUNITS", 0))
+        if self.unit is None or self.unit == named:
+            return self._unit(named)
+        said = "names no unit" if named is None else f"is in {named}"
+        warn_caller([f"{plain(self.file)}: {said}; read in {self.unit}, as its unit in the path says"])
+        return self.unit
+
+    def _entity(self, entity: Any, unit: float) -> list[_Drawn]:
+        """Return what an entity draws, in its order; the drawing's unit is in m."""
         kind = entity.dxftype()
         dxf = entity.dxf
         if kind == "LINE":
@@ -218,17 +239,40 @@ class Drawing:
                 first = last = tuple(ocs.to_wcs(dxf.center + type(dxf.center)(dxf.radius, 0.0, 0.0)))
             return [(first, Segment((last,), "arc", tuple(ocs.to_wcs(dxf.center)), tuple(dxf.extrusion)))]
         if kind in ("LWPOLYLINE", "POLYLINE"):
-            return [part for each in entity.virtual_entities() for part in self._entity(each)]
+            return [part for each in entity.virtual_entities() for part in self._entity(each, unit)]
         if kind == "SPLINE":
-            curve = entity.construction_tool()
-            spans = max(1, len(set(curve.knots())) - 1)
-            points = [tuple(point) for point in curve.approximate(spans * _POINTS_PER_SPAN)]
-            return [(points[0], Segment(tuple(points[1:]), "spline"))]
+            return self._spline(entity.construction_tool(), unit)
         if kind not in ("TEXT", "MTEXT", "DIMENSION", "POINT", "HATCH"):  # which draw no path
             self._refuse(
                 f"{kind} on the layer {quoted(dxf.layer)}; accepted: LINE, ARC, CIRCLE, LWPOLYLINE, POLYLINE, SPLINE"
             )
         return []
+
+    def _spline(self, curve: Any, unit: float) -> list[_Drawn]:
+        """Return the parts of a drawing's spline from corner to corner, each through as many points as it takes."""
+        knots = sorted(set(curve.knots()))
+        corners = [
+            knot
+            for before, knot, after in zip(knots, knots[1:], knots[2:], strict=False)
+            if _turns(curve, before, knot, after)
+        ]
+        drawn = []
+        for begin, end in pairwise([knots[0], *corners, knots[-1]]):
+            inner = [knot for knot in knots if begin <= knot <= end]
+            shares = np.linspace(0.0, 1.0, _POINTS_PER_SPAN, endpoint=False)
+            at = np.append(np.concatenate([a + shares * (b - a) for a, b in pairwise(inner)]), end)
+            points, within = _points(curve, at, unit)
+            if not within:
+                self._refuse(
+                    f"{len(points)} points on a spline do not keep the curve within {SPLINE_TOLERANCE:g} m of it; "
+                    f"accepted: a spline that takes up to {_MOST_POINTS:,}"
+                )
+            rows = [tuple(point) for point in points.tolist()]
+            if _off_chord(points) <= _STRAIGHT * np.ptp(points, axis=0).max():
+                drawn.append((rows[0], Segment((rows[-1],))))
+            else:
+                drawn.append((rows[0], Segment(tuple(rows[1:]), "spline")))
+        return drawn
 
     def _chained(self, drawn: list[_Drawn]) -> tuple[tuple[float, ...], list[Segment]]:
         """Return start and segments end to end, from an open end, else from the start of the first one."""
@@ -257,3 +301,58 @@ class Drawing:
 
 _Drawn: TypeAlias = tuple[tuple[float, ...], Segment]
 """A start and a segment from there."""
+
+
+def _turns(curve: Any, before: float, knot: float, after: float) -> bool:
+    """Return whether a drawing's spline has a corner at a knot."""
+    place = curve.point(knot)
+    last = np.array(place - curve.point(knot - _SECANT * (knot - before)))
+    first = np.array(curve.point(knot + _SECANT * (after - knot)) - place)
+    return math.atan2(float(np.linalg.norm(np.cross(last, first))), float(last @ first)) > _CORNER
+
+
+def _points(curve: Any, at: Array, unit: float) -> tuple[Array, bool]:
+    """Return points (n, 3) of a drawing's spline, and whether the curve through them is within SPLINE_TOLERANCE of it.
+
+    Where it is not, there are more of them: in the middle of the parameters `at` on both sides.
+    """
+    for _ in range(_ROUNDS):
+        points = _places(curve, at)
+        moves = np.append(True, np.any(np.diff(points, axis=0), axis=1))  # a spline may rest on equal control points
+        points = points[moves]
+        at = at[moves]
+        between = at[:-1, None] + np.diff(at)[:, None] * _BETWEEN
+        far = _off(unit * points, unit * _places(curve, between.ravel()).reshape(*between.shape, 3)) > SPLINE_TOLERANCE
+        if not far.any():
+            return points, True
+        if len(at) > _MOST_POINTS:
+            break
+        at = np.sort(np.append(at, 0.5 * (at[:-1] + at[1:])[far]))
+    return points, False
+
+
+def _places(curve: Any, at: Array) -> Array:
+    return np.array([tuple(point) for point in curve.points(at.tolist())])
+
+
+def _off(points: Array, places: Array) -> Array:
+    """Return how far places (n - 1, k, 3) between points (n, 3) are off the spline through the points, (n - 1,)."""
+    through = CubicSpline(np.append(0.0, np.cumsum(length(np.diff(points, axis=0)))), points, bc_type="natural")
+    begin = through.x[:-1, None]
+    samples = through(begin + np.diff(through.x)[:, None] * np.linspace(0.0, 1.0, _SAMPLES))
+    start = samples[:, None, :-1]
+    way = np.diff(samples, axis=1)[:, None]
+    share = np.sum((places[:, :, None] - start) * way, axis=3) / np.sum(way * way, axis=3)
+    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * way
+    return np.asarray(length(places[:, :, None] - nearest).min(axis=2).max(axis=1))
+
+
+def _off_chord(points: Array) -> float:
+    """Return how far points on a way lie off the line to its end, or how far they go back on it."""
+    chord = points[-1] - points[0]
+    size = float(np.linalg.norm(chord))
+    if size == 0.0:
+        return math.inf
+    along = (points - points[0]) @ chord / size
+    across = np.linalg.norm(points - points[0] - along[:, None] * chord / size, axis=1)
+    return max(float(across.max()), float(-np.diff(along).min()))

@@ -141,6 +141,7 @@ def run_line(
         correction: offsets of the position set-points, as `learn_correction` finds them.
 
     Raises:
+        ConfigError: if the correction was learned on another robot or motion.
         TrajectoryError: if the correction is refused.
         LineError: if the arm cannot travel the line.
         DivergenceError: naming joint and tick.
@@ -163,6 +164,7 @@ def run_path(
     """Plan a path, or a line, and run it as `run_line` says.
 
     Raises:
+        ConfigError: if the correction was learned on another robot or motion.
         TrajectoryError: if the correction is refused.
         LineError: if the arm cannot travel the path.
         DivergenceError: naming joint and tick.

@@ -305,3 +305,34 @@ def test_walks_name_functions_that_are_there() -> None:
         text = (ROOT / file).read_text(encoding="utf-8")
         for name in re.findall(r"[\w.]*?(\w+)`", said):
             assert re.search(rf"(def|class) {name}\b|^{name}\b", text, re.MULTILINE), f"{file}: {name}"
+
+
+def test_figures_that_pages_state_in_their_text() -> None:
+    """A count of joint 2 through the converter, and the drift of joint 1, are what the pages' formulas give."""
+    pages = {
+        name: re.sub(r"\s+", " ", (ROOT / f"docs/explanation/{name}.md").read_text(encoding="utf-8"))
+        for name in ("closed_loop", "accuracy", "limits")
+    }
+    servo = named("config/robots/rx90b/controller.yaml: servo")
+    encoder = named("config/robots/rx90b/drives.yaml: encoder")
+    period = 1.0 / 4000
+    pole = math.exp(-2.0 * math.pi * encoder["velocity_bandwidth"] * period)
+    count = 2.0 * math.pi / encoder["counts_per_revolution"]
+    estimate = 0.0
+    velocity = 0.0
+    largest = 0.0
+    for _ in range(20):
+        predicted = estimate + period * velocity
+        error = count - predicted
+        estimate = predicted + (1.0 - pole**2) * error
+        velocity += (1.0 - pole) ** 2 / period * error
+        largest = max(largest, velocity)
+    joint = largest / named("config/robots/rx90b/drives.yaml: transmission.gear")[1]
+    torque = servo["inertia"][1] * servo["kv"][1] * joint
+    said = f"jump by {1e3 * joint:.2f} mrad/s for a count of joint 2, to which D would answer with {torque:.1f} Nm"
+    assert said in pages["closed_loop"]
+    reach = 320e-6
+    drift = reach * math.log((1.0 - (4.0 / 32.0) ** 2) / (1.0 - (12.0 / 32.0) ** 2))
+    for page in ("accuracy", "limits"):
+        assert f"{1e6 * drift:.0f} µrad" in pages[page]
+        assert f"{6.4e6 * drift:.0f} µrad/s at 6.4 Hz" in pages[page]

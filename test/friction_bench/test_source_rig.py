@@ -57,7 +57,7 @@ def test_published_friction_lies_within_the_spread_of_the_ramps(measured: Path) 
     assert joint == pytest.approx(0.0846, abs=3 * math.hypot(*errors.values()))
 
 
-def test_the_four_velocities_differ_where_the_source_s_do(measured: Path) -> None:
+def test_models_differ_by_creep_and_the_experiment_by_its_spread(measured: Path) -> None:
     """Experiment and models stay within 7 % and 10 %; the models differ at break-away by the creep of smooth friction.
 
     While they slide, friction differs at most by what the torque at break-away is above f_c: three standard deviations

@@ -29,26 +29,6 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"component_path_tolerance": [SimpleNamespace()]},
         "component_path_tolerance of 1 joints; accepted: none",
     ),
-    "tolerance of an unknown joint": (
-        {"path_tolerance": [tolerance("elbow", 0.1)]},
-        "path_tolerance: joint 'elbow' is unknown; accepted: joint_1",
-    ),
-    "tolerance twice": (
-        {"goal_tolerance": [tolerance("joint_1", 0.1)] * 2},
-        "goal_tolerance: joint 'joint_1' stands twice; accepted:",
-    ),
-    "negative tolerance": (
-        {"goal_tolerance": [tolerance("joint_1", 0.1, -0.5)]},
-        "goal_tolerance: velocity of joint_1 is -0.5 rad/s; accepted: a finite number > 0, 0 for the default, -1 for",
-    ),
-    "infinite tolerance": (
-        {"path_tolerance": [tolerance("joint_1", 0.1, 0.0, np.inf)]},
-        "path_tolerance: acceleration of joint_1 is inf rad/s^2; accepted: a finite",
-    ),
-    "negative goal time": (
-        {"goal_time_tolerance": stamp(-0.5)},
-        "goal_time_tolerance is -0.5 s; accepted: a finite number > 0",
-    ),
 }
 
 
@@ -180,6 +160,49 @@ def test_a_cancelled_goal_stops_along_the_path(at: int) -> None:
     share = (np.array(arm.setpoints)[:, 0] - HOME) / way
     assert np.abs(share - share[:, :1]).max() < 1e-9
     assert arm.outputs.info.call_args.args[0].startswith("stopped at ")
+
+
+DEFAULTED: dict[str, tuple[dict[str, Any], str]] = {
+    "an unknown joint": (
+        {"path_tolerance": [tolerance("joint_1", 0.1), tolerance("elbow", 0.1)]},
+        "path_tolerance: joint 'elbow' is unknown; accepted: joint_1",
+    ),
+    "a negative tolerance": (
+        {"goal_tolerance": [tolerance("joint_1", 0.1, -0.5)]},
+        "goal_tolerance: velocity of joint_1 is -0.5 rad/s; accepted: a number > 0, 0 for the default, -1 for none",
+    ),
+    "a negative goal time": (
+        {"goal_time_tolerance": stamp(-0.5), "path_tolerance": [tolerance("joint_1", 0.1)]},
+        "goal_time_tolerance is -0.5 s; accepted: a number > 0",
+    ),
+}
+
+
+@pytest.mark.parametrize(("changed", "words"), DEFAULTED.values(), ids=DEFAULTED)
+def test_a_goal_with_a_wrong_tolerance_has_the_default_ones(changed: dict[str, Any], words: str) -> None:
+    """As in joint_trajectory_controller all of them, and a line in the log says so; the goal is followed."""
+    request = checked(message(**changed))
+    plain = checked(message()).tolerances
+    assert request.tolerances.path.tolist() == plain.path.tolist()
+    assert request.tolerances.goal.tolist() == plain.goal.tolist()
+    assert request.tolerances.goal_time == plain.goal_time
+    assert words in request.remark
+    assert request.remark.endswith("; the default tolerances hold")
+    arm = Arm()
+    goal = message(**changed)
+    assert arm.loop.receive(goal.trajectory, goal) is not None
+    arm.run(1)
+    assert words in arm.outputs.error.call_args.args[0]
+
+
+def test_tolerances_are_read_as_joint_trajectory_controller_reads_them() -> None:
+    """Of two for a joint the last counts; infinite is none, what is no number the default, as 0 is."""
+    twice = [tolerance("joint_2", 0.3), tolerance("joint_2", 0.2, np.inf), tolerance("joint_3", np.nan)]
+    read = checked(message(path_tolerance=twice, goal_tolerance=[tolerance("joint_3", np.nan)]))
+    assert read.remark == ""
+    assert read.tolerances.path[:, 1].tolist() == [0.2, np.inf, np.inf]
+    assert read.tolerances.path[0, 2] == np.inf
+    assert read.tolerances.goal[0, 2] == 0.01
 
 
 def test_what_ends_the_following_ends_the_goal() -> None:

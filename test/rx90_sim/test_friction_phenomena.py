@@ -144,12 +144,26 @@ def test_presliding_hysteresis_is_closed_and_independent_of_rate(
     assert area > 0.1 * height * 2 * amplitude
     assert np.abs(torque[-1] - torque[-2]).max() < 1e-6 * height
     assert np.abs(torque[-1] - fast[-1, :, 1]).max() < 0.01 * height
-    # The initial slope at reversal is the bristle stiffness.
-    turn = 200  # a quarter period: the velocity reverses
-    slope = (torque[-1, turn + 2] - torque[-1, turn + 12]) / (slow[-1, turn + 2, 0] - slow[-1, turn + 12, 0])
-    back = (torque[-1, turn - 12] - torque[-1, turn - 2]) / (slow[-1, turn - 12, 0] - slow[-1, turn - 2, 0])
-    assert slope > 0.9 * element.c0
-    assert back < 0.5 * element.c0
+
+
+@pytest.mark.parametrize(("amplitude", "slope"), [(2.5e-4, None), (1e-2, 2.0)])
+def test_slope_behind_a_reversal_is_that_of_equation_17(
+    record: Callable[[FrictionElement], Any], amplitude: float, slope: float | None
+) -> None:
+    """It is c0 (1 + |z| / g) behind and c0 (1 - |z| / g) before it: after sliding 2 c0 and 0."""
+    c0 = 1e5
+    static = 32.0
+    element = FrictionElement(25.0, 25.0, static, static, 0.05, 1.0, c0, 100.0, 14.0)
+    loop = presliding_loop(record(element), amplitude, 1e-4, cycles=30, steps=80_000)[-1]
+    turn = 20_000  # a quarter period: the velocity reverses
+    z = loop[turn, 1] / c0
+    before = np.polyfit(*loop[turn - 60 : turn - 5].T, 1)[0]
+    behind = np.polyfit(*loop[turn + 5 : turn + 60].T, 1)[0]
+    assert behind == pytest.approx(c0 * (1.0 + z * c0 / static), rel=0.01)
+    assert before == pytest.approx(c0 * (1.0 - z * c0 / static), abs=0.01 * c0)
+    if slope is not None:
+        assert behind == pytest.approx(slope * c0, rel=0.02)
+        assert before == pytest.approx(0.0, abs=0.02 * c0)
 
 
 def test_a_mass_under_constant_load_does_not_creep(

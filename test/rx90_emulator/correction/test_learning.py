@@ -325,6 +325,29 @@ def test_a_closed_path_is_measured_around_where_the_tip_should_be(shipped: Setup
         assert learner.distance(Measured(np.zeros_like(learner.offsets), off)) == pytest.approx(5e-5, rel=1e-3)
 
 
+def test_a_correction_is_played_on_the_motion_that_it_was_learned_on(
+    shipped: Setup, task: rx.LineTask, tmp_path: Path
+) -> None:
+    """At another speed, on another path, robot and trajectory it is refused, whether it was learned here or read."""
+    learned = rx.learn_correction(shipped, task, 1)
+    rx.write_correction(learned, tmp_path / "line.yaml")
+    arm = replace(shipped, robot=replace(shipped.robot, urdf=shipped.robot.urdf.replace('"rx90b"', '"rx90c"')))
+    for correction in (learned.correction, rx.load_correction(tmp_path / "line.yaml").correction):
+        run = rx.run_line(shipped, task, correction=correction)
+        assert run.path_accuracy.worst == pytest.approx(learned.best.worst, abs=2e-6)
+        path = r"the correction was learned on a path .* at 100 mm/s .*, this is a path .* at {} mm/s .*; accepted: the"
+        for other, speed in ((replace(task, speed=0.15), 150), (replace(task, end=(0.61, 0.05, 0.2)), 100)):
+            with pytest.raises(ConfigError, match=path.format(speed)):
+                rx.run_line(shipped, other, correction=correction)
+        with pytest.raises(ConfigError, match="the correction was learned on the robot 'rx90b', this one is 'rx90c'"):
+            rx.run_line(arm, task, correction=correction)
+        points = replace(plan_line(shipped, replace(task, speed=0.15)).points, correction=correction)
+        with pytest.raises(ConfigError, match="the correction was learned on a path"):
+            rx.simulate(shipped, points)
+        with pytest.raises(ConfigError, match="the correction was learned on a path"):
+            rx.learn_correction(shipped, replace(task, speed=0.15), 1, previous=correction)
+
+
 def test_a_file_says_where_it_belongs(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
     """It comes back to the bit; another path, robot and other offsets are refused, another payload is warned of."""
     learned, file = rx.learn_correction(shipped, task, 1), tmp_path / "line.yaml"

@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 import re
 import sys
+from itertools import pairwise
 from pathlib import Path as File
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
+from scipy.spatial import cKDTree
 
-from rx90_common.base.errors import ConfigError, Rx90Error
+from rx90_common.base.errors import ConfigError, Rx90Error, Rx90Warning
 from rx90_controller.paths.path import Path
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.drawing import Drawing
@@ -148,6 +151,88 @@ def test_dxf_entities_are_joined_in_their_order(tmp_path: File, drawing: Any) ->
     assert off.perpendicular.max() < 5e-6
     assert off.along.max() == pytest.approx(path.length, abs=1e-6)
     assert path.start == pytest.approx((0.05, 0.0, 0.0))
+
+
+SPLINES = {
+    "a corner at a knot of full multiplicity, and uneven knots": (
+        [(0, 0, 0), (33, 0, 0), (66, 0, 0), (100, 0, 0), (100, 20, 0), (100, 40, 0), (100, 60, 0)],
+        3, [0, 0, 0, 0, 1, 1, 1, 61, 61, 61, 61], None, 1,
+    ),
+    "a corner of three equal control points": (
+        [(0, 0, 0), (30, 0, 5), (60, 10, 0), (60, 10, 0), (60, 10, 0), (60, 40, 0), (20, 60, 0)],
+        3, [0, 0, 0, 0, 1, 2, 3, 4, 4, 4, 4], None, 1,
+    ),
+    "uneven knots": (
+        [(0, 0, 0), (5, 40, 0), (10, -40, 0), (15, 40, 0), (200, 0, 0), (250, 50, 0), (334, 0, 0)],
+        3, [0, 0, 0, 0, 0.01, 0.02, 50, 50.5, 50.5, 50.5, 50.5][:11], None, 0,
+    ),
+    "weights": ([(0, 0, 0), (50, 0, 0), (50, 50, 0), (100, 50, 0)], 3, [0, 0, 0, 0, 1, 1, 1, 1], [1, 40, 40, 1], 0),
+    "a cusp": ([(0, 0, 0), (100, 100, 0), (0, 100, 0), (100, 0, 0)], 3, [0, 0, 0, 0, 1, 1, 1, 1], None, 0),
+    "a polygon": ([(0, 0, 0), (50, 0, 0), (50, 50, 0), (90, 70, 0)], 1, [0, 0, 1, 5, 6, 6], None, 2),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SPLINES)
+def test_dxf_splines_are_kept_within_the_tolerance(tmp_path: File, drawing: Any, name: str) -> None:
+    """By SciPy's B-splines: the path is nowhere farther than 10 um from one, and has its corners."""
+    control, degree, knots, weights, corners = SPLINES[name]
+    space = drawing.modelspace()
+    if weights is None:
+        space.add_open_spline(control, degree)
+        space[0].knots = knots
+    else:
+        space.add_rational_spline(control, weights, degree)
+        space[0].knots = knots
+    path = _dxf(tmp_path, drawing)
+    share = np.ones(len(control)) if weights is None else np.array(weights, dtype=np.float64)
+    homogeneous = np.column_stack([np.array(control) * share[:, None], share])
+    curve = BSpline(np.array(knots, dtype=np.float64), homogeneous, degree)
+    spans = np.unique(knots)
+    at = np.concatenate([np.linspace(a, b, 4001)[:-1] for a, b in pairwise(spans)])
+    values = curve(np.append(at, np.nextafter(spans[-1], 0.0)))
+    places = 1e-3 * values[:, :3] / values[:, 3:]
+    on_path = path.curve.at(np.linspace(0.0, path.length, 200_000))
+    step = path.length / 200_000
+    assert cKDTree(on_path).query(places)[0].max() <= math.hypot(1e-5, step)
+    gap = 0.5 * np.linalg.norm(np.diff(places, axis=0), axis=1).max()
+    assert cKDTree(places).query(on_path[::50])[0].max() <= math.hypot(1e-5, gap)
+    assert path.length == pytest.approx(np.linalg.norm(np.diff(places, axis=0), axis=1).sum(), rel=1e-3)
+    assert len(path.stops) == 2 + corners
+
+
+def test_dxf_spline_that_takes_too_many_points_is_refused(tmp_path: File, drawing: Any) -> None:
+    """Within 10 um of a spline of some 100 km in each span no path is made."""
+    control = 1e8 * np.random.default_rng(1).normal(size=(900, 3))
+    drawing.modelspace().add_open_spline(control.tolist(), 3)
+    with pytest.raises(ConfigError, match=r"do not keep the curve within 1e-05 m of it; accepted: a spline that"):
+        _dxf(tmp_path, drawing)
+
+
+UNITS_OF_DRAWINGS = {
+    "no header": ("", "names no unit; read in mm"),
+    "a header without a unit": (
+        "  0\nSECTION\n  2\nHEADER\n  9\n$ACADVER\n  1\nAC1009\n  0\nENDSEC\n",
+        "names no unit",
+    ),
+    "centimetres": ("  0\nSECTION\n  2\nHEADER\n  9\n$INSUNITS\n 70\n     5\n  0\nENDSEC\n", "is in cm; read in mm"),
+}
+
+
+@pytest.mark.parametrize("name", UNITS_OF_DRAWINGS)
+def test_the_unit_of_the_path_goes_before_that_of_a_drawing(tmp_path: File, name: str) -> None:
+    """A unit that is missing or wrong in the drawing is the path's, in a line; without any the drawing is refused."""
+    pytest.importorskip("ezdxf")
+    head, said = UNITS_OF_DRAWINGS[name]
+    line = "  0\nSECTION\n  2\nENTITIES\n  0\nLINE\n  8\n0\n 10\n0\n 20\n0\n 11\n40\n 21\n0\n  0\nENDSEC\n  0\nEOF\n"
+    with pytest.warns(Rx90Warning, match=rf"part\.dxf: {said}"):
+        path = _read(tmp_path, "part.dxf", head + line, unit="mm")
+    assert path.length == pytest.approx(0.04)
+    if "INSUNITS" in head:
+        assert _read(tmp_path, "part.dxf", head + line, unit="cm").length == pytest.approx(0.4)
+        assert _read(tmp_path, "part.dxf", head + line).length == pytest.approx(0.4)
+    else:
+        with pytest.raises(ConfigError, match="names no unit; accepted: with unit, one of m, mm"):
+            _read(tmp_path, "part.dxf", head + line)
 
 
 def test_dxf_circles_layers_and_mirrored_arcs(tmp_path: File, drawing: Any) -> None:

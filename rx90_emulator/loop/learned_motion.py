@@ -1,0 +1,55 @@
+"""The motion that a correction is learned on, and the check of it before a correction is played."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import numpy as np
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.description.kinematics import tip_position
+from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
+from rx90_controller.trajectory.correction import Correction, LearnedMotion
+from rx90_controller.trajectory.points import trajectory_identity
+from rx90_emulator.loop.setup import Setup
+
+
+def learned_motion(setup: Setup, points: TrajectoryPoints) -> LearnedMotion:
+    """Return the motion of an arm along a trajectory.
+
+    Raises:
+        TrajectoryError: if the controller would refuse the trajectory.
+    """
+    period = setup.rates.position_period
+    generator = TrajectoryGenerator(setup.controller.limits(setup.robot), period, points.position[0])
+    setpoints = generator.setpoints(0, generator.accept(replace(points, correction=None), 0, None).end)
+    tip = tip_position(setup.robot.chain, setpoints[:, 0])
+    speed = float(np.linalg.norm(np.diff(tip, axis=0), axis=1).max()) / period
+    start = tuple(points.position[0].tolist())
+    return LearnedMotion(_robot(setup), trajectory_identity(points), speed, float(points.times[-1]), start)
+
+
+def check_correction(setup: Setup, points: TrajectoryPoints, correction: Correction, name: str) -> None:
+    """Check that a correction, which messages call `name`, was learned on this robot and trajectory, if on any.
+
+    Raises:
+        ConfigError: saying on which it was learned.
+    """
+    learned = correction.learned_on
+    if learned is None:
+        return
+    robot = _robot(setup)
+    if learned.robot != robot:
+        raise ConfigError(
+            f"{name} was learned on the robot {learned.robot!r}, this one is {robot!r}; accepted: the same robot"
+        )
+    if learned.identity != trajectory_identity(points):
+        raise ConfigError(
+            f"{name} was learned on {learned.path}, this is {learned_motion(setup, points).path}; "
+            "accepted: the same trajectory"
+        )
+
+
+def _robot(setup: Setup) -> str:
+    return ET.fromstring(setup.robot.urdf).get("name", "")
