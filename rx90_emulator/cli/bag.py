@@ -29,6 +29,7 @@ from rx90_emulator.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from rx90_common.bags.mapping import LogMapping
     from rx90_common.bags.recorder.recording import TopicCount
 
 _MAX_STAMP = 4_294_967_296  # s: stamps count so far, and two of them do not overflow 64 bits of ns
@@ -56,6 +57,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add a parser for each verb, whose help is what its function says of itself."""
     parser.set_defaults(ros_args=[])  # `ros2 run` and launch files append them
     add_verbs(parser, _VERBS)
+
+
+def _add_signals(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--signals", type=Path, metavar="FILE",
+                        help="what the columns of a CSV, Parquet or NPZ table hold (the file named as the table, with "
+                        ".yaml)")  # fmt: skip
+
+
+def _signals(args: argparse.Namespace) -> LogMapping | None:
+    from rx90_common.bags.mapping import LogMapping
+
+    return None if args.signals is None else LogMapping.load(args.signals)
 
 
 def _add_record(parser: argparse.ArgumentParser) -> None:
@@ -119,6 +132,7 @@ def _report(topics: Sequence[str], counts: Sequence[TopicCount], stalls: Sequenc
 def _add_compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag_a", **_BAG | {"metavar": "A"})
     parser.add_argument("bag_b", metavar="B", help="bag to compare it with")
+    _add_signals(parser)
     parser.add_argument(
         "--tolerance", action="append", default=[], metavar=GRAMMAR,
         help="in rad, rad/s, Nm or °C; the most specific one that fits decides; default 0: equal bits",
@@ -167,7 +181,7 @@ def _compare(args: argparse.Namespace) -> int:
         common_range=args.common_range,
         align=alignment(args.align),
     )
-    comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(rules), scope)
+    comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(rules), scope, _signals(args))
     paths = _path_errors(args) if args.path_error else []
     print(comparison_json(comparison) if args.json else comparison_text(comparison))
     print("".join(f"{line}\n" for line in paths), end="")
@@ -184,7 +198,7 @@ def _path_errors(args: argparse.Namespace) -> list[str]:
     lines = []
     robot = load_robot(files.urdf, files.tool)
     for bag in (args.bag_a, args.bag_b):
-        accuracy = recorded_accuracy(Path(bag), robot, files)
+        accuracy = recorded_accuracy(Path(bag), robot, files, args.signals)
         lines.append(f"{plain(bag)}: {accuracy.words if accuracy else 'no path error: it holds no set-points'}")
     return lines
 
@@ -210,9 +224,7 @@ def _add_plot(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("bag", type=Path, **_BAG)
     parser.add_argument("second", type=Path, nargs="?", metavar="BAG2", help="bag to draw over it")
-    parser.add_argument("--signals", type=Path, metavar="FILE",
-                        help="what the columns of a CSV, Parquet or NPZ table hold (the file named as the table, with "
-                        ".yaml)")  # fmt: skip
+    _add_signals(parser)
     parser.add_argument("-o", "--output", type=place, metavar="FILE",
                         help=".html, .png, .svg or .pdf (the bag's name with .html, here)")  # fmt: skip
     parser.add_argument("--force", action="store_true", help="replace a file that exists")
@@ -230,7 +242,6 @@ def _plot(args: argparse.Namespace) -> None:
     The suffix of --output says which: .html, .png, .svg or .pdf. Without options a page shows joint states, friction
     and tracking error, as far as the bag has them.
     """
-    from rx90_common.bags.mapping import LogMapping
     from rx90_common.bags.plotting import is_page, plot_bags, write_plots
     from rx90_emulator.cli.options import progress_bar
 
@@ -241,7 +252,7 @@ def _plot(args: argparse.Namespace) -> None:
     check_replaced(output, force=args.force)
     paths = [args.bag] if args.second is None else [args.bag, args.second]
     align = alignment(args.align or "0")
-    mapping = None if args.signals is None else LogMapping.load(args.signals)
+    mapping = _signals(args)
     with progress_bar("reading") as progress:
         plots = plot_bags(
             paths, topics=args.topics, joints=args.joints, align=align, most=most, progress=progress, mapping=mapping
@@ -254,6 +265,7 @@ def _plot(args: argparse.Namespace) -> None:
 def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("bag", type=Path, **_BAG)
+    _add_signals(parser)
     parser.add_argument("-o", "--output", type=new_folder, required=True, metavar="FILE|FOLDER",
                         help="FILE.csv, FILE.parquet (one topic), FILE.npz, or a folder; must not exist")  # fmt: skip
     parser.add_argument("--topic", **_TOPIC,
@@ -273,10 +285,10 @@ def _export(args: argparse.Namespace) -> None:
     from rx90_common.bags.exporting import export_bag
     from rx90_emulator.cli.options import progress_bar
 
+    kind = f".{args.format or _KINDS[0]}"
+    mapping = _signals(args)
     with progress_bar("export") as progress:
-        done = export_bag(
-            args.bag, args.output, topics=args.topics, kind=f".{args.format or _KINDS[0]}", progress=progress
-        )
+        done = export_bag(args.bag, args.output, topics=args.topics, kind=kind, progress=progress, mapping=mapping)
     for topic, count in done.topics:
         print(f"{plain(topic)}: {counted(count, 'message')}")
     if done.left_out:
@@ -334,6 +346,7 @@ def _import(args: argparse.Namespace) -> None:
 
 def _add_info(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", **_BAG)
+    _add_signals(parser)
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 
@@ -342,7 +355,7 @@ def _info(options: argparse.Namespace) -> None:
     from rx90_common.bags.summary import summarise
     from rx90_common.bags.tables import summary_json, summary_text
 
-    summary = summarise(options.bag)
+    summary = summarise(options.bag, _signals(options))
     print(summary_json(summary) if options.json else summary_text(summary))
 
 

@@ -302,3 +302,18 @@ def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureF
             assert reader.message_count == len(TIME)
     assert run("rx90_bag", ["compare", str(tmp_path / "mA" / "bag"), str(tmp_path / "mNm" / "bag")]) == 1
     assert "effort is in A in the first bag and in Nm in the second, and not compared" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words", [["info", "log.csv"], ["export", "log.csv", "-o", "t"], ["compare", "log.csv", "log.csv"],
+              ["plot", "log.csv", "-o", "p.html"]],
+)  # fmt: skip
+def test_every_verb_that_reads_a_table_takes_its_map(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    """The signal map of a table may have any name, and stand elsewhere than beside it."""
+    monkeypatch.chdir(tmp_path)
+    write(Path("log.csv"), rows(","))
+    write(Path("arm.yaml"), PLAIN)
+    assert run("rx90_bag", words) == 2
+    assert run("rx90_bag", [*words, "--signals", "arm.yaml"]) == 0
