@@ -158,6 +158,7 @@ def load_motion(name: FilePath | str) -> LineTask | Path:
     """
     file = resolve_config(str(name))
     root = load_yaml(file)
+    root.refuse_unknown({*PATH.keys, *TASK.keys})
     return _path(file, root) if "path" in root else task_of(file, root)
 
 
