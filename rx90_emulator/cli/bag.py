@@ -30,7 +30,7 @@ from rx90_emulator.cli.options import (
 
 if TYPE_CHECKING:
     from rx90_common.bags.mapping import LogMapping
-    from rx90_common.bags.recorder.recording import TopicCount
+    from rx90_common.bags.recorder.recording import Recorder, TopicCount
 
 _MAX_STAMP = 4_294_967_296  # s: stamps count so far, and two of them do not overflow 64 bits of ns
 _KINDS = ("csv", "parquet", "npz")
@@ -73,8 +73,8 @@ def _signals(args: argparse.Namespace) -> LogMapping | None:
 
 def _add_record(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "topics", nargs="*", default=list(SUITE_TOPICS), metavar="TOPIC",
-        help=f"topics to record (default: {' '.join(SUITE_TOPICS)})",
+        "topics", nargs="*", metavar="TOPIC",
+        help=f"topics to record; each must get a message (default: {' '.join(SUITE_TOPICS)}, as far as they do)",
     )  # fmt: skip
     parser.add_argument(
         "-o", "--output", type=new_folder, required=True, metavar="FOLDER", help="bag to make; must not exist"
@@ -99,19 +99,24 @@ def _record(args: argparse.Namespace) -> int:
     from rx90_common.bags.recorder.recording import Recorder, StatusLine
 
     with StatusLine() as status:
-        recorder = Recorder(args.topics, args.ros_args, status)
+        recorder = Recorder(args.topics or SUITE_TOPICS, args.ros_args, status)
         counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)
-    return _report(args.topics, counts, recorder.stalls, args.output)
+    return _report(recorder, counts, args.output, requested=bool(args.topics))
 
 
-def _report(topics: Sequence[str], counts: Sequence[TopicCount], stalls: Sequence[float], output: Path) -> int:
-    """Print what was recorded, and what not; return the exit code."""
+def _report(recorder: Recorder, counts: Sequence[TopicCount], output: Path, *, requested: bool) -> int:
+    """Print what was recorded, and what not; return the exit code. Requested topics may not stay empty."""
     repeated = sum(count.repeated for count in counts)
     received = sum(count.received for count in counts)
     left_out = f"; {repeated} repetitions of the sample before are left out" if repeated else ""
-    print(f"recorded {received - repeated} messages of {len(counts)} topics to {plain(output)}{left_out}")
-    failures = [] if received else [f"nothing recorded: no message came on {listed(topics)}"]
-    failures += [f"lost: an unknown number of messages, in {s:.1f} s in which this process did not run" for s in stalls]
+    topics = counted(len(counts), "topic")
+    print(f"recorded {counted(received - repeated, 'message')} of {topics} to {plain(output)}{left_out}")
+    failures = []
+    if recorder.empty and (requested or not received):
+        part = "not" if received else "nothing"
+        failures.append(f"{part} recorded: no message came on {listed(recorder.empty)}")
+    for stall in recorder.stalls:
+        failures.append(f"lost: an unknown number of messages, in {stall:.1f} s in which this process did not run")
     for count in counts:
         if count.other_clock:
             print(f"{count.topic}: {count.other_clock} messages have stamps of another clock; they are dated by when "
