@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -324,3 +325,13 @@ def test_show_names_the_files_of_the_controller_s_model(
     named = dataclasses.replace(shipped_files, controller=edited_yaml(shipped_files.controller, ("model",), shared))
     of_model = {one.name: one.value for one in setup_values(named, {}) if one.name.startswith("controller.model.")}
     assert of_model == {f"controller.model.{role}": name for role, name in {**shared, "tool": "none"}.items()}
+
+
+def test_a_check_waits_for_no_library_that_it_does_not_use() -> None:
+    """What takes longer to import than a file to check is left out: of SciPy, Matplotlib, Bokeh and PyArrow."""
+    file = config_path("robots/rx90b/task.yaml")
+    code = f"import sys; from rx90_emulator.cli.frame import run; run('rx90_config', ['check', {str(file)!r}]); "
+    code += "print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
+    slow = {"scipy.signal", "scipy.interpolate", "scipy.optimize", "scipy.stats", "matplotlib", "bokeh", "pyarrow"}
+    assert not slow & set(done.stdout.split())
