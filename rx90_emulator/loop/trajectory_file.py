@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
@@ -37,7 +38,7 @@ def write_trajectory(file: Path, robot: RobotModel, points: TrajectoryPoints, pe
     assert points.velocity is not None
     curve = interpolate(points.times, points.position, points.velocity, points.acceleration)
     count = int(np.floor(points.times[-1] / period + 1e-6)) + 1
-    time = np.arange(count) * period
+    time: Array = np.asarray(np.arange(count) * period, dtype=np.float64)
     angles = curve.sample(time)[:, 0]
     pose = forward(robot.chain, angles)
     turn = np.unwrap(Rotation.from_matrix(pose.rotation).as_euler("xyz"), axis=0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -52,6 +53,7 @@ def test_dry_run_prints_the_plan(capsys: pytest.CaptureFixture[str], arguments: 
     assert [word for word in words if word not in out] == []
     rows = {line.split()[0]: line.split()[1:] for line in out.splitlines()}
     assert {*(f"joint_{i}" for i in range(1, 7)), "knots", "margin"} <= rows.keys()
+    assert re.search(r"distance from the shoulder singularity 0\.\d+ \(1 is farthest\), at ", out)
     if REFERENCE in arguments:
         assert [float(x) for x in rows["joint_1"][:3]] == pytest.approx([-26.57, -26.57, 7.18])
 
