@@ -7,11 +7,13 @@ import re
 import subprocess
 import sys
 from contextlib import closing
+from datetime import date
 from importlib.metadata import distribution, requires
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 from catkin_pkg.package import parse_package
 from processes import Processes, script
 from warm_start import COLD
@@ -157,3 +159,13 @@ def test_installed_nodes_run_together(workspace: Path, processes: Processes) -> 
         nodes = [processes.start(str(workspace / name)) for name in NODES]
         client.spin_until(lambda: bool(heard) and seconds(heard[-1]) >= seconds(heard[0]) + 0.2, "0.2 s to pass")
         assert [node.returncode for node in nodes] == [None, None]
+
+
+def test_the_citation_is_of_this_version() -> None:
+    """CITATION.cff has the version of the package, a date, and a repository only where package.xml names one."""
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    package = parse_package(str(ROOT / "package.xml"))
+    assert citation["version"] == package.version == distribution(PACKAGE).version
+    assert date.fromisoformat(str(citation["date-released"]))
+    repositories = [url.url for url in package.urls if url.type == "repository"]
+    assert [citation[key] for key in ("repository-code",) if key in citation] == repositories

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
+from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import read_joint_bag, series_topics_text
 from rx90_common.bags.recorded import START, TRAJECTORY, time_shift
 from rx90_common.bags.tolerance import Tolerances
@@ -183,7 +184,11 @@ class Scope:
 
 
 def compare_bags(
-    path_a: Path | str, path_b: Path | str, tolerances: Tolerances | None = None, scope: Scope | None = None
+    path_a: Path | str,
+    path_b: Path | str,
+    tolerances: Tolerances | None = None,
+    scope: Scope | None = None,
+    mapping: LogMapping | None = None,
 ) -> BagComparison:
     """Compare the JointState topics of two bags.
 
@@ -192,6 +197,7 @@ def compare_bags(
         path_b: the other one.
         tolerances: accepted differences of values; by default none, not even of a single bit.
         scope: of the comparison; by default everything.
+        mapping: of the columns of tables; by default the files beside them.
 
     Raises:
         BagError: if a bag cannot be read, nothing can be compared, or a tolerance matches no value.
@@ -200,7 +206,9 @@ def compare_bags(
     scope = scope or Scope()
     check_type(tolerances=(tolerances, Tolerances), scope=(scope, Scope))
     chosen = None if scope.topics is None else [absolute(topic) for topic in scope.topics]
-    bags = bag_a, bag_b = read_joint_bag(path_a, chosen), read_joint_bag(path_b, chosen)
+    bag_a = read_joint_bag(path_a, chosen, mapping=mapping)
+    bag_b = read_joint_bag(path_b, chosen, mapping=mapping)
+    bags = (bag_a, bag_b)
     every = [topic for bag in bags for topic in bag.topics]
     there = {topic.name for topic in every if topic.is_joint_state}
     for bag in bags:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.mapping import exported_mapping
+from rx90_common.bags.mapping import LogMapping, exported_mapping
 from rx90_common.bags.reading import BagReader, Progress, read_joint_bag, silent
 from rx90_common.bags.writing import named_at_the_end
 from rx90_common.base.errors import BagError
@@ -48,7 +48,13 @@ class ExportedBag:
 
 
 def export_bag(
-    path: Path, output: Path, *, topics: Sequence[str] | None = None, kind: str = ".csv", progress: Progress = silent
+    path: Path,
+    output: Path,
+    *,
+    topics: Sequence[str] | None = None,
+    kind: str = ".csv",
+    progress: Progress = silent,
+    mapping: LogMapping | None = None,
 ) -> ExportedBag:
     """Write JointState topics of a bag as tables. An interrupted export leaves no files.
 
@@ -58,6 +64,7 @@ def export_bag(
         topics: topic names; by default all topics with messages.
         kind: suffix of the files in a folder.
         progress: called with the number of messages read and written so far, and the total.
+        mapping: of the columns of a table; by default the file beside it.
 
     Raises:
         BagWriteError: if the disk is full.
@@ -67,7 +74,7 @@ def export_bag(
         kind = output.suffix.lower()
     elif output.suffix.lower() in _UNSUPPORTED:
         raise BagError(f"{plain(output)}: the suffix says the format; accepted: {listed(FORMATS)}, or none")
-    with BagReader(path) as bag:
+    with BagReader(path, mapping) as bag:
         chosen = bag.series_topics(topics)
         left_out = tuple(topic.name for topic in bag.topics if topics is None and topic not in chosen)
     counts = {topic.name: topic.count for topic in chosen}
@@ -82,7 +89,7 @@ def export_bag(
         progress(done, 2 * total)
 
     with named_at_the_end(output) as folder:
-        read = read_joint_bag(path, counts, lambda count, _: progress(count, 2 * total))
+        read = read_joint_bag(path, counts, lambda count, _: progress(count, 2 * total), mapping)
         remedy = "accepted for a table: the same in all messages; leave the topic out with --topic"
         tables = [read.one(topic, remedy=remedy) for topic in counts]
         if single:

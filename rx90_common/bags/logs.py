@@ -48,7 +48,7 @@ _LONGEST = 1 << 20  # characters of a line; a file that is no text may have no e
 _COMMENTS = ("#", "%", "//")
 _LOOKED_AT = 200  # lines, by which delimiter and decimal sign are found out
 _DIALECTS = ((",", "."), (";", "."), ("tab", "."), ("|", "."), ("space", "."), (";", ","), ("tab", ","), ("|", ","),
-             ("space", ","))  # fmt: skip
+             ("space", ","), (",", ","))  # fmt: skip
 _NOT_FINITE = {"nan", "inf", "infinity"}
 _MAX_RANGES = 40  # of corrupt lines that are named
 
@@ -234,7 +234,7 @@ def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int]
         if time is not None:
             stamp = _stamps_ns(columns[time], source.decimal, int(mapping.seconds * NANOSECONDS))
             for row in np.flatnonzero(stamp < 0).tolist():
-                accepted = f"0 to {_LAST_NS // NANOSECONDS} s"
+                accepted = f"0 to {_LAST_NS // NANOSECONDS} s, or ISO 8601"
                 faults.setdefault(first + row, f"time {_cell(columns[time][row])}; accepted: {accepted}")
         lines.append(numbers)
         stamps.append(stamp)
@@ -352,7 +352,7 @@ def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], None]) -> 
     def rows(places: Sequence[int]) -> Iterator[tuple[Int64Array, dict[int, Any], dict[int, str]]]:
         block = first[head:]
         while block:
-            split = [_fields_of(line, delimiter) for _, line in block]
+            split = [_fields_of(line, delimiter, width) for _, line in block]
             torn = {row: f"{counted(len(fields), 'field')}, others have {width}"
                     for row, fields in enumerate(split) if len(fields) != width}  # fmt: skip
             for row in torn:
@@ -395,8 +395,8 @@ def _rows_of(path: Path, more: Callable[[int], None], comments: list[str] | None
         raise BagError(f"{plain(path)}: cannot be read ({error})") from error
 
 
-def _fields_of(line: str, delimiter: str) -> list[str]:
-    """Return the fields of a line; behind a delimiter at its end there is none."""
+def _fields_of(line: str, delimiter: str, width: int = 0) -> list[str]:
+    """Return the fields of a line; behind a delimiter at its end there is none, but where it makes the width full."""
     sign = DELIMITERS[delimiter]
     if sign is None:
         return line.replace('"', " ").split()
@@ -405,7 +405,7 @@ def _fields_of(line: str, delimiter: str) -> list[str]:
         fields = next(csv.reader([line], delimiter=sign)) if '"' in line else line.split(sign)
     except csv.Error:  # a quotation mark that damage or a slip has put there
         return [line]
-    return fields[:-1] if len(fields) > 1 and not fields[-1].strip() else fields
+    return fields[:-1] if 1 < len(fields) != width and not fields[-1].strip() else fields
 
 
 def _numbers(column: Any, decimal: str) -> Array:
@@ -442,7 +442,7 @@ def _stamps_ns(column: Any, decimal: str, unit_ns: int) -> Int64Array:
             try:  # floating point spoils ns of the wall clock
                 stamp = round(Decimal(_with_point(text, decimal)) * unit_ns)
             except (DecimalException, OverflowError, ValueError):
-                stamp = -1
+                stamp = _iso_ns(text.strip())
             stamps.append(stamp if 0 <= stamp < _LAST_NS else -1)
         return np.array(stamps, dtype=np.int64)
     if column.dtype.kind == "M":  # it has a unit of its own
@@ -455,8 +455,18 @@ def _stamps_ns(column: Any, decimal: str, unit_ns: int) -> Int64Array:
     return found
 
 
+def _iso_ns(text: str) -> int:
+    """Return an ISO 8601 time in ns since 1970, UTC without a zone of its own; -1 for another text."""
+    for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
+        with suppress(pa.ArrowInvalid):
+            return int(pa.scalar(text).cast(kind).value)
+    return -1
+
+
 def _cell(value: Any) -> str:
-    return quoted(value.replace('"', " "), 30) if isinstance(value, str) else str(value)
+    if not isinstance(value, str):
+        return str(value)
+    return quoted(value.replace('"', " "), 30) if value.strip() else "empty"
 
 
 def _dialect(lines: Sequence[str], mapping: LogMapping) -> tuple[str, str]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
+from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.ordering import OTHER_CLOCK_NS
 from rx90_common.bags.reading import BagReader, BagTopic
 from rx90_common.bags.recorded import ParameterChange, TrajectoryCount, changes_of
@@ -91,9 +92,9 @@ class BagSummary:
         return sum(topic.count for topic in self.topics)
 
 
-def summarise(path: Path | str) -> BagSummary:
-    """Read a bag through and summarise it."""
-    with BagReader(path) as bag:
+def summarise(path: Path | str, mapping: LogMapping | None = None) -> BagSummary:
+    """Read a bag through and summarise it; `mapping` says what the columns of a table hold."""
+    with BagReader(path, mapping) as bag:
         topics = bag.topics
         if not topics:
             raise BagError(f"{plain(bag.path)}: holds no topics")

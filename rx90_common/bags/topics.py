@@ -52,6 +52,7 @@ _QUANTITIES: Final = {
         "velocity": ("input velocity", "rad/s"),
         "effort": ("friction torque", "Nm"),
     },
+    "tracking_error": {"effort": ("commanded torque", "Nm")},
     # JointState has no field for these.
     REFERENCE_ACCELERATION: {"effort": ("acceleration", "rad/s^2")},
     COMMANDED_CURRENT: {"effort": ("current", "A")},

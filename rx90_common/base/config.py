@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 import yaml
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.quoting import nearest, plain, question, quoted
 
 _MAX_BYTES = 16 << 20
 _MAX_VALUES = 400_000  # as often as aliases repeat them: 12,000 points of a trajectory. 40,000 are read in a second
@@ -23,6 +23,7 @@ _DEEPEST = 64
 _LONGEST_INTEGER = 400  # characters; the largest finite number has 309 digits
 _IN_FILE = re.compile(r',? in "<file>", ')
 _LONGEST_REASON = 400
+_TYPING_ERROR = 0.8  # likeness of a misspelt key to the required one that is meant, where other keys are accepted, too
 _SURROGATE = re.compile("[\ud800-\udfff]")  # by an escape such as "\ud800"; no file and no terminal takes it
 _SCHEMA_LINE = "# yaml-language-server: $schema="
 
@@ -242,7 +243,7 @@ class Section:
     """A mapping of a YAML file, with its place in the file for messages.
 
     A section may carry `source:` (a sentence) and `provenance:` (one of PROVENANCE), or a mapping from keys to these.
-    `finish()` refuses keys that were not read: a misspelt key must not fall back to a default.
+    `refuse_unknown()` refuses keys that nobody knows: a misspelt key must not fall back to a default.
 
     Args:
         data: the mapping.
@@ -312,10 +313,6 @@ class Section:
         """Return whether the value under `key` is itself a mapping."""
         return isinstance(self._data.get(key), dict)
 
-    def mark_known(self, key: str) -> None:
-        """Say that a key is known which the mapping may have."""
-        self._used.add(key)
-
     def get(self, key: str, accepted: str) -> Any:
         """Return the value of `key`, of any type; refuse a mapping without it."""
         self._used.add(key)
@@ -323,11 +320,26 @@ class Section:
             raise ConfigError(f"{self.where(key)} is missing; accepted: {accepted}")
         return self._data[key]
 
-    def finish(self) -> None:
-        """Refuse keys that were not read."""
-        known = ", ".join(sorted(self._used - set(ABOUT)))
-        for key in sorted(set(self._data) - self._used):
-            self.attempt(self.fault, key, f" is not a known key; accepted: {known}")
+    def refuse_unknown(self, known: Collection[str]) -> set[str]:
+        """Refuse keys that are neither known nor have been read; return the known ones that they may be meant for."""
+        unknown = self._data.keys() - self._used - set(known)
+        accepted = sorted({*known, *self._used} - {*ABOUT})
+        missing = [key for key in (*accepted, *ABOUT) if key not in self._data]
+        meant: set[str] = set()
+        for key in sorted(unknown):
+            near = nearest(key, missing)
+            meant.add(near)
+            self.attempt(self.fault, key, f" is not a known key{question(near)}; accepted: {', '.join(accepted)}")
+        return meant - {""}
+
+    def refuse_misspelt(self, required: Collection[str]) -> set[str]:
+        """Refuse keys that are much like required ones that are not there, where other keys are accepted, too."""
+        missing = [key for key in required if key not in self._data]
+        meant = {key: nearest(key, missing, _TYPING_ERROR) for key in self._data if missing and key not in required}
+        for key, near in meant.items():
+            if near:
+                self.attempt(self.fault, key, f" is not a known key{question(near)}; accepted: {', '.join(required)}")
+        return {*meant.values()} - {""}
 
     def section(self, key: str, accepted: str = "a mapping") -> Section:
         """Return the mapping under `key`."""

@@ -54,20 +54,17 @@ class Group(Entry):
     def read(self, section: Section) -> dict[str, Any]:
         """Return the values by their keys; keys with a default are always there."""
         found: dict[str, Any] = {}
-        section.attempt(self._check_keys, section)
+        required = [key for key, entry in self.keys.items() if entry.default is REQUIRED]
+        meant = section.refuse_unknown(self.keys) if self.known else section.refuse_misspelt(required)
+        if not meant:  # else one mistake would be told twice
+            section.attempt(self._check_keys, section)
         for key, entry in self.keys.items():
-            needed = any(self.needed_by.get(other) == key for other in section)
-            if key in section or entry.default is REQUIRED or needed:
+            needed = key in required or any(self.needed_by.get(other) == key for other in section)
+            if key in section or (needed and key not in meant):
                 section.attempt(lambda key=key, entry=entry: found.update({key: entry.take(section, key)}))
-            elif entry.default is not LEFT_OUT:
-                section.mark_known(key)
+            elif entry.default is not LEFT_OUT and entry.default is not REQUIRED:
                 found[key] = entry.default
-            else:
-                section.mark_known(key)
-        if self.known:
-            section.attempt(section.finish)
-            return found
-        return {**section.content, **found}
+        return found if self.known else {**section.content, **found}
 
     def _check_keys(self, section: Section) -> None:
         if self.one_of and (not self.one_of_with or any(key in section for key in (*self.one_of_with, *self.one_of))):
@@ -185,6 +182,8 @@ class Variants(Entry):
     def take(self, section: Section, key: str) -> dict[str, Any]:
         """Return the values by their keys, `key` among them."""
         inner = section.section(key)
+        if self.key not in inner:
+            inner.refuse_unknown({self.key, *(name for group in self.groups.values() for name in group.keys)})
         chosen = Text("", choices=tuple(self.groups)).take(inner, self.key)
         return {self.key: chosen, **self.groups[chosen].read(inner)}
 

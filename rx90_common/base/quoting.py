@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import reprlib
 from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
 from typing import Any, Final
 
 LIMIT: Final = 120
@@ -63,6 +64,16 @@ def conjoined(names: Sequence[str]) -> str:
 def counted(count: int, noun: str) -> str:
     """Return how many there are of something whose plural ends in s: 1 run, 2 runs."""
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def nearest(name: str, names: Iterable[str], likeness: float = 0.6) -> str:
+    """Return that of the accepted names which a misspelt one is most like, 0 to 1; an empty text if none is."""
+    return next(iter(get_close_matches(name, list(names), 1, likeness)), "")
+
+
+def question(name: str) -> str:
+    """Return what follows a misspelt name: whether this one is meant; nothing for an empty text."""
+    return f" (did you mean {plain(name)}?)" if name else ""
 
 
 def one_line(text: object, limit: int = LINE_LIMIT) -> str:

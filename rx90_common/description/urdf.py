@@ -16,7 +16,7 @@ import numpy as np
 
 from rx90_common.base.entries import MAX_JOINTS
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import plain, quoted
 
 _INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # A thin body may miss the triangle inequality by the rounding of its printed digits.
@@ -32,6 +32,23 @@ def inertia_fault(values: tuple[float, ...]) -> str | None:
     if principal[0] + principal[1] < principal[2] * (1.0 - _TRIANGLE_TOLERANCE):
         return "principal moments of which any two add up to at least the third"
     return None
+
+
+def check_dynamics(file: Path, root: ET.Element) -> None:
+    """Refuse <dynamics> of a joint that Pinocchio refuses without naming the joint; nothing here uses its values."""
+    for joint in root.findall("joint"):
+        for dynamics in joint.findall("dynamics"):
+            for key, low in (("damping", -math.inf), ("friction", 0.0)):
+                text = dynamics.get(key, "0")
+                try:
+                    good = low <= float(text) < math.inf
+                except ValueError:
+                    good = False
+                if not good:
+                    raise ConfigError(
+                        f"{plain(file)}: joint {quoted(joint.get('name'))} dynamics {key} is {quoted(text)}; accepted: "
+                        f"a finite number{' >= 0' if low == 0.0 else ''}, or no {key}: friction is in the friction file"
+                    )
 
 
 @dataclass(frozen=True)
@@ -89,6 +106,7 @@ class UrdfFile:
                 joint.set("type", "fixed")
                 for mimic in joint.findall("mimic"):
                     joint.remove(mimic)
+        check_dynamics(file, self.root)
         self.links = self._named("link")
         self._joints = self._named("joint")
         self._parent_joint = self._tree()

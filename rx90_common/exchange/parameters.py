@@ -26,7 +26,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from type_description_interfaces.srv import GetTypeDescription
 
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.quoting import nearest, plain, question, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, RobotFiles
 from rx90_common.exchange.endpoints import PREFIX, overridable_topics, ros_time
@@ -139,7 +139,8 @@ def unknown_parameter(node: Node, name: str, accepted: str | None = None) -> str
         accepted = overridable_topics(node)
     elif accepted is None:
         accepted = ", ".join(sorted(one for one in node._parameters if one not in OF_ROS and PREFIX not in one))
-    return f"parameter {plain(name)} is unknown to {node.get_name()}; accepted: {accepted}"
+    asked = question(nearest(name, node._parameters))
+    return f"parameter {plain(name)} is unknown to {node.get_name()}{asked}; accepted: {accepted}"
 
 
 class ParameterChanges:

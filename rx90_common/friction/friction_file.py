@@ -12,7 +12,7 @@ from rx90_common.base.config import ABOUT, PROVENANCE, Section, load_yaml, yaml_
 from rx90_common.base.entries import LEFT_OUT, Number
 from rx90_common.base.errors import ConfigError, located
 from rx90_common.base.groups import Entries, Group
-from rx90_common.base.quoting import conjoined, quoted
+from rx90_common.base.quoting import conjoined, nearest, question, quoted
 from rx90_common.friction.element import ELEMENT, FRICTION_PARAMETERS, PARTS, SIGNS, FrictionElement, legend
 from rx90_common.friction.parts.bristles import MaxwellSlip
 
@@ -206,10 +206,12 @@ def refuse_parts(
 def load_friction(path: Path, names: Sequence[str]) -> FrictionSet:
     """Read the friction file of a robot, with its elements by their names (`Coupling.element_names`)."""
     file = FrictionFile.read(path)
-    elements = file.select(names)
+    missing = [name for name in names if name not in file.elements]
     for name in file.elements:
         if name not in names:
-            raise ConfigError(f"{path}: elements.{name} is not a known key; accepted: {', '.join(names)}")
+            asked = question(nearest(name, missing))
+            raise ConfigError(f"{path}: elements.{name} is not a known key{asked}; accepted: {', '.join(names)}")
+    elements = file.select(names)
     return FrictionSet(tuple(names), elements, path)
 
 

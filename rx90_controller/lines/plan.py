@@ -267,8 +267,8 @@ def plan_line(robot: RobotModel, task: TipTask, period: float = 1e-3, accelerati
     probes, error = _tip_errors(plan)
     at = float(path.task.profile().sample(probes - path.task.rest_before).distance[int(np.argmax(error))])
     raise LineError(
-        f"the tip error between the knots is {plan.tip_error * 1e6:.3g} um at {at:.3f} m from the start; accepted: <= "
-        f"{TIP_TOLERANCE * 1e6:g} um (a smaller acceleration, or a larger singularity_margin)"
+        f"the tip error between the knots is {plan.tip_error * 1e6:.3g} µm at {at:.3f} m from the start; accepted: <= "
+        f"{TIP_TOLERANCE * 1e6:g} µm (a smaller acceleration, or a larger singularity_margin)"
     )
 
 
@@ -414,11 +414,12 @@ def describe_line(plan: LinePlan) -> str:
     lines = [
         f"{task.what:<10}{task.length:.4f} m at {profile.peak_speed:.4g} m/s, {task.acceleration:.4g} m/s^2",
         f"time      {plan.duration:.3f} s, moving from {begin:.3f} s to {end:.3f} s",
-        f"knots     {len(plan.times)}, tip error between them {plan.tip_error * 1e6:.3g} um",
+        f"knots     {len(plan.times)}, tip error between them {plan.tip_error * 1e6:.3g} µm",
         f"posture   {_posture_text(plan.path)}",
     ]
     lines += [
-        f"margin    {kind} {margin:.3f} at {at:.3f} m (accepted: >= {task.singularity_margin:g})"
+        f"margin    distance from the {kind} singularity {margin:.3f} (1 is farthest), {_place_text(at)}; accepted: "
+        f"from {task.singularity_margin:g} on"
         for kind, (margin, at) in plan.path.margins.items()
     ]
     lines += task.notes()
@@ -430,6 +431,10 @@ def describe_line(plan: LinePlan) -> str:
         start, low, high, fast = values
         lines.append(f"{name:<10}{start:9.2f}{low:9.2f}{high:9.2f}    {fast:9.2f}      {part:10.1%}")
     return "\n".join(lines)
+
+
+def _place_text(at: float) -> str:
+    return f"at {at:.3f} m" if at else "at the start"
 
 
 def _posture_text(path: JointPath) -> str:

@@ -45,9 +45,9 @@ _CHANGEABLE: Final = ("servo", "feed_forward", "supervision")
 def declare_own(node: Node) -> tuple[float, int]:
     """Declare, unless they are, how far ahead a trajectory may start, s, and the decimation of DETAILS; return both."""
     about = "how far ahead of the controller's own time the stamp of a trajectory may lie, s"
-    horizon = declare(node, "start_horizon", 60.0, about, low=0.0, high=1e6)
+    horizon = declare(node, "max_seconds_ahead", 60.0, about, low=0.0, high=1e6)
     about = f"position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}"
-    return horizon, declare(node, "detail_decimation", DETAIL_DECIMATION, about, low=1, high=1_000_000)
+    return horizon, declare(node, "slow_topics_every_n_ticks", DETAIL_DECIMATION, about, low=1, high=1_000_000)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
-from rx90_common.base.quoting import one_line
+from rx90_common.base.quoting import counted, one_line
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.pacing import ThrottledLog
 from rx90_common.exchange.topics import CORRECTED, OF_ACTION
@@ -497,7 +497,8 @@ class ServoLoop:
         if points is None:
             text = f"empty trajectory: stopping from {begin:.3f} s on, at rest at {end:.3f} s"
         else:
-            text = f"{request.kind} accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin:.3f} s"
+            count = counted(len(points.times), "point")
+            text = f"{request.kind} accepted: {count}, {points.times[-1]:.3f} s from {begin:.3f} s"
             if points.smooth:
                 text += "; velocities from its positions"
             if points.correction is not None:

@@ -12,15 +12,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from scipy.interpolate import CubicSpline, PPoly
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import LineError
 from rx90_common.description.kinematics import PathError, decompose, nearest_corner
 from rx90_common.description.rotations import length
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 _CELLS = 16  # of a polynomial's length, in each of its intervals
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -223,6 +225,8 @@ def spline(points: Array) -> Polynomial:
     chords = length(np.diff(points, axis=0))
     if not chords.all():
         raise LineError(f"a spline with the point {_point(points[int(np.argmin(chords))])} m twice; accepted: once")
+    from scipy.interpolate import CubicSpline  # takes a while
+
     closed = len(points) > 3 and not np.any(points[-1] - points[0])
     over = np.append(0.0, np.cumsum(chords))
     return Polynomial(CubicSpline(over, points, bc_type="periodic" if closed else "natural"))
@@ -230,6 +234,8 @@ def spline(points: Array) -> Polynomial:
 
 def _blend(before: Piece, after: Piece, zone: float) -> Polynomial:
     """Return the polynomial from the last `zone` m of a piece to the first ones of the next."""
+    from scipy.interpolate import PPoly
+
     ends = (before, np.array([before.length - zone])), (after, np.array([zone]))
     (p0, t0, k0), (p1, t1, k1) = ([piece.at(at, order)[0] for order in range(3)] for piece, at in ends)
     reach = 2.0 * zone

@@ -29,6 +29,7 @@ from rx90_controller.paths.curve import Curve, Piece, arc_about, arc_through, li
 from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
 
 FIXED, TANGENT, INTERPOLATED = ORIENTATIONS = ("fixed", "tangent", "interpolated")
+LOWER, HOLD = SPEED_POLICIES = ("lower", "hold")
 _FARTHEST = 1e3  # m
 _SHORTEST_PATH = 1e-6  # m: far below the arm's resolution; shorter phases vanish in rounding
 _TURN = 0.02  # rad of the path between two places at which it is examined
@@ -39,6 +40,11 @@ _BLOCKS = 40  # in a stretch of one speed, at most
 _SPEED_RESERVE = 0.99  # of a joint's limit: the places between those that are looked at need a little more
 _RESERVE = 0.9  # of a joint's acceleration: quintics round its steps, and overshoot
 _ACCELERATION_SHARE = 0.5  # of a joint's limit for the path's own acceleration, where it is short of it
+
+
+def _check_word(name: str, word: str, accepted: Sequence[str]) -> None:
+    if word not in accepted:
+        raise LineError(f"{name} is {word!r}; accepted: one of {', '.join(accepted)}")
 
 
 @dataclass(frozen=True)
@@ -106,6 +112,7 @@ class Path(TipTask):
         branch: as LineTask's; singularity_margin and start_posture likewise.
         singularity_margin: 1.
         start_posture: rad.
+        speed_policy: where a joint's limit asks for less speed: "lower" it, or "hold" it and refuse the path.
         lowered: speeds and accelerations below the required ones, because of the joints' limits; see `within_limits`.
         remarks: the lowered values, in words.
 
@@ -125,6 +132,7 @@ class Path(TipTask):
     branch: Branch = DEFAULT_BRANCH
     singularity_margin: float = 0.05
     start_posture: tuple[float, ...] | None = None
+    speed_policy: str = LOWER
     lowered: tuple[SpeedLimit, ...] = ()
     remarks: tuple[str, ...] = ()
 
@@ -133,8 +141,8 @@ class Path(TipTask):
     def __post_init__(self) -> None:
         if len(self.start_rpy) != 3 or not all(math.isfinite(x) for x in self.start_rpy):
             raise LineError(f"the path's start_rpy is {self.start_rpy}; accepted: three finite numbers")
-        if self.orientation not in ORIENTATIONS:
-            raise LineError(f"orientation is {self.orientation!r}; accepted: one of {', '.join(ORIENTATIONS)}")
+        _check_word("orientation", self.orientation, ORIENTATIONS)
+        _check_word("speed_policy", self.speed_policy, SPEED_POLICIES)
         if not self.segments:
             raise LineError("the path has no segments; accepted: one or more")
         values = [("speed", self.speed), ("acceleration", self.acceleration), ("jerk", self.jerk)]
@@ -330,7 +338,7 @@ class Path(TipTask):
         """Return lines of text for a person: where the tool stops, and lowered values."""
         inner = [f"{at:.3f}" for at in self.stops[1:-1]]
         stops = [f"stops     {len(inner)}, at {', '.join(inner[:6])}{', ...' * (len(inner) > 6)} m"] if inner else []
-        return [*stops, *(f"lowered   {remark}" for remark in self.remarks)]
+        return [*stops, *(f"limits    {remark}" for remark in self.remarks)]
 
     def within_limits(
         self, names: Sequence[str], distance: Array, slope: Array, bend: Array, velocity: Array, most: Array
@@ -379,18 +387,19 @@ class Path(TipTask):
                 ramp = float(acceleration[near].min())
                 if speed < one.speed or ramp < self.acceleration:
                     lowered.append(SpeedLimit(begin, end, min(speed, one.speed), ramp))
-            between = f"between {distance[slow[0]]:.3f} and {distance[slow[-1]]:.3f} m"
+            places = f"from {distance[slow[0]]:.3f} to {distance[slow[-1]]:.3f} m"
             lowest = slow[np.argmin(possible[slow])]
             least = slow[np.argmin(acceleration[slow])]
             if possible[lowest] < one.speed:
                 kind, j = divmod(int(np.argmin(both[:, lowest])), len(names))
-                remarks.append(
-                    f"speed from {one.speed:.4g} to {possible[lowest]:.4g} m/s {between}: the "
-                    f"{('velocity', 'acceleration')[kind]} of {names[j]} at {distance[lowest]:.3f} m"
-                )
+                limit = f"{names[j]} reaches its {('velocity', 'acceleration')[kind]} limit"
+                if self.speed_policy == HOLD:
+                    raise LineError(
+                        f"at {distance[lowest]:.3f} m {limit}: {possible[lowest]:.3g} m/s there in place of "
+                        f"{one.speed:.4g}; accepted with speed_policy {HOLD}: up to that speed, or speed_policy {LOWER}"
+                    )
+                remarks.append(f"slowed to {possible[lowest]:.3g} m/s {places}: {limit}")
             if acceleration[least] < self.acceleration:
-                remarks.append(
-                    f"acceleration from {self.acceleration:.4g} to {acceleration[least]:.4g} m/s^2 {between}: the "
-                    f"acceleration of {names[int(np.argmin(allowed[least]))]} at {distance[least]:.3f} m"
-                )
+                limit = f"{names[int(np.argmin(allowed[least]))]} reaches its acceleration limit"
+                remarks.append(f"ramps of {acceleration[least]:.3g} m/s^2 {places}: {limit}")
         return replace(self, lowered=tuple(lowered), remarks=tuple(remarks)) if lowered else self

@@ -16,13 +16,15 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.interpolate import PPoly
 
 from rx90_common.base.arrays import Array
 from rx90_controller.lines.task import PathMotion
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 _SHORTEST_PHASE = 1e-9  # s
 _BISECTIONS = 60
@@ -66,6 +68,8 @@ class LimitedProfile:
     @cached_property
     def _built(self) -> tuple[PPoly, float]:
         """Return the distance over the time before the mean, and the time of the mean, s."""
+        from scipy.interpolate import PPoly  # takes a while
+
         steps = (1.0, 2.0) if math.isfinite(self.jerk) else (0.0,)
         for step in steps:  # ramps up and down within the mean's time have twice the jump of one
             mean = step * self._steepest / self.jerk

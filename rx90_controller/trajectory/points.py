@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rx90_common.bags.topics import POINT_FIELDS
 from rx90_common.base.arrays import Array, Mask, array_digest
 from rx90_common.base.errors import TrajectoryError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import counted, quoted
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.cdr import CdrReader
 from rx90_controller.trajectory.correction import Correction
@@ -113,7 +113,7 @@ class TrajectoryPoints:
         for what, rows in given:
             if len(rows) not in (0, len(times)):
                 accepted = f"of {len(times)}, as many as there are times"
-                raise TrajectoryError(f"{what} of {len(rows)} points; accepted: {accepted}")
+                raise TrajectoryError(f"{what} of {counted(len(rows), 'point')}; accepted: {accepted}")
         q, v, a = (joint_table(what, rows, columns, robot_joints, whole=what == "positions") for what, rows in given)
         if q is None:
             raise TrajectoryError("point 0: no positions; accepted: positions of all named joints in every point")

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.declared import option
@@ -280,6 +279,8 @@ class Stream:
         reference = np.zeros((count + 1, 2, len(self.named)))
         times = (self._times - now) * self._period
         if self.interface == POSITION:
+            from scipy.interpolate import CubicHermiteSpline  # takes a while, which most runs do without
+
             cubic = CubicHermiteSpline(times, self._values, self._bessel())
             inside = np.minimum(at, last) * self._period
             reference[:, 0] = cubic(inside)

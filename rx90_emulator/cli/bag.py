@@ -27,7 +27,8 @@ from rx90_emulator.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from rx90_common.bags.recorder.recording import TopicCount
+    from rx90_common.bags.mapping import LogMapping
+    from rx90_common.bags.recorder.recording import Recorder, TopicCount
 
 _MAX_STAMP = 4_294_967_296  # s: stamps count so far, and two of them do not overflow 64 bits of ns
 _KINDS = ("csv", "parquet", "npz")
@@ -56,10 +57,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_verbs(parser, _VERBS)
 
 
+def _add_signals(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--signals", type=Path, metavar="FILE",
+                        help="what the columns of a CSV, Parquet or NPZ table hold (the file named as the table, with "
+                        ".yaml)")  # fmt: skip
+
+
+def _signals(args: argparse.Namespace) -> LogMapping | None:
+    from rx90_common.bags.mapping import LogMapping
+
+    return None if args.signals is None else LogMapping.load(args.signals)
+
+
 def _add_record(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "topics", nargs="*", default=list(SUITE_TOPICS), metavar="TOPIC",
-        help=f"topics to record (default: {' '.join(SUITE_TOPICS)})",
+        "topics", nargs="*", metavar="TOPIC",
+        help=f"topics to record; each must get a message (default: {' '.join(SUITE_TOPICS)}, as far as they do)",
     )  # fmt: skip
     parser.add_argument(
         "-o", "--output", type=new_folder, required=True, metavar="FOLDER", help="bag to make; must not exist"
@@ -78,19 +91,24 @@ def _record(args: argparse.Namespace) -> int:
     from rx90_common.bags.recorder.recording import Recorder, StatusLine
 
     with StatusLine() as status:
-        recorder = Recorder(args.topics, args.ros_args, status)
+        recorder = Recorder(args.topics or SUITE_TOPICS, args.ros_args, status)
         counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)
-    return _report(args.topics, counts, recorder.stalls, args.output)
+    return _report(recorder, counts, args.output, requested=bool(args.topics))
 
 
-def _report(topics: Sequence[str], counts: Sequence[TopicCount], stalls: Sequence[float], output: Path) -> int:
-    """Print what was recorded, and what not; return the exit code."""
+def _report(recorder: Recorder, counts: Sequence[TopicCount], output: Path, *, requested: bool) -> int:
+    """Print what was recorded, and what not; return the exit code. Requested topics may not stay empty."""
     repeated = sum(count.repeated for count in counts)
     received = sum(count.received for count in counts)
     left_out = f"; {repeated} repetitions of the sample before are left out" if repeated else ""
-    print(f"recorded {received - repeated} messages of {len(counts)} topics to {plain(output)}{left_out}")
-    failures = [] if received else [f"nothing recorded: no message came on {listed(topics)}"]
-    failures += [f"lost: an unknown number of messages, in {s:.1f} s in which this process did not run" for s in stalls]
+    topics = counted(len(counts), "topic")
+    print(f"recorded {counted(received - repeated, 'message')} of {topics} to {plain(output)}{left_out}")
+    failures = []
+    if recorder.empty and (requested or not received):
+        part = "not" if received else "nothing"
+        failures.append(f"{part} recorded: no message came on {listed(recorder.empty)}")
+    for stall in recorder.stalls:
+        failures.append(f"lost: an unknown number of messages, in {stall:.1f} s in which this process did not run")
     for count in counts:
         if count.other_clock:
             print(f"{count.topic}: {count.other_clock} messages have stamps of another clock; they are dated by when "
@@ -111,6 +129,7 @@ def _report(topics: Sequence[str], counts: Sequence[TopicCount], stalls: Sequenc
 def _add_compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag_a", **_BAG | {"metavar": "A"})
     parser.add_argument("bag_b", metavar="B", help="bag to compare it with")
+    _add_signals(parser)
     parser.add_argument(
         "--tolerance", action="append", default=[], metavar=GRAMMAR,
         help="in rad, rad/s, Nm or °C; the most specific one that fits decides; default 0: equal bits",
@@ -159,7 +178,7 @@ def _compare(args: argparse.Namespace) -> int:
         common_range=args.common_range,
         align=alignment(args.align),
     )
-    comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(rules), scope)
+    comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(rules), scope, _signals(args))
     paths = _path_errors(args) if args.path_error else []
     print(comparison_json(comparison) if args.json else comparison_text(comparison))
     print("".join(f"{line}\n" for line in paths), end="")
@@ -176,7 +195,7 @@ def _path_errors(args: argparse.Namespace) -> list[str]:
     lines = []
     robot = load_robot(files.urdf, files.tool)
     for bag in (args.bag_a, args.bag_b):
-        accuracy = recorded_accuracy(Path(bag), robot, files)
+        accuracy = recorded_accuracy(Path(bag), robot, files, args.signals)
         lines.append(f"{plain(bag)}: {accuracy.words if accuracy else 'no path error: it holds no set-points'}")
     return lines
 
@@ -202,9 +221,7 @@ def _add_plot(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("bag", type=Path, **_BAG)
     parser.add_argument("second", type=Path, nargs="?", metavar="BAG2", help="bag to draw over it")
-    parser.add_argument("--signals", type=Path, metavar="FILE",
-                        help="signal map: what the columns of a CSV, Parquet or NPZ table hold (the file named as the "
-                        "table, with .yaml)")  # fmt: skip
+    _add_signals(parser)
     parser.add_argument("-o", "--output", type=place, metavar="FILE",
                         help=".html, .png, .svg or .pdf (the bag's name with .html, here)")  # fmt: skip
     parser.add_argument("--force", action="store_true", help="replace a file that exists")
@@ -222,7 +239,6 @@ def _plot(args: argparse.Namespace) -> None:
     The suffix of --output says which: .html, .png, .svg or .pdf. Without options a page shows joint states, friction
     and tracking error, as far as the bag has them.
     """
-    from rx90_common.bags.mapping import LogMapping
     from rx90_common.bags.plotting import is_page, plot_bags, write_plots
     from rx90_emulator.cli.options import progress_bar
 
@@ -233,7 +249,7 @@ def _plot(args: argparse.Namespace) -> None:
     check_replaced(output, force=args.force)
     paths = [args.bag] if args.second is None else [args.bag, args.second]
     align = alignment(args.align or "0")
-    mapping = None if args.signals is None else LogMapping.load(args.signals)
+    mapping = _signals(args)
     with progress_bar("reading") as progress:
         plots = plot_bags(
             paths, topics=args.topics, joints=args.joints, align=align, most=most, progress=progress, mapping=mapping
@@ -246,6 +262,7 @@ def _plot(args: argparse.Namespace) -> None:
 def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("bag", type=Path, **_BAG)
+    _add_signals(parser)
     parser.add_argument("-o", "--output", type=new_folder, required=True, metavar="FILE|FOLDER",
                         help="FILE.csv, FILE.parquet (one topic), FILE.npz, or a folder; must not exist")  # fmt: skip
     parser.add_argument("--topic", **_TOPIC,
@@ -265,10 +282,10 @@ def _export(args: argparse.Namespace) -> None:
     from rx90_common.bags.exporting import export_bag
     from rx90_emulator.cli.options import progress_bar
 
+    kind = f".{args.format or _KINDS[0]}"
+    mapping = _signals(args)
     with progress_bar("export") as progress:
-        done = export_bag(
-            args.bag, args.output, topics=args.topics, kind=f".{args.format or _KINDS[0]}", progress=progress
-        )
+        done = export_bag(args.bag, args.output, topics=args.topics, kind=kind, progress=progress, mapping=mapping)
     for topic, count in done.topics:
         print(f"{plain(topic)}: {counted(count, 'message')}")
     if done.left_out:
@@ -326,6 +343,7 @@ def _import(args: argparse.Namespace) -> None:
 
 def _add_info(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", **_BAG)
+    _add_signals(parser)
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 
@@ -334,7 +352,7 @@ def _info(options: argparse.Namespace) -> None:
     from rx90_common.bags.summary import summarise
     from rx90_common.bags.tables import summary_json, summary_text
 
-    summary = summarise(options.bag)
+    summary = summarise(options.bag, _signals(options))
     print(summary_json(summary) if options.json else summary_text(summary))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import DONE, VERDICT_NO, check_replaced
-from rx90_common.base.quoting import one_line, plain
+from rx90_common.base.quoting import counted, one_line, plain
 from rx90_emulator.cli.options import (
     POSITIVE,
     add_node_arguments,
@@ -180,7 +180,8 @@ def _show(options: argparse.Namespace) -> None:
 def _add_precompensate(precompensate: argparse.ArgumentParser) -> None:
     precompensate.add_argument("file", type=Path, metavar="FILE", help="correction file")
     precompensate.add_argument("path", metavar="PATH", help="task, path or trajectory that it is of")
-    precompensate.add_argument("--output", type=place, metavar="FILE", required=True, help="trajectory to write, .yaml")
+    precompensate.add_argument("--output", type=place, metavar="FILE", required=True, help="trajectory to write: "
+                               ".yaml, or .csv for its set-points: s, joints in deg, tool in mm and deg")  # fmt: skip
     precompensate.add_argument("--force", action="store_true", help="replace a trajectory that exists")
     precompensate.add_argument(
         "--cutoff", type=POSITIVE, metavar="HZ", help="of the filter that smooths the offsets (5)"
@@ -195,13 +196,11 @@ def _precompensate(options: argparse.Namespace) -> None:
     The path errors are those of the engine, with the arm of the files.
     """
     check_replaced(options.output, force=options.force)
-    from rx90_common.base.config import yaml_text
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_common.process.files import write_text
-    from rx90_controller.trajectory.points import message_content
     from rx90_emulator.correction.file import load_correction
     from rx90_emulator.correction.precompensation import CUTOFF, corrected_trajectory, travelled_error
     from rx90_emulator.loop.setup import Setup
+    from rx90_emulator.loop.trajectory_file import write_trajectory
 
     setup = Setup.load(RobotFiles.of_options(options))
     path = _path(options.path, setup)
@@ -209,8 +208,8 @@ def _precompensate(options: argparse.Namespace) -> None:
     points = corrected_trajectory(setup, path, correction, options.cutoff or CUTOFF)
     before = travelled_error(setup, path, path.points)
     after = travelled_error(setup, path, points)
-    write_text(options.output, yaml_text(message_content(setup.robot.joint_names, points)))
-    print(one_line(f"written to {options.output}: {len(points.times)} points"))
+    write_trajectory(options.output, setup.robot, points, 1.0 / setup.rates.position_hz)
+    print(one_line(f"written to {options.output}: {counted(len(points.times), 'point')}"))
     print(f"worst path error on the engine: {after * 1e3:.4f} mm, without correction {before * 1e3:.4f} mm")
 
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from rx90_common.base.errors import LineError
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.process.files import write_text
 from rx90_emulator.cli.options import (
     FINITE,
     POSITIVE,
@@ -74,7 +73,8 @@ def _add_sending(parser: argparse.ArgumentParser) -> None:
     send.add_argument("--approach", action="store_true", help="first move to the start, straight in the joints")
     send.add_argument("--correction", metavar="FILE", help="correction file of this path, as rx90_correct learns it")
     send.add_argument("--dry-run", action="store_true", help="plan and print, send nothing")
-    send.add_argument("--output", type=place, metavar="FILE", help="write the trajectory as a YAML message")
+    send.add_argument("--output", type=place, metavar="FILE", help="write the trajectory as a YAML message, or to "
+                      "FILE.csv its set-points: s, joints in deg, tool in mm and deg")  # fmt: skip
 
 
 def line(options: argparse.Namespace) -> None:
@@ -108,11 +108,9 @@ def _plan_and_send(
 ) -> None:
     """Plan what `task_of` reads for an arm, show it, write it where asked for, and send it, except with --dry-run."""
     # Here, because --help must not wait for them.
-    from rx90_common.base.config import yaml_text
     from rx90_common.description.robot import load_robot
     from rx90_controller.law.parameters import load_controller
     from rx90_controller.lines.plan import check_plan, describe_line, plan_line
-    from rx90_controller.trajectory.points import message_content
 
     files = RobotFiles.of_options(options)
     robot = load_robot(files.urdf, files.tool)
@@ -124,7 +122,9 @@ def _plan_and_send(
     check_plan(plan, limits, period, plan.start_pose)
     correction = _correction(plan, files, options)
     if options.output is not None:
-        write_text(options.output, yaml_text(message_content(plan.joint_names, plan.points)))
+        from rx90_emulator.loop.trajectory_file import write_trajectory
+
+        write_trajectory(options.output, robot, plan.points, period)
         _say(f"written to {options.output}")
     if not options.dry_run:
         _send(plan, limits, correction, options)

@@ -22,7 +22,6 @@ from rx90_emulator.correction.file import CORRECTION, load_correction
 from rx90_emulator.identification.experiments.plan import EXPERIMENTS, POSES, Poses, read_index
 from rx90_emulator.loop.path_file import PATH, TRAJECTORY, load_path, load_trajectory
 from rx90_emulator.sweep.plan import PLAN, load_sweep_plan
-from rx90_emulator.sweep.sweep import Sweep
 
 NODE_PARAMETERS = "node_parameters"
 """The name of the kind of the nodes' parameter files."""
@@ -46,6 +45,12 @@ _MOVEIT_LIMITS = Group(
     },
     known=False,
 )
+
+
+def _read_sweep(path: Path) -> object:
+    from rx90_emulator.sweep.sweep import Sweep  # takes a while
+
+    return Sweep(load_sweep_plan(path))
 
 
 @dataclass(frozen=True)
@@ -82,7 +87,7 @@ KINDS = (
     FileKind("poses", POSES, Poses.load),
     FileKind("moveit_limits", _MOVEIT_LIMITS, lambda path: _MOVEIT_LIMITS.read(load_yaml(path))),
     FileKind("rig", RIG, load_rig),
-    FileKind("sweep_plan", PLAN, lambda path: Sweep(load_sweep_plan(path))),
+    FileKind("sweep_plan", PLAN, _read_sweep),
     FileKind(
         "trajectory",
         TRAJECTORY,

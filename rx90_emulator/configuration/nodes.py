@@ -17,7 +17,7 @@ from friction_bench.node.bench_node import declare_bench_parameters
 from rx90_common.base.config import Section, load_yaml, yaml_lines, yaml_value
 from rx90_common.base.entries import PER_JOINT, Entry, Integer, JsonSchema, Number, Numbers, Switch, Text
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.base.quoting import listed, nearest, plain, question, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
@@ -137,7 +137,9 @@ def declared(node: str, given: Mapping[str, Any] | None = None) -> DeclaredParam
     # What is still there: a node takes out what it has no use for.
     for name in parameters._parameter_overrides:
         if name not in parameters.entries and name not in OF_ROS and not name.startswith(PREFIX):
-            raise ConfigError(f"parameter {plain(name)} is unknown to {node}; accepted: {listed(parameters.entries)}")
+            asked = question(nearest(name, parameters.entries))
+            accepted = listed(parameters.entries)
+            raise ConfigError(f"parameter {plain(name)} is unknown to {node}{asked}; accepted: {accepted}")
     return parameters
 
 
@@ -193,7 +195,8 @@ def _check_section(node: str, section: Section) -> None:
 
     def check(name: str) -> None:
         if name not in entries:
-            names.fault(name, f" is unknown to {node}; accepted: {listed(entries)}")
+            asked = question(nearest(name, entries))
+            names.fault(name, f" is unknown to {node}{asked}; accepted: {listed(entries)}")
         entries[name].take(names, name)
 
     for name in given:

@@ -35,8 +35,6 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from scipy.linalg import expm
-from scipy.signal import butter, sosfiltfilt
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
@@ -113,6 +111,8 @@ def zero_phase(cutoff: float, period: float) -> Callable[[Array], Array]:
     """Return a low-pass filter of rows, run forwards and backwards, which extends its input by its last value."""
     if not cutoff < 0.5 / period:
         raise ConfigError(f"cutoff is {cutoff:g} Hz; accepted: below {0.5 / period:g} Hz, half the rate of set-points")
+    from scipy.signal import butter, sosfiltfilt  # takes a while
+
     sections = butter(_ORDER, cutoff, fs=1.0 / period, output="sos")
     return lambda rows: np.ascontiguousarray(sosfiltfilt(sections, rows, axis=0, padtype="constant"))
 
@@ -156,6 +156,8 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
     rates[:, tau, v] = -derivative / lag
     rates[:, tau, i] = one / lag
     rates[:, tau, tau] = -one / lag
+    from scipy.linalg import expm  # takes a while
+
     step = expm(rates * period)
     states = slice(4 * joints)
     return step[:, states, states], step[:, states, c], stride

@@ -52,7 +52,7 @@ def node_trials(
     """
     robot = learner.setup.robot
     points = learner.path.points
-    topics = ["joint_states", REFERENCE, TRACKING, CORRECTION, *([tip_topic] if tip_topic else [])]
+    topics = ["joint_states", REFERENCE, TRACKING, *([tip_topic] if tip_topic else [])]
     with (
         tempfile.TemporaryDirectory(prefix="rx90_correct_") as name,
         client_node("rx90_correct", timeout, partial(print, flush=True)) as client,
@@ -71,9 +71,9 @@ def node_trials(
                 motion.rest(_REST_S)
                 follow(motion.points(robot.joint_names), lambda _: None)
             bag = Path(name) / f"trial_{next(numbers)}"
-            recorder = recorders.start(
-                f"recorder of {bag.name}", executable("rx90_bag", "record", "--output", bag, *topics)
-            )
+            played = [CORRECTION] if correction.offsets.any() else []  # without offsets nothing is published
+            words = executable("rx90_bag", "record", "--output", bag, *topics, *played)
+            recorder = recorders.start(f"recorder of {bag.name}", words)
             recorder.wait_for("ready: all", timeout)
             follow(replace(points, correction=correction), lambda _: None)
             if tip_topic is not None:

@@ -36,7 +36,7 @@ from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import CODE, OPENED, TO_OTHERS
 from rx90_sim.node.simulation_client import SimulationClient
 
-SWITCHED_OFF = "FF and dq_r off"
+SWITCHED_OFF = "without feed-forward, D on the measured velocity alone"
 """What the recorded run is compared with, by the name that it has in docs/explanation/models.md."""
 
 PATH_LIMIT = 1e-4
@@ -193,7 +193,7 @@ class Demonstration:
         self._plan = plan_line(self._setup.robot, self._task, self._setup.rates.position_period)
 
     def run(self, folder: Path) -> bool:
-        """Run, compare, report; return whether the run is identical to the closed loop and within the limit.
+        """Run, compare, report; return whether the run is the same as the closed loop and within the limit.
 
         Args:
             folder: an empty one, with a folder `log` in it.
@@ -214,7 +214,7 @@ class Demonstration:
         run.write(page, baseline, comparison, pace=self._pace, reached=factor, composed=self._composed)
         print(
             f"path error: worst {run.path.worst * 1e3:.4f} mm, "
-            f"{run.path_without.worst * 1e3:.4f} mm with {SWITCHED_OFF}; asked for: {PATH_LIMIT * 1e3:g} mm"
+            f"{run.path_without.worst * 1e3:.4f} mm {SWITCHED_OFF}; asked for: {PATH_LIMIT * 1e3:g} mm"
         )
         print(f"report: {page.resolve()}")
         if run.path.worst > PATH_LIMIT:

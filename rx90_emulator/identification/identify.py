@@ -105,14 +105,10 @@ class FrictionIdentification:
 
     @property
     def scope(self) -> str:
-        """Return the scope of a verdict, " for joint_3, with 54 of 63 values assumed"; "" where nothing is assumed."""
+        """Return the scope of a verdict, "54 of 63 values are assumed"; "" where nothing is assumed."""
         identifiable = [each.identifiable for one in self.elements for each in one.estimates.values()]
         assumed = identifiable.count(False)
-        return (
-            f" for {', '.join(self.identified_elements)}, with {assumed} of {len(identifiable)} values assumed"
-            if assumed
-            else ""
-        )
+        return f"{assumed} of {len(identifiable)} values are assumed" if assumed else ""
 
     @property
     def unidentifiable(self) -> dict[str, dict[str, list[str]]]:

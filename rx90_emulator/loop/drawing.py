@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, warn_caller
-from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.quoting import counted, plain, quoted
 from rx90_common.description.rotations import length, rpy_rotation
 from rx90_controller.paths.curve import KINK
 from rx90_controller.paths.path import Segment
@@ -173,7 +173,7 @@ class Drawing:
         unit = self._unit(units[0])
         rows = [tuple(row) for row in table.tolist()]
         if len(rows) < 2:
-            self._refuse(f"holds {len(rows)} points; accepted: two or more")
+            self._refuse(f"holds {counted(len(rows), 'point')}; accepted: two or more")
         for number, (a, b) in enumerate(pairwise(rows), 1):
             if a == b:
                 self._refuse(f"points {number} and {number + 1} are both {a}; accepted: different points")

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from rx90_common.base.declared import Declared, declarations
 from rx90_common.base.entries import Integer, ListOf, Number, Other, Rows, Switch
 from rx90_common.base.errors import ConfigError, check_type, located
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import nearest, question, quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
 from rx90_common.friction.element import FRICTION_PARAMETERS
@@ -190,7 +190,8 @@ class Catalogue:
                 return f"{quoted(path)} goes on after a value; accepted: {'.'.join(wanted[:depth])}"
             if wanted[depth] != "*" and wanted[depth] not in below:
                 break
-        return f"{quoted(path)} names nothing: {quoted(wanted[depth])} is unknown; accepted there: {', '.join(below)}"
+        unknown = f"{quoted(wanted[depth])} is unknown{question(nearest(wanted[depth], below))}"
+        return f"{quoted(path)} names nothing: {unknown}; accepted there: {', '.join(below)}"
 
 
 def _accepted_indices(name: str, shape: tuple[int, ...]) -> str:

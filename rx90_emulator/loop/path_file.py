@@ -18,7 +18,7 @@ from rx90_common.base.groups import Group
 from rx90_common.base.share import resolve_config
 from rx90_common.description.branch import Branch
 from rx90_controller.lines.task import TASK, LineTask, radians, task_of
-from rx90_controller.paths.path import ORIENTATIONS, Path, Segment
+from rx90_controller.paths.path import ORIENTATIONS, SPEED_POLICIES, Path, Segment
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.points import points_from_message
 from rx90_emulator.loop.drawing import UNITS, Drawing
@@ -116,6 +116,11 @@ _MOTION = Group(
             above=True,
             default=LEFT_OUT,
         ),
+        "speed_policy": Text(
+            "Where a joint's limit asks for less speed: lower it, or hold it and refuse the path. Lower if left out.",
+            choices=SPEED_POLICIES,
+            default=LEFT_OUT,
+        ),
         "orientation": Text(
             "Of the tool: fixed; turning about its z axis as the path does; or interpolated from segment to segment. "
             "Fixed if left out.",
@@ -158,6 +163,7 @@ def load_motion(name: FilePath | str) -> LineTask | Path:
     """
     file = resolve_config(str(name))
     root = load_yaml(file)
+    root.refuse_unknown({*PATH.keys, *TASK.keys})
     return _path(file, root) if "path" in root else task_of(file, root)
 
 

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.entries import LEFT_OUT, Entry, Integer, ListOf, Number, Numbers, Other, Switch, Text
@@ -144,12 +143,16 @@ class Normal:
             )
 
     def _ends(self) -> tuple[float, float]:
+        from scipy.special import ndtr  # takes a while
+
         low = (self.low - self.mean) / self.deviation
         high = (self.high - self.mean) / self.deviation
         return float(ndtr(low)), float(ndtr(high))
 
     def quantile(self, share: float) -> float:
         """Return the value below which `share` of the distribution lies."""
+        from scipy.special import ndtri
+
         first, last = self._ends()
         value = self.mean + self.deviation * float(ndtri(first + share * (last - first)))
         return min(self.high, max(self.low, value))

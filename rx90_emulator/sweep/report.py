@@ -158,14 +158,15 @@ def sweep_page(file: Path) -> str:
 
 def distribution_plot(figures: SweepFigures) -> Plot:
     """Show which share of the runs stays below a path error, for the worst and the RMS error of each run."""
-    curves: list[Curve | Level] = [Level(0.5, "median", GREY, "dotted")]
+    panels = []
     for metric, label, colour in zip(_PATH_METRICS, ("worst", "RMS"), (COLOURS[1], COLOURS[0]), strict=False):
         values = figures.errors[metric]
         known = np.sort(values[np.isfinite(values)])
         share = np.arange(1, len(known) + 1) / len(known)
-        curves.append(Curve(np.repeat(known, 2)[1:], np.repeat(share, 2)[:-1], label, colour, 1.4))
-    title = "Path error of a run"
-    return Plot([Panel(curves, title, "path error, mm", "share of runs at or below", from_zero=True)], height=2.8)
+        curve = Curve(np.repeat(known, 2)[1:], np.repeat(share, 2)[:-1], "runs", colour, 1.4)
+        marks: list[Mark] = [Level(0.5, "median", GREY, "dotted"), curve]
+        panels.append(Panel(marks, "", f"{label} path error, mm", "share of runs at or below", from_zero=True))
+    return Plot(panels, columns=2, height=2.8)
 
 
 def effects_plot(worst: Array, effects: Sequence[MainEffect], shown: NDArray[np.intp]) -> Plot:

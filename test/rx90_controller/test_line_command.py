@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import rclpy
 import yaml
+from pinocchio_chain import tip_pose
 from processes import Start
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -50,6 +53,7 @@ def test_dry_run_prints_the_plan(capsys: pytest.CaptureFixture[str], arguments: 
     assert [word for word in words if word not in out] == []
     rows = {line.split()[0]: line.split()[1:] for line in out.splitlines()}
     assert {*(f"joint_{i}" for i in range(1, 7)), "knots", "margin"} <= rows.keys()
+    assert re.search(r"distance from the shoulder singularity 0\.\d+ \(1 is farthest\), at ", out)
     if REFERENCE in arguments:
         assert [float(x) for x in rows["joint_1"][:3]] == pytest.approx([-26.57, -26.57, 7.18])
 
@@ -68,6 +72,27 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
     assert np.array_equal([p["accelerations"] for p in points], plan.acceleration)
     times = [p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in points]
     np.testing.assert_allclose(times, plan.times, atol=1e-12)
+
+
+def test_set_points_as_a_table_are_those_of_the_plan(shipped: Setup, tmp_path: Path) -> None:
+    """Each row is a set-point: time, joints in degrees, and Pinocchio's pose of the tool in mm and degrees."""
+    file = tmp_path / "line.csv"
+    words = ["--from-file", REFERENCE, "--dry-run", "--set-point-rate", "250", "--output", str(file)]
+    assert run("rx90_line", words) == 0
+    head, *lines = file.read_text(encoding="utf-8").splitlines()
+    assert head.split(",")[:2] == ["time [s]", "joint_1 [deg]"]
+    assert head.endswith("tool x [mm],tool y [mm],tool z [mm],tool roll [deg],tool pitch [deg],tool yaw [deg]")
+    rows = np.array([line.split(",") for line in lines], dtype=np.float64)
+    plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)), 1 / 250)
+    assert len(rows) == np.floor(plan.duration * 250) + 1
+    np.testing.assert_allclose(np.diff(rows[:, 0]), 1 / 250, atol=1e-9)
+    angles = plan.setpoints(rows[:, 0])[:, 0]
+    np.testing.assert_allclose(rows[:, 1:7], np.degrees(angles), atol=1e-6)
+    for row, q in zip(rows[::50], angles[::50], strict=True):
+        pose = tip_pose(shipped.robot, q)
+        np.testing.assert_allclose(row[7:10], 1e3 * pose[:3, 3], atol=1e-5)
+        turn = pin.rpy.rpyToMatrix(*np.radians(row[10:]))
+        np.testing.assert_allclose(turn, pose[:3, :3], atol=1e-7)
 
 
 class Listener:

@@ -193,7 +193,12 @@ def test_speed_is_lowered_where_joints_ask_for_it_and_said(shipped: Setup, seam:
     assert np.abs(setpoints[:, 2] / limits.acceleration).max() > 0.5, "not needlessly slow"
     check_plan(plan, limits, 1e-3, plan.start_pose)
     said = describe_line(plan)
-    assert re.search(r"lowered   speed from 2 to .* m/s between .*: the acceleration of joint_6 at 0\.\d+ m", said)
+    slowed = r"slowed to (\S+) m/s from 0\.\d+ to 0\.\d+ m: joint_6 reaches its acceleration limit"
+    speeds = [float(speed) for speed in re.findall(slowed, said)]
+    assert speeds
+    with pytest.raises(LineError, match=r"at 0\.\d+ m joint_\d reaches its \w+ limit: (\S+) m/s there in place of 2;"):
+        plan_path(shipped, replace(fast, speed_policy="hold"))
+    assert plan_path(shipped, replace(fast, speed_policy="lower")).duration == plan.duration
     assert plan_path(shipped, seam).duration < 4.0 * plan.duration
 
 

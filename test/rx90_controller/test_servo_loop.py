@@ -33,7 +33,7 @@ def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
     rig.loop.hold(rig.states(400))
     assert rig.around.lines[2:] == ["subscribers"]
     rig.loop.report()
-    assert rig.around.lines[3:] == ["ready", "trajectory accepted: 1 points, 1.000 s from 0.100 s"]
+    assert rig.around.lines[3:] == ["ready", "trajectory accepted: 1 point, 1.000 s from 0.100 s"]
     rig.run(400, 4004)
     assert rig.cs7b.reference()[0] == pytest.approx([0.1] * 6)
     rig.loop.hold(rig.states(0))
@@ -84,7 +84,7 @@ def test_a_trajectory_right_after_the_torque_is_on_again_waits_for_the_next_tick
     rig.loop.receive(rig.trajectory(0.1))
     assert rig.around.lines[-1] == "a trajectory waits for the next tick, with which the torque comes back"
     assert rig.run(8, 4) == [False] + [True] * 3
-    assert rig.around.lines[-1] == "trajectory accepted: 1 points, 1.000 s from 0.003 s"
+    assert rig.around.lines[-1] == "trajectory accepted: 1 point, 1.000 s from 0.003 s"
     rig.run(12, 4004)
     assert rig.cs7b.reference()[0] == pytest.approx([0.1] * 6)
     rig.loop.enable(False)

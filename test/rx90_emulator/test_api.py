@@ -143,7 +143,7 @@ def points(**changes: object) -> rx.TrajectoryPoints:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda _: points(position=[HOME]), "positions of 1 points; accepted: of 2"),
+        (lambda _: points(position=[HOME]), "positions of 1 point; accepted: of 2"),
         (lambda _: points(velocity=[[0.0] * 6] * 3), "velocities of 3 points; accepted: of 2"),
         (lambda s: rx.simulate(s, points(), duration=1e9), "4e\\+12 ticks does not fit into memory"),
         (lambda s: rx.simulate(s, points(), duration=1e12), "accepted: a finite number, .*, up to 2.147"),

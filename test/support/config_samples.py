@@ -51,7 +51,7 @@ cell_1/rx90_controller:
     servo: {kp: [1, 2, 3, 4, 5, 6]}
     feed_forward.coulomb: false
     constraints: {joint_1.goal: 0.1, goal_time: 1}
-    detail_decimation: 5
+    slow_topics_every_n_ticks: 5
 friction_bench:
   ros__parameters: {seed: 3, ramp_slope: 0.03}
 rviz2:

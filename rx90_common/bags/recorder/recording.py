@@ -198,6 +198,7 @@ class Recorder:
     Attributes:
         stalls: times, s, in which this process did not run, and which publishers may have taken for its end: whether
             they sent messages then is not known here.
+        empty: topics of which no message has come, once the recording has ended.
     """
 
     def __init__(self, topics: Sequence[str], ros_args: Sequence[str], status: StatusLine) -> None:
@@ -209,6 +210,7 @@ class Recorder:
         self._received = 0
         self._reported = 0  # set-backs of the stamps
         self.stalls: list[float] = []
+        self.empty: list[str] = []
 
     def run(self, make_writer: Callable[[], BagWriter], stop: StopRequest) -> list[TopicCount]:
         """Record until `stop` is set; the bag is made once the topics' names are known to be good.
@@ -230,6 +232,7 @@ class Recorder:
                     self._record(streams, reader, writer, stop)
                 if reader.error is not None:
                     raise reader.error
+                self.empty = streams.empty()
                 return self._counts(streams)
             finally:
                 reader.finish()

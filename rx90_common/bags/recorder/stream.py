@@ -157,6 +157,10 @@ class Streams:
             or (not stream.matched() and (stream.needs_publisher or self._node.count_publishers(topic) > 0))
         ]
 
+    def empty(self) -> list[str]:
+        """Return the topics of which no message has come."""
+        return [topic for topic, stream in self._found.items() if stream is None or not stream.counter.received]
+
     def clear(self) -> None:
         """Give the subscriptions back."""
         self._found.clear()

@@ -324,7 +324,7 @@ def _chain(model: Any, tip: str) -> RigidChain:
     pin.updateFramePlacements(model, data)
     position = np.array([data.oMi[k].translation for k in range(1, n + 1)])
     last = data.oMf[model.getFrameId(tip)]
-    axis = data.J[3:].T.copy()
+    axis = np.reshape(data.J, (6, n))[3:].T.copy()  # which for one joint has one dimension
     nothing = np.zeros(n)
     return RigidChain(
         np.diff(position, axis=0, prepend=np.zeros((1, 3))), axis / np.linalg.norm(axis, axis=1, keepdims=True),

@@ -32,7 +32,6 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.files import write_text
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.experiments.motion import Motion
-from rx90_emulator.identification.sliding.fit import MIN_SPEEDS
 from rx90_emulator.loop.setup import Setup
 
 
@@ -162,6 +161,8 @@ class PlanOptions:
     burst: float = 8.0
 
     def __post_init__(self) -> None:
+        from rx90_emulator.identification.sliding.fit import MIN_SPEEDS  # takes a while
+
         if not MIN_SPEEDS <= self.speeds <= _MAX_SPEEDS:
             raise IdentificationError(f"{self.speeds} speeds; accepted: {MIN_SPEEDS} to {_MAX_SPEEDS}")
 

@@ -46,6 +46,7 @@ def _whole_time(plan: Sequence[Experiment]) -> str:
 
 _PER_LINE = 3
 _SMALL = 1e-3  # of the largest parameter of its kind: a smaller expected value counts as zero
+_LARGEST_SHARE = 100.0  # of the expected value: a larger deviation is given in its unit
 
 
 def describe_excitation(plan: ExcitationPlan) -> str:
@@ -79,8 +80,9 @@ def describe_excitation(plan: ExcitationPlan) -> str:
     base = plan.base.combination @ plan.standard.values()
     expected = np.abs(np.concatenate([base, *arm.friction]))
     kinds = np.array([name.split(".")[-1][:1] for name in plan.names])
-    known = expected > _SMALL * np.array([expected[kinds == kind].max() for kind in kinds])
     deviations = np.sqrt(np.diag(np.linalg.pinv(scaled, hermitian=True))) / size
+    known = expected > _SMALL * np.array([expected[kinds == kind].max() for kind in kinds])
+    known &= deviations < _LARGEST_SHARE * expected  # a kind of which all are 0 but for rounding
     cells = [
         f"{name:<17}{f'{deviation / value:.2%}' if is_known else f'{deviation:.2g}':>10}"
         for name, value, is_known, deviation in zip(plan.names, expected, known, deviations, strict=True)

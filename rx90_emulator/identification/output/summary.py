@@ -90,8 +90,9 @@ def which(lacking: Mapping[str, Sequence[str]]) -> str:
 def validation_verdict(check: Validation, scope: str = "") -> str:
     """Return the verdict of a bag on a friction file, with the decisive joints, values and limits."""
     *torque, tip = check.criteria
-    tips = (tip, f"RMS {check.tip_rms * 1e6:.2f} um") if len(check.tip_distance) else ("no set-points, so no tip path",)
-    words = (_CONFIRMED[0] + scope, _CONFIRMED[1] + scope)
+    tips = (tip, f"RMS {check.tip_rms * 1e6:.2f} µm") if len(check.tip_distance) else ("no set-points, so no tip path",)
+    behind = f" by a bag that the fit did not use; {scope}" if scope else ""
+    words = (_CONFIRMED[0] + behind, _CONFIRMED[1] + behind)
     return verdict(f"validation {check.source}", words, *torque, *tips)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.mapping import LogMapping
+from rx90_common.bags.mapping import LogMapping, is_table
 from rx90_common.bags.reading import read_joint_bag
 from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
@@ -27,7 +27,9 @@ _SET_POINTS = "reference"
 _GAP = 3.5  # times the median interval: where more than two set-points in a row are missing, nothing counts
 
 
-def recorded_accuracy(bag: Path, robot: RobotModel, files: RobotFiles) -> PathAccuracy | None:
+def recorded_accuracy(
+    bag: Path, robot: RobotModel, files: RobotFiles, signals: Path | None = None
+) -> PathAccuracy | None:
     """Measure the path error in a bag by `followed_accuracy`; None for a bag without set-points.
 
     The joints are those of `joint_states` in any namespace, else of `motor_states` through the gears.
@@ -36,9 +38,10 @@ def recorded_accuracy(bag: Path, robot: RobotModel, files: RobotFiles) -> PathAc
         bag: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a table.
         robot: the arm in it.
         files: the robot's, of which the drives are read if the bag has states of the motors alone.
+        signals: signal map of a table; by default the file beside it.
     """
     check_robot(bag, robot.model.name)
-    options, mapping = with_signals(MeasuredLayout(), [bag])
+    options, mapping = with_signals(MeasuredLayout(signals=signals if is_table(bag) else None), [bag])
     topic = _arm_topic(bag, mapping)
     setpoint_topic = _setpoint_topic(bag, topic, mapping)
     if setpoint_topic is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timezone
 from decimal import Decimal
 from pathlib import Path
 
@@ -59,6 +60,7 @@ def rows(delimiter: str, decimal: str = ".", end: str = "") -> str:
         (rows(", ", end=",")[:-1], "utf-8-sig"),
         (rows(";", end=";a,b,c,1,2,3,4,d"), "utf-8"),
         (rows(";", ","), "utf-8"),
+        ('"t","a","b"\n"' + rows('","', ",", '"').replace("\n", '\n"'), "utf-8"),
         ("time;q a;q b\n[s];[rad];[rad]\n" + rows(";"), "utf-16"),
         (" " + rows("\t    "), "utf-8"),
         ("\n\n" + rows("   ", ","), "latin-1"),
@@ -124,6 +126,26 @@ def test_times_out_of_order_cost_the_fewest_rows(tmp_path: Path, times: str, lef
     log = "\n".join(f"{time},1,2" for time in times.split())
     found = imported(tmp_path, PLAIN, log, skip_corrupt=True)
     assert found.stamp_ns.tolist() == [int(time) * 10**9 for time in left.split()]
+
+
+@pytest.mark.parametrize("zone", ["", "Z", "+02:00"])
+@pytest.mark.parametrize("between", ["T", " "])
+def test_times_of_iso_8601_are_exact(tmp_path: Path, zone: str, between: str) -> None:
+    """Dates with a time of day are read to the ns, with or without a zone; UTC without one."""
+    text = "\n".join(f"2024-05-01{between}12:00:0{k}.123456789{zone},{k},{k}" for k in range(3))
+    hour = 12 - 2 * (zone == "+02:00")
+    begin = int(datetime(2024, 5, 1, hour, tzinfo=timezone.utc).timestamp()) * 10**9 + 123_456_789
+    assert imported(tmp_path, PLAIN, f"t,a,b\n{text}").stamp_ns.tolist() == [begin + k * 10**9 for k in range(3)]
+
+
+@pytest.mark.parametrize(("cells", "where"), [("1,,2", "column 2"), ("1,2,", "column 3"), (",1,2", "time")])
+def test_empty_cells_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str], cells: str, where: str) -> None:
+    """An empty cell of a column that is read, the last one too, is called so, with line and column."""
+    log = write(tmp_path / "log.csv", f"t,a,b\n0,1,2\n{cells}\n3,1,2\n")
+    mapping = write(tmp_path / "m.yaml", PLAIN)
+    assert run("rx90_bag", ["import", str(log), str(tmp_path / "bag"), "--mapping", str(mapping)]) == 2
+    is_word = "" if where == "time" else "is "
+    assert f"1 corrupt row, line 3 (line 3: {where} {is_word}empty" in capsys.readouterr().err
 
 
 def test_several_logs_and_topics(tmp_path: Path) -> None:
@@ -204,7 +226,7 @@ EXACT = "delimiter: ','\nheader: 1\nexact: true\n"
         (EXACT, b"t,a,b\n0,1e999,2\n", "every row is corrupt: 1 corrupt row, line 2 (line 2: column 2 is '1e"),
         (EXACT, b"t,a,b\n0,1,2\n1,2,3_0\n", "log.csv: 1 corrupt row, line 3 (line 3: column 3 is '3_0'"),
         (EXACT, b"t,a,b\n1_0,1,2\n", "(line 2: time '1_0'"),
-        (EXACT, b"t,a,b\n2147483648,1,2\n", "(line 2: time '2147483648'; accepted: 0 to 2147483648 s"),
+        (EXACT, b"t,a,b\n2147483648,1,2\n", "(line 2: time '2147483648'; accepted: 0 to 2147483648 s, or ISO"),
         (EXACT, b"t,a,b\n0,1,\0\n", "(line 2: column 3 is '\\x00'"),
     ],
 )
@@ -302,3 +324,18 @@ def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureF
             assert reader.message_count == len(TIME)
     assert run("rx90_bag", ["compare", str(tmp_path / "mA" / "bag"), str(tmp_path / "mNm" / "bag")]) == 1
     assert "effort is in A in the first bag and in Nm in the second, and not compared" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words", [["info", "log.csv"], ["export", "log.csv", "-o", "t"], ["compare", "log.csv", "log.csv"],
+              ["plot", "log.csv", "-o", "p.html"]],
+)  # fmt: skip
+def test_every_verb_that_reads_a_table_takes_its_map(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    """The signal map of a table may have any name, and stand elsewhere than beside it."""
+    monkeypatch.chdir(tmp_path)
+    write(Path("log.csv"), rows(","))
+    write(Path("arm.yaml"), PLAIN)
+    assert run("rx90_bag", words) == 2
+    assert run("rx90_bag", [*words, "--signals", "arm.yaml"]) == 0

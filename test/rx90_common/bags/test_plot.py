@@ -51,6 +51,14 @@ def curves(plot: TopicPlot, panel: int) -> list[Curve]:
     return [mark for mark in found.marks if isinstance(mark, Curve)]
 
 
+def test_an_error_s_effort_is_the_commanded_torque(tmp_path: Path) -> None:
+    """Beside the errors of position and velocity the controller's topic holds no error, but a torque."""
+    write_joint_states(tmp_path / "bag", [series("/cell/rx90_controller/tracking_error")])
+    (drawn,) = plot_bags([tmp_path / "bag"])
+    panels = [panel for panel in drawn.plot.panels if isinstance(panel, Panel)]
+    assert [panel.y_label for panel in panels] == ["position, rad", "commanded torque, Nm"]
+
+
 def test_without_options_the_usual_topics_are_drawn(bags: dict[str, Path]) -> None:
     """Joint states, then friction, by what they hold, with units; other topics, and chosen joints, where asked for."""
     joints, friction = plot_bags([bags["first"]])

@@ -235,8 +235,9 @@ def test_what_is_missing_is_reported_once(tmp_path: Path, start: Start, node: No
     assert "/cell/elbow" in recorder.wait_for("waiting for")
     suite.publish(TICKS, 4000, ["joint_states"])
     repeated = "4 repetitions of the sample before are left out"
-    out = f"recorded 500 messages of 1 topics to {tmp_path / 'bag'}; {repeated}\n"
-    assert recorder.finish(signal.SIGTERM) == (0, out, "")
+    out = f"recorded 500 messages of 1 topic to {tmp_path / 'bag'}; {repeated}\n"
+    empty = "not recorded: no message came on /cell/elbow\n"
+    assert recorder.finish(signal.SIGTERM) == (1, out, empty)
     assert len(read_joint_states(tmp_path / "bag", "joint_states").stamp_ns) == 500
 
 
@@ -289,7 +290,7 @@ def test_topics_that_are_only_listened_to(tmp_path: Path, start: Start, node: No
     command.wait_for("ready: all 1 topics")
     state.wait_for("waiting for /state")
     for recorder, name in ((command, "command"), (state, "state")):
-        assert recorder.finish(signal.SIGINT)[::2] == (1, f"nothing recorded: no message came on {name}\n")
+        assert recorder.finish(signal.SIGINT)[::2] == (1, f"nothing recorded: no message came on /{name}\n")
         with AnyReader([tmp_path / name]) as reader:
             assert reader.message_count == 0
 
@@ -311,7 +312,7 @@ def test_signal_while_starting(
     recorder = record(start, tmp_path / "bag", "joint_states", "-s", storage)
     wait_until(has_handler if moment == "handler" else (tmp_path / "bag").exists, f"the {moment}")
     recorder.child.send_signal(signal.SIGINT)
-    assert recorder.finish(signal.SIGINT)[::2] == (1, "nothing recorded: no message came on joint_states\n")
+    assert recorder.finish(signal.SIGINT)[::2] == (1, "nothing recorded: no message came on /joint_states\n")
     assert [file.suffix for file in (tmp_path / "bag").glob("bag.*")] == [{"mcap": ".mcap", "sqlite3": ".db3"}[storage]]
     with AnyReader([tmp_path / "bag"]) as reader:
         assert reader.message_count == 0

@@ -141,12 +141,12 @@ def test_keys_that_nobody_asked_for_are_refused(write: Write) -> None:
     path = write("x: 1\nomega: 2\nprovenance: derived\nsource: a book\nnote: so")
     root = load_yaml(path)
     Number("").take(root, "x")
-    said = refusal(root.finish, path)
+    said = refusal(lambda: root.refuse_unknown(()), path)
     assert said.endswith("omega is not a known key; accepted: x")
     assert root.provenance == "derived"
     assert root.source == "a book"
     Number("").take(root, "omega")
-    root.finish()
+    root.refuse_unknown(())
 
 
 def test_provenance_has_four_words(tmp_path: Path) -> None:

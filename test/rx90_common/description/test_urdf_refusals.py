@@ -178,3 +178,18 @@ def test_what_a_urdf_refers_to_is_never_fetched(case: str, shipped_files: RobotF
         server.settimeout(0.0)
         with pytest.raises(BlockingIOError):
             server.accept()
+
+
+@pytest.mark.parametrize(("key", "value"), [("friction", "-0.39"), ("friction", "much"), ("damping", "nan")])
+def test_dynamics_that_nobody_can_read_are_told_with_their_joint(
+    tmp_path: Path, shipped_files: RobotFiles, key: str, value: str
+) -> None:
+    """Where Pinocchio would refuse <dynamics> without saying of which joint, both readers name joint and value."""
+    text = shipped_files.urdf.read_text(encoding="utf-8")
+    file = tmp_path / "arm.urdf"
+    before, joint, behind = text.partition('<joint name="joint_3"')
+    file.write_text(before + joint + behind.replace("<axis", f'<dynamics {key}="{value}"/><axis', 1), encoding="utf-8")
+    for read in (load_robot, lambda urdf: joint_model(urdf, None)):
+        with pytest.raises(Rx90Error) as refusal:
+            read(file)
+        assert f"arm.urdf: joint 'joint_3' dynamics {key} is '{value}'; accepted: a finite number" in str(refusal.value)

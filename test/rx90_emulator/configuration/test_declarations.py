@@ -19,7 +19,7 @@ from config_samples import EVERY_KIND, OWN, shipped, written
 from jsonschema import Draft202012Validator
 from schema_faults import schema_faults, validator
 
-from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.config import ABOUT, Section, load_yaml, yaml_text
 from rx90_common.base.declared import Declared, declarations
 from rx90_common.base.entries import (
     MAX_JOINTS,
@@ -48,8 +48,9 @@ from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_emulator.configuration.check import kind_named
-from rx90_emulator.configuration.kinds import KINDS
+from rx90_emulator.configuration.kinds import KINDS, FileKind
 from rx90_emulator.configuration.nodes import NODES, declared
+from rx90_emulator.identification.experiments.plan import INDEX
 from rx90_emulator.loop.setup import Setup
 from tools import schemas
 
@@ -307,6 +308,49 @@ def test_each_value_of_a_file_is_refused_beyond_its_declaration(kind: Any, conte
                     shown = shown[-1]
                 assert quoted(shown) in line or quoted(bad) in line, (place, bad, line)
     assert seen
+
+
+def keys_of(entry: Entry, data: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the places of all keys of a file whose names the project gives, and which do not stand twice in a name."""
+    if isinstance(entry, Either):
+        entry = entry.mapping if isinstance(data, dict) else entry.plain
+    if isinstance(entry, Group | Variants):
+        group = entry if isinstance(entry, Group) else entry.groups[data[entry.key]]
+        for key in data:
+            if key in group.keys:
+                yield from keys_of(group.keys[key], data[key], (*place, key))
+            if group.known or (key in group.keys and group.keys[key].default is REQUIRED):
+                yield (*place, key)
+    elif isinstance(entry, Entries):
+        for name in data.keys() - {*ABOUT}:
+            yield from keys_of(entry.of, data[name], (*place, name))
+    elif isinstance(entry, ListOf):
+        for index, item in enumerate(data):
+            yield from keys_of(entry.item, item, (*place, index))
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_a_misspelt_key_is_the_first_thing_named(
+    kind: FileKind, contents: dict[str, list[Any]], tmp_path: Path
+) -> None:
+    """Whatever key lacks a letter, the reader of all commands names it first, with the key that is meant."""
+    misspelt = 0
+    for data in contents[kind.name]:
+        for *around, key in list(keys_of(kind.entry, data))[:200]:
+            if len(key) > 4 and key not in ABOUT:
+                wrong = copy.deepcopy(data)
+                holder = wrong
+                for name in around:
+                    holder = holder[name]
+                odd = key[:3] + key[4:]
+                holder[odd] = holder.pop(key)
+                path = tmp_path / INDEX
+                path.write_text(yaml_text(wrong), encoding="utf-8")
+                with pytest.raises(Rx90Error) as caught:
+                    kind.read(path)
+                assert f"{odd} is not a known key (did you mean {key}?); accepted: " in str(caught.value)
+                misspelt += 1
+    assert misspelt
 
 
 ONE = np.full(6, 0.1)

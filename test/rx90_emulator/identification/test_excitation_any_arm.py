@@ -155,3 +155,26 @@ def test_what_does_not_fit_the_arm_is_refused(
     error = capsys.readouterr().err.strip().splitlines()
     assert len(error) == 1
     assert said in error[0]
+
+
+STRAIGHT = """\
+<robot name="arm"><link name="base"/>
+<link name="upper"><inertial><origin xyz="0 0 0.2" rpy="0.3 0.2 0.1"/><mass value="3"/>
+<inertia ixx="0.05" iyy="0.05" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
+<origin xyz="0 0 0.2" rpy="0.4 0.2 0.1"/><axis xyz="0.3 0.2 0.933"/>
+<limit lower="-2" upper="2" effort="50" velocity="2"/></joint></robot>
+"""
+
+
+def test_what_is_0_in_the_description_has_no_percentage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a link whose centre is nearly on its only axis the first moments count by their unit, as all that is 0."""
+    urdf = tmp_path / "arm.urdf"
+    for axis, center in (("0.3 0.2 0.933", "0.3 0.2 0.933"), ("0 0 1", "1e-12 0 0.2")):
+        text = STRAIGHT.replace('axis xyz="0.3 0.2 0.933"', f'axis xyz="{axis}"')
+        urdf.write_text(text.replace('origin xyz="0 0 0.2" rpy="0.3', f'origin xyz="{center}" rpy="0.3'), "utf-8")
+        assert _plan("--urdf", str(urdf), *SHORT) == DONE
+        table = capsys.readouterr().out.partition("else in SI units:")[2]
+        shares = [float(word.rstrip("%")) for word in table.split() if word.endswith("%")]
+        assert shares
+        assert max(shares) < 1e4, table

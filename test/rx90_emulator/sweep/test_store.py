@@ -213,9 +213,9 @@ def test_the_figures_are_those_of_the_runs(results: Path, sweep: Sweep, outcomes
     good = sorted(1e3 * value for value in errors if value is not None)
     assert np.sort(figures.worst[np.isfinite(figures.worst)]) == pytest.approx(good)
     assert {effect.column.name for effect in figures.effects} == {column.title for column in sweep.runs.columns}
-    (panel,) = distribution_plot(figures).panels
-    assert isinstance(panel, Panel)
-    (curve,) = (mark for mark in panel.marks if isinstance(mark, Curve) and mark.label == "worst")
+    panels = [panel for panel in distribution_plot(figures).panels if isinstance(panel, Panel)]
+    assert [panel.x_label for panel in panels] == ["worst path error, mm", "RMS path error, mm"]
+    (curve,) = (mark for mark in panels[0].marks if isinstance(mark, Curve))
     assert (curve.x[0], curve.x[-1], curve.y[-1]) == (pytest.approx(good[0]), pytest.approx(good[-1]), 1.0)
     assert np.interp(good[17], curve.x, curve.y) == pytest.approx(18 / 36, abs=1 / 36)
 
@@ -231,6 +231,7 @@ def test_the_page_says_what_came_and_from_where(
     """Worst runs in their order, failures, the files with assumed blocks marked; a page that exists is not replaced."""
     monkeypatch.chdir(tmp_path)
     assert run("rx90_sweep", ["report", str(results)]) == 0
+    assert "None plant step" not in (tmp_path / results.with_suffix(".html").name).read_text(encoding="utf-8")
     assert capsys.readouterr().out == f"page: {tmp_path / 'small.html'}\n"
     text = (tmp_path / "small.html").read_text(encoding="utf-8")
     good = [one for one in outcomes if one.metrics is not None]

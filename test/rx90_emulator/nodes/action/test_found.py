@@ -38,7 +38,7 @@ def test_rqt_finds_it_and_its_sliders_move_it(bench: Bench, shipped: Setup) -> N
     publisher = client.node.create_publisher(JointTrajectory, f"{space}/joint_trajectory", 1)
     client.spin_until(lambda: publisher.get_subscription_count() > 0, "the controller")
     publisher.publish(message)
-    bench.said("trajectory accepted: 1 points, 1.000 s")
+    bench.said("trajectory accepted: 1 point, 1.000 s")
     bench.time.run(1.1)
     assert np.array(bench.heard()[-1].position) == pytest.approx([to] * 6)
 
