@@ -112,8 +112,8 @@ def _construct_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any
     mapping: dict[Any, Any] = {}
     for key_node, value_node in node.value:
         key = loader.construct_object(key_node, deep=True)
-        if not isinstance(key, str):
-            fault = f"the key {quoted(key)} is not a name"
+        if not isinstance(key, str) or not key.isprintable():
+            fault = f"the key {quoted(key)} is not a name of printable characters in one line"
             raise _Fault(None, None, fault, key_node.start_mark)
         if key in mapping:
             fault = f"the key {quoted(key)} stands twice"

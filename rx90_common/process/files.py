@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import io
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -95,6 +96,11 @@ def atomic_files(*files: Path) -> Iterator[list[Path]]:
                         place.replace(target)
     except OSError as error:
         raise write_error(current, error) from error
+
+
+def file_stem(name: str) -> str:
+    """Return the name of a robot or a joint as part of a file's name: no folder, no hidden file, no option."""
+    return re.sub(r"^[-.]|[/\\:]", "_", name)
 
 
 def write_text(file: Path, text: str) -> None:

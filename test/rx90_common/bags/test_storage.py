@@ -10,6 +10,7 @@ import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import lz4.frame
 import numpy as np
@@ -24,6 +25,7 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
 from rx90_common.bags.reading import BagReader, read_joint_bag, read_joint_states
+from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.storage_files import MCAP_MAGIC
 from rx90_common.bags.summary import summarise
 from rx90_common.bags.writing import BagWriter, offered_qos, string_message, write_joint_states
@@ -445,3 +447,13 @@ def test_names_in_a_bag_forge_no_line(tmp_path: Path, capsys: pytest.CaptureFixt
     assert (out.count("\n"), err.count("\n")) == (3, 1)
     assert max(len(out), len(err)) < 1500
     assert "/a\\n[INFO]" in out
+
+
+@pytest.mark.parametrize("name", ["a & b", "it's", 'said "so"', "a > b", "größer", "<robot name='other'>"])
+def test_a_robot_knows_its_own_bag(name: str, tmp_path: Path) -> None:
+    """Whatever its name, as the XML of its description has it, and whatever comes before it."""
+    description = f"<?xml version='1.0'?><!-- <robot name='x'/> --><robot color='b' name={quoteattr(name)}/>"
+    write_joint_states(tmp_path / "bag", [], messages=[string_message("robot_description", description)])
+    check_robot(tmp_path / "bag", name)
+    with pytest.raises(BagError, match="recorded of the robot"):
+        check_robot(tmp_path / "bag", "other")
