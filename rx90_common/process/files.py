@@ -147,6 +147,7 @@ def check_output() -> None:
     sys.stdout = io.TextIOWrapper(
         io.BufferedWriter(_Output(1, "wb", closefd=False)),
         encoding=before.encoding,
-        errors=before.errors,
+        # A locale without the character must not end the command.
+        errors=before.errors if before.encoding.lower() == "utf-8" else "backslashreplace",
         line_buffering=bool(before.line_buffering or getattr(before, "write_through", False)),  # python -u
     )
