@@ -36,7 +36,7 @@ def write_arm(folder: Path, joints: int, coupling: Sequence[Sequence[float]] | N
     """
     folder.mkdir(parents=True, exist_ok=True)
     masses = _MASS[-joints:]
-    (folder / "robot.urdf").write_text(_urdf(masses))
+    (folder / "robot.urdf").write_text(_urdf(masses), encoding="utf-8")
     inertia = [0.05 + 1.5 * sum(masses[i:]) * (_LENGTH * (joints - i)) ** 2 for i in range(joints)]
     peak = [3.0 * 9.81 * sum(masses[i:]) * _LENGTH * (joints - i) + 20.0 for i in range(joints)]
     turning = Coupling(np.array(coupling, np.float64)) if coupling else Coupling.usual(joints)
@@ -80,7 +80,7 @@ def write_arm(folder: Path, joints: int, coupling: Sequence[Sequence[float]] | N
         },
     }  # fmt: skip
     for name, values in content.items():
-        (folder / name).write_text(yaml_text(values))
+        (folder / name).write_text(yaml_text(values), encoding="utf-8")
     return folder
 
 

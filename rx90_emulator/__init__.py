@@ -152,7 +152,7 @@ if TYPE_CHECKING:
 _HOMES = {
     name: module
     for module, names in re.findall(
-        r"^    from (\S+) import (\([^)]*\)|.*)$", _File(__file__).read_text(), re.MULTILINE
+        r"^    from (\S+) import (\([^)]*\)|.*)$", _File(__file__).read_text(encoding="utf-8"), re.MULTILINE
     )
     for name in re.findall(r"(\w+) as", names)
 }

@@ -1,6 +1,15 @@
-"""`python -m rx90_emulator EXECUTABLE ...`: every executable without its console script."""
+"""`python -m rx90_emulator EXECUTABLE ...`: every executable without its console script.
+
+Child processes start it by its path, `python .../rx90_emulator/__main__.py EXECUTABLE ...`.
+"""
 
 import sys
+
+if not __package__:
+    # The first of the path is this file's folder, whose modules are no top-level ones; a checkout lacks its parent.
+    folder = __file__.rpartition("/")[0]
+    sys.path[:] = [entry for entry in sys.path if entry != folder]
+    sys.path.append(folder.rpartition("/")[0])
 
 from rx90_emulator.cli.frame import main
 

@@ -39,7 +39,7 @@ HIDDEN_TAGS = {"script", "style", "svg", "template"}
 def _run(*words: str, cwd: Path | None = None) -> str:
     """Run a command of the suite and return its output; exit codes 0 and 1 are both results."""
     environment = {**os.environ, "COLUMNS": "120", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "rx90_emulator", *words]
+    command = [sys.executable, str(ROOT / "rx90_emulator" / "__main__.py"), *words]
     done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
     if done.returncode > 1:
         raise SystemExit(f"{' '.join(words)}: exit code {done.returncode}: {done.stderr.strip()}")

@@ -49,7 +49,7 @@ def compile_core(sources: Path, library: Path, figures: Mapping[str, int]) -> No
     command = [*compiler.split(), "-std=c11", "-O2", "-fPIC", "-shared", f"-I{sources / 'core'}"]
     command += [f"-D{name}={value}u" for name, value in figures.items()]
     command += [str(sources / name) for name in _SOURCES] + ["-o", str(library)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", errors="replace", check=False)
     if done.returncode:
         reason = (done.stderr.strip().splitlines() or ["no message"])[0]
         raise RigError(f"the C compiler {compiler} refused the firmware: {reason}")

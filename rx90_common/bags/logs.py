@@ -31,7 +31,15 @@ from numpy.typing import NDArray
 from rx90_common.bags.batch import Int64Array, series_encoder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import ARRAYS, DELIMITERS, SECONDS, UNITS, Column, LogMapping, mapping_of
-from rx90_common.bags.storage_files import BagTopic, DamagedError, LoggedMessage, StorageFile, library_errors
+from rx90_common.bags.storage_files import (
+    BagTopic,
+    DamagedError,
+    LoggedMessage,
+    StorageFile,
+    check_arrays,
+    library_errors,
+    load_arrays,
+)
 from rx90_common.bags.topics import JOINT_STATE, absolute
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.arrays import Array
@@ -299,6 +307,8 @@ def _open_arrays(path: Path, more: Callable[[int], None]) -> _Source:
     try:
         with library_errors():
             if parquet:
+                about = pq.read_metadata(path)
+                check_arrays(path, 8 * about.num_rows * about.num_columns)
                 table = pq.read_table(path, page_checksum_verification=True)
                 for name, column in zip(table.column_names, table.columns, strict=True):
                     if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
@@ -306,12 +316,11 @@ def _open_arrays(path: Path, more: Callable[[int], None]) -> _Source:
                     elif pa.types.is_timestamp(column.type):
                         there[name] = column.cast(pa.timestamp("ns")).to_numpy()
             else:
-                with np.load(path, allow_pickle=False) as arrays:
-                    for name, values in arrays.items():
-                        if values.dtype.kind in "fiuM" and values.ndim == 1:
-                            there[name] = values
-                        elif values.dtype.kind in "fiu" and values.ndim == 2:
-                            there |= {f"{name}[{k}]": column for k, column in enumerate(values.T)}
+                for name, values in load_arrays(path).items():
+                    if values.dtype.kind in "fiuM" and values.ndim == 1:
+                        there[name] = values
+                    elif values.dtype.kind in "fiu" and values.ndim == 2:
+                        there |= {f"{name}[{k}]": column for k, column in enumerate(values.T)}
     except DamagedError as error:
         raise BagError(f"{plain(path)}: is no {'Parquet' if parquet else 'NPZ'} file, or damaged ({error})") from error
     names = list(there)

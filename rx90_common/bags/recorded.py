@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
+import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Collection
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -26,7 +27,6 @@ START: Final = "start"
 TRAJECTORY: Final = "trajectory"
 
 _DESCRIPTION = "robot_description"
-_NAME = re.compile(r"""<robot\b[^>]*?\bname\s*=\s*["']([^"']*)["']""")
 _VALUES = (
     "", "bool", "integer", "double", "string",
     "byte_array", "bool_array", "integer_array", "double_array", "string_array",
@@ -38,12 +38,12 @@ def robot_of(path: Path | str) -> str | None:
     """Return the name in the first description of a robot in a bag; None if it has none."""
     if is_table(Path(path)):
         return None
-    found = None
     with BagReader(path) as bag:
         topics = [t for t in bag.topics if t.msgtype == STRING and t.name.rpartition("/")[2] == _DESCRIPTION]
         for topic, _, data in islice(bag.messages(topics) if topics else (), 1):
-            found = _NAME.search(str(bag.deserialize(topic, data).data))
-    return found[1] if found else None
+            with suppress(ET.ParseError, ValueError):
+                return ET.fromstring(str(bag.deserialize(topic, data).data)).get("name")
+    return None
 
 
 def check_robot(path: Path | str, robot: str) -> None:

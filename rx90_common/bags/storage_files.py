@@ -8,6 +8,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import struct
+import zipfile
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
@@ -17,7 +18,7 @@ from io import BytesIO
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 from zlib import crc32
 
 import lz4.frame
@@ -28,6 +29,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Schema, Statistics
 from mcap.summary import Summary
 from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
+from numpy.typing import NDArray
 from rosbags.rosbag1 import Reader as Ros1Reader
 
 from rx90_common.bags.batch import Int64Array
@@ -42,7 +44,10 @@ ACCEPTED: Final = (
 )
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"  # with which no CDR message begins
-_MAX_MESSAGE_BYTES = 256 << 20  # of a compressed message, whose length is not stored elsewhere
+_MAX_MESSAGE_BYTES = 16 << 20
+_MAX_CHUNK_BYTES = 32 << 20
+_MAX_ARRAYS_BYTES = 256 << 20  # of all in a file, or
+_MAX_ARRAYS_FACTOR = 50  # times its size
 _COPY_BYTES = 1 << 20
 _RECORD = struct.Struct("<BQ")  # op code and length
 _RECORD_HEAD: Final = 9
@@ -143,6 +148,30 @@ def library_errors(where: str = "") -> Iterator[None]:
         raise DamagedError(plain(where + text, 300)) from error
 
 
+def check_length(noun: str, length: int, most: int) -> None:
+    """Refuse what would unpack to more bytes than that, before it is unpacked."""
+    if length > most:
+        raise DamagedError(f"{noun}: {length:,} bytes unpacked; accepted: up to {most:,}")
+
+
+def check_arrays(path: Path, length: int) -> None:
+    """Refuse a file whose arrays would unpack to far more than its size."""
+    check_length("its arrays together", length, max(_MAX_ARRAYS_BYTES, _MAX_ARRAYS_FACTOR * path.stat().st_size))
+
+
+def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an NPZ file.
+
+    Raises:
+        DamagedError: if it is none, or its arrays would unpack to far more than its size.
+    """
+    with library_errors():
+        with zipfile.ZipFile(path) as archive:
+            check_arrays(path, sum(member.file_size for member in archive.infolist()))
+        with np.load(path, allow_pickle=False) as arrays:
+            return dict(arrays)
+
+
 def _decompressed(content: bytes) -> bytes:
     """Return a message; one that is compressed begins as no CDR message does."""
     if not content.startswith(_ZSTD_MAGIC):
@@ -225,7 +254,8 @@ class _McapFile(StorageFile):
             end = len(pending)
             if k + 1 < len(wanted):  # the messages earlier than all later ones
                 end = bisect_left(pending, wanted[k + 1].message_start_time, key=itemgetter(1))
-            yield from pending[:end]
+            for key, log_ns, data in pending[:end]:  # one by one: together they may be more than the memory
+                yield key, log_ns, _decompressed(data)
             pending = pending[end:]
 
     def _cut_off(self) -> BagError:
@@ -307,6 +337,7 @@ class _McapFile(StorageFile):
     def _content(self, chunk: ChunkIndex) -> bytes:
         """Return the content of a chunk, checked against its checksum; no more is decompressed than its head states."""
         size = chunk.uncompressed_size
+        check_length("a chunk", size, _MAX_CHUNK_BYTES)
         end = chunk.chunk_start_offset + chunk.chunk_length
         crc = _CHUNK.unpack_from(self._data, chunk.chunk_start_offset + _RECORD_HEAD)[3]
         data = self._data[end - chunk.compressed_size : end].tobytes()
@@ -343,12 +374,13 @@ class _McapFile(StorageFile):
         return self._chosen(content, rows, keys)
 
     def _chosen(self, content: bytes | memoryview, rows: Int64Array, keys: Collection[int]) -> list[LoggedMessage]:
-        """Return the messages of these channels, decompressed where they are."""
+        """Return the messages of these channels, compressed ones as they are."""
         rows = rows[np.isin(rows[:, 1], list(keys))]
+        if len(rows):
+            check_length("a message", int((rows[:, 4] - rows[:, 3]).max()) - _MESSAGE_HEAD, _MAX_MESSAGE_BYTES)
         messages = [(key, ns, bytes(content[begin + _MESSAGE_HEAD : end])) for _, key, ns, begin, end in rows.tolist()]
         if any(data.startswith(_ZSTD_MAGIC) for _, _, data in messages):
             self.compression = "zstd messages"
-            return [(key, log_ns, _decompressed(data)) for key, log_ns, data in messages]
         return messages
 
 
@@ -461,6 +493,9 @@ class _SqliteFile(StorageFile):
                     "'ros2 bag convert' makes a bag of these"
                 )
             places = ", ".join("?" for _ in keys)
+            longest = f"SELECT max(length(data)) FROM messages WHERE topic_id IN ({places})"
+            (size,) = self._database.execute(longest, list(keys)).fetchone()
+            check_length("a message", size or 0, _MAX_MESSAGE_BYTES)
             chosen = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({places})"
             for key, log_ns, data in self._database.execute(f"{chosen} ORDER BY timestamp, id", list(keys)):
                 if data.startswith(_ZSTD_MAGIC):

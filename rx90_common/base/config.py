@@ -17,8 +17,9 @@ import yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import nearest, plain, question, quoted
 
-_MAX_BYTES = 16 << 20
-_MAX_VALUES = 400_000  # as often as aliases repeat them: 12,000 points of a trajectory. 40,000 are read in a second
+# What is read in two seconds: letters, and values, as often as aliases repeat them.
+_MAX_BYTES = 3 << 19
+_MAX_VALUES = 60_000
 _DEEPEST = 64
 _LONGEST_INTEGER = 400  # characters; the largest finite number has 309 digits
 _IN_FILE = re.compile(r',? in "<file>", ')
@@ -113,8 +114,8 @@ def _construct_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any
     mapping: dict[Any, Any] = {}
     for key_node, value_node in node.value:
         key = loader.construct_object(key_node, deep=True)
-        if not isinstance(key, str):
-            fault = f"the key {quoted(key)} is not a name"
+        if not isinstance(key, str) or not key.isprintable():
+            fault = f"the key {quoted(key)} is not a name of printable characters in one line"
             raise _Fault(None, None, fault, key_node.start_mark)
         if key in mapping:
             fault = f"the key {quoted(key)} stands twice"
@@ -190,7 +191,7 @@ def _read(path: Path) -> str:
         with path.open("rb") as stream:
             content = stream.read(_MAX_BYTES + 1)
         if len(content) > _MAX_BYTES:
-            raise ConfigError(f"{plain(path)}: larger than {_MAX_BYTES >> 20} MiB; accepted: up to that")
+            raise ConfigError(f"{plain(path)}: larger than {_MAX_BYTES / (1 << 20):g} MiB; accepted: up to that")
         text = content.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{plain(path)}: cannot be read ({getattr(error, 'strerror', error)})") from error

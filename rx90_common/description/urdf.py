@@ -128,6 +128,10 @@ class UrdfFile:
             self.refuse("the root element", root.tag, "robot")
         if any("xacro" in element.tag for element in root.iter() if isinstance(element.tag, str)):
             self.refuse("an element", "xacro", "a plain URDF (expand it with xacro first)")
+        for element in root.iter():
+            name = element.get("name", "")
+            if not name.isprintable():
+                self.refuse(f"the name of an element {quoted(element.tag)}", name, "one line of printable characters")
         return root
 
     def _named(self, tag: str) -> dict[str, ET.Element]:

@@ -15,7 +15,7 @@ from pathlib import Path
 from weakref import WeakSet
 
 from rx90_common.base.errors import ProcessError
-from rx90_common.base.share import PACKAGE
+from rx90_common.base.share import PACKAGE, ROOT
 from rx90_common.process.interrupts import deferred_interrupts
 
 TIMEOUT = 120.0
@@ -29,8 +29,11 @@ _started: WeakSet[ChildProcess] = WeakSet()
 
 
 def executable(name: str, *arguments: object) -> list[str]:
-    """Return the command that runs one of the package's executables with this Python, its output unbuffered."""
-    return [sys.executable, "-u", "-m", PACKAGE, name, *map(str, arguments)]
+    """Return the command that runs one of the package's executables with this Python, its output unbuffered.
+
+    By the path of the entry: with -m, modules of the working folder would come before all others, also before Python's.
+    """
+    return [sys.executable, "-u", str(ROOT / PACKAGE / "__main__.py"), name, *map(str, arguments)]
 
 
 class ChildProcess:

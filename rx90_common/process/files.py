@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import io
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -97,6 +98,11 @@ def atomic_files(*files: Path) -> Iterator[list[Path]]:
         raise write_error(current, error) from error
 
 
+def file_stem(name: str) -> str:
+    """Return the name of a robot or a joint as part of a file's name: no folder, no hidden file, no option."""
+    return re.sub(r"^[-.]|[/\\:]", "_", name)
+
+
 def write_text(file: Path, text: str) -> None:
     """Write a file as UTF-8, as `write_all` does."""
     write_all({file: text.encode()})
@@ -141,6 +147,7 @@ def check_output() -> None:
     sys.stdout = io.TextIOWrapper(
         io.BufferedWriter(_Output(1, "wb", closefd=False)),
         encoding=before.encoding,
-        errors=before.errors,
+        # A locale without the character must not end the command.
+        errors=before.errors if before.encoding.lower() == "utf-8" else "backslashreplace",
         line_buffering=bool(before.line_buffering or getattr(before, "write_through", False)),  # python -u
     )

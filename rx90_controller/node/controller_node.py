@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -13,11 +14,11 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
-from rx90_common.base.errors import ExchangeError, MessageError
+from rx90_common.base.errors import ExchangeError
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import load_robot
@@ -37,7 +38,7 @@ from rx90_common.exchange.endpoints import (
     wait_until_received,
 )
 from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
-from rx90_common.exchange.pacing import Pacer, ThrottledLog
+from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.parameters import declare_rates
 from rx90_common.exchange.ros_start import missing_control_msgs, missing_controller_manager_msgs
 from rx90_common.exchange.topics import (
@@ -47,7 +48,6 @@ from rx90_common.exchange.topics import (
     FREE_RUNNING,
     MOTOR_COMMANDS,
     MOTOR_STATES,
-    TIME_MODE,
     TRAJECTORY_ACCEPTED,
     TimeMode,
     motor_names,
@@ -65,6 +65,7 @@ from rx90_controller.node.parameters import (
 )
 from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
+from rx90_controller.node.simulation_mode import SimulationMode
 from rx90_controller.trajectory.points import check_trajectory_bytes
 from rx90_controller.trajectory.stream import from_array, from_joint_state
 
@@ -152,7 +153,6 @@ class Control:
         self._report = node.create_guard_condition(loop.report)
         self._pacer = pacer = Pacer(rates.period, 1.0)
         self.serving = Serving(channel, motor, rates, loop, pacer, name, self.info, self.error, local=local)
-        self._complaints = ThrottledLog(self.error)
         self._subscribe(loop, local=local)
         node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS)
         interfaces = import_optional(
@@ -181,7 +181,7 @@ class Control:
     def _subscribe(self, loop: ServoLoop, *, local: bool) -> None:
         node = self._node
         if not local:
-            subscribe(node, String, TIME_MODE, self._on_mode, LATCHED_QOS)
+            SimulationMode(node, self._on_mode)
         # Before that of the trajectories: of two that wait the executor takes the first one first.
         correction = f"~/{COMMANDED_CORRECTION}"
         subscribe(node, JointTrajectory, correction, loop.receive_correction, TRAJECTORY_QOS, check_trajectory_bytes)
@@ -249,13 +249,9 @@ class Control:
 
     # Topics, services and diagnostics, on the executor's thread.
 
-    def _on_mode(self, message: String) -> None:
-        try:
-            self.serving.follow(TimeMode.parse(message.data))
-        except MessageError as error:
-            self._complaints.say("mode", f"{error}; ignored")
-        except ExchangeError:
-            pass  # ends `tick_loop`
+    def _on_mode(self, mode: TimeMode) -> None:
+        with suppress(ExchangeError):  # ends `tick_loop`
+            self.serving.follow(mode)
 
     def _on_set_point(self, message: JointState) -> None:
         """Follow a streamed set-point: positions, with velocities or without, or velocities."""

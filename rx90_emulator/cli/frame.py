@@ -66,7 +66,7 @@ def __getattr__(name: str) -> Callable[[], int]:
 
 
 def main() -> int:
-    """Run `python -m rx90_emulator EXECUTABLE ...`, as child processes are started."""
+    """Run `python -m rx90_emulator EXECUTABLE ...`."""
     name = sys.argv[1] if len(sys.argv) > 1 else ""
     if name not in EXECUTABLES:
         print(f"usage: python -m rx90_emulator {{{','.join(EXECUTABLES)}}} ...", file=sys.stderr)

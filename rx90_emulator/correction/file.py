@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import io
 import math
-import zipfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from rx90_common.bags.storage_files import DamagedError, load_arrays
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml, yaml_text
 from rx90_common.base.entries import PER_JOINT, ListOf, Number, Numbers, Text
@@ -189,10 +189,12 @@ def load_correction(name: Path | str) -> CorrectionFile:
     start = tuple(float(angle) for angle in path["start"])
     motion = LearnedMotion(content["robot"], path["identity"], path["speed"], path["duration"], start)
     try:
-        with np.load(offsets_file, allow_pickle=False) as arrays:
-            correction = Correction(np.asarray(arrays["offsets"], dtype=np.float64), content["period"], motion)
-            best = Correction(np.asarray(arrays["best"], dtype=np.float64), content["period"]).offsets
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile, TrajectoryError) as error:
+        arrays = load_arrays(offsets_file)
+        if "best" not in arrays:
+            raise KeyError("best is not a file in the archive")
+        correction = Correction(np.asarray(arrays["offsets"], dtype=np.float64), content["period"], motion)
+        best = Correction(np.asarray(arrays["best"], dtype=np.float64), content["period"]).offsets
+    except (DamagedError, KeyError, ValueError, TrajectoryError) as error:
         raise ConfigError(f"{plain(offsets_file)}: {error}; accepted: the file written with {plain(file)}") from error
     shape = correction.offsets.shape
     trials = len(content["worst"]), len(content["seen"])

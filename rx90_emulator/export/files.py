@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import xml.etree.ElementTree as ET
@@ -15,6 +16,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.rates import Rates
+from rx90_common.process.files import file_stem
 from rx90_emulator.export.fit import FrictionFit
 from rx90_emulator.export.targets import Target
 from rx90_emulator.loop.setup import Arm, Setup
@@ -39,6 +41,7 @@ def _environment() -> Environment:
     environment.filters |= {
         "numbers": _numbers,
         "word": _word,
+        "python": _python,
         "pattern": re.escape,
         "turn": _quaternion,
     }
@@ -61,6 +64,11 @@ def _numbers(values: Any) -> str:
     return " ".join(map(repr, (np.ravel(values) + 0.0).tolist()))
 
 
+def _python(text: str) -> str:
+    """Return a text as a literal of Python, in double quotes."""
+    return json.dumps(text, ensure_ascii=False)
+
+
 def _word(name: str) -> str:
     """Return a name as an identifier of letters without accents, digits and underscores."""
     word = re.sub(r"\W", "_", name, flags=re.ASCII)
@@ -79,7 +87,7 @@ def files_of(arm: Arm, target: Target, fits: Sequence[FrictionFit]) -> dict[str,
     drives = arm.drives
     turning = arm.drives.turning
     name = str(robot.model.name)
-    file = re.sub(r"[/\\]", "_", target.file.format(name=name))  # the names of robots may have slashes
+    file = target.file.format(name=file_stem(name))
     if not target.template:
         return {file: _urdf(arm, fits)}
     period = (arm.rates if isinstance(arm, Setup) else Rates()).period

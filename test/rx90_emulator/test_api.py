@@ -9,6 +9,7 @@ import math
 import os
 import pydoc
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 
 import rx90_emulator as rx
+from rx90_common.base.share import config_path
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs/tutorials/python.md"
@@ -198,3 +200,25 @@ def test_the_api_warns_of_what_rx90_run_announces(tmp_path: Path) -> None:
     assert np.array_equal(stored, run.slow.temperatures)
     assert stored[0].tolist() == [41.0] + [0.0] * 6
     assert np.ptp(stored[:, 0]) > 0.0
+
+
+LATIN = """
+import rx90_emulator
+from rx90_emulator.cli.frame import execute
+assert all(hasattr(rx90_emulator, name) for name in rx90_emulator.__all__)
+raise SystemExit(execute("rx90_config", ["show", "--robot", "./arm"]))
+"""
+
+
+@pytest.mark.slow
+def test_all_is_there_where_the_locale_has_ascii_alone(tmp_path: Path) -> None:
+    """Every text file is UTF-8, whatever the locale; a character that its output lacks is written as its number."""
+    folder = tmp_path / "arm"
+    shutil.copytree(config_path("robots/rx90b"), folder)
+    file = folder / "friction.yaml"
+    text = re.sub(r"^source: .*$", "source: µ of größer", file.read_text(encoding="utf-8"), count=1, flags=re.MULTILINE)
+    file.write_text(text, encoding="utf-8")
+    bare = {name: value for name, value in os.environ.items() if not name.startswith(("LC_", "LANG"))}
+    bare |= {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = subprocess.run([sys.executable, "-c", LATIN], cwd=tmp_path, env=bare, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr

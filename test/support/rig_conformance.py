@@ -71,7 +71,7 @@ class Player:
         Raises:
             MismatchError: naming file, step and difference.
         """
-        script = yaml.safe_load(path.read_text())
+        script = yaml.safe_load(path.read_text(encoding="utf-8"))
         for number, step in enumerate(script["steps"], 1):
             name, value = (step, None) if isinstance(step, str) else next(iter(step.items()))
             try:

@@ -29,7 +29,7 @@ from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.process.files import write_text
+from rx90_common.process.files import file_stem, write_text
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.loop.setup import Setup
@@ -274,7 +274,9 @@ def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions |
     planned.append(_validation(robot, chosen))
     for *_, motion, _ in planned:
         _approach(robot, motion, chosen.poses.home)
-    return tuple(Experiment(name, kind, motion.points(robot.joint_names), n) for name, kind, motion, n in planned)
+    return tuple(
+        Experiment(file_stem(name), kind, motion.points(robot.joint_names), n) for name, kind, motion, n in planned
+    )
 
 
 _Planned = tuple[str, Kind, Motion, int]

@@ -130,7 +130,7 @@ def test_who_interrupts_leaves_nothing(
     """Ctrl-C in the middle of an export ends with 130, and no file stands there."""
 
     def interrupted(path: Path, *_: object) -> None:
-        path.write_text("half a table")
+        path.write_text("half a table", encoding="utf-8")
         raise KeyboardInterrupt
 
     monkeypatch.setattr(exporting, "FORMATS", dict.fromkeys(exporting.FORMATS, interrupted))

@@ -303,7 +303,7 @@ def test_signal_while_starting(
     """A signal early in the start leaves a valid bag, too; that it is empty is a line and exit code 1."""
 
     def has_handler() -> bool:
-        status = Path(f"/proc/{recorder.child.pid}/status").read_text()
+        status = Path(f"/proc/{recorder.child.pid}/status").read_text(encoding="utf-8")
         mask = next(line for line in status.splitlines() if line.startswith("SigCgt"))
         return bool(int(mask.split()[1], 16) >> (signal.SIGTERM - 1) & 1)
 

@@ -6,13 +6,20 @@ import os
 import shutil
 import sqlite3
 import struct
+import subprocess
+import sys
 import tracemalloc
+import zipfile
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import lz4.frame
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import yaml
 from backports import zstd
@@ -24,6 +31,7 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
 from rx90_common.bags.reading import BagReader, read_joint_bag, read_joint_states
+from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.storage_files import MCAP_MAGIC
 from rx90_common.bags.summary import summarise
 from rx90_common.bags.writing import BagWriter, offered_qos, string_message, write_joint_states
@@ -71,7 +79,7 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     "no YAML": (text(b"{]"), "metadata.yaml: not valid YAML"),
     "empty": (text(b""), "metadata.yaml: holds nothing"),
     "binary": (text(b"\xff\xfe"), "metadata.yaml: cannot be read"),
-    "aliases": (text(ALIASES.encode()), "metadata.yaml: not valid YAML (more than 400,000 values"),
+    "aliases": (text(ALIASES.encode()), "metadata.yaml: not valid YAML (more than 60,000 values"),
     "without topics": (metadata(lambda c: c.pop("topics_with_message_count")), "topics_with_message_count"),
     "with other count": (
         metadata(lambda c: [one.update(message_count=31) for one in (c, topic_of(c))]),
@@ -447,3 +455,92 @@ def test_names_in_a_bag_forge_no_line(tmp_path: Path, capsys: pytest.CaptureFixt
     assert (out.count("\n"), err.count("\n")) == (3, 1)
     assert max(len(out), len(err)) < 1500
     assert "/a\\n[INFO]" in out
+
+
+@pytest.mark.parametrize("name", ["a & b", "it's", 'said "so"', "a > b", "größer", "<robot name='other'>"])
+def test_a_robot_knows_its_own_bag(name: str, tmp_path: Path) -> None:
+    """Whatever its name, as the XML of its description has it, and whatever comes before it."""
+    description = f"<?xml version='1.0'?><!-- <robot name='x'/> --><robot color='b' name={quoteattr(name)}/>"
+    write_joint_states(tmp_path / "bag", [], messages=[string_message("robot_description", description)])
+    check_robot(tmp_path / "bag", name)
+    with pytest.raises(BagError, match="recorded of the robot"):
+        check_robot(tmp_path / "bag", "other")
+
+
+PEAK = """
+import resource, sys
+from rx90_common.base.errors import Rx90Error
+from rx90_common.bags.reading import read_joint_bag
+try:
+    read_joint_bag(sys.argv[1])
+except Rx90Error as error:
+    print(error)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+"""
+LARGE = 900 << 20  # bytes of zeros
+
+
+def bomb_of_chunks(path: Path, stated: int) -> None:
+    """Write an mcap with one chunk of zeros."""
+    packer = zstd.ZstdCompressor()
+    packed = b"".join(packer.compress(bytes(1 << 20)) for _ in range(LARGE >> 20)) + packer.flush()
+    chunk = struct.pack("<QQQII4sQ", 0, 0, stated, 0, 4, b"zstd", len(packed)) + packed
+
+    def record(code: int, content: bytes) -> bytes:
+        return struct.pack("<BQ", code, len(content)) + content
+
+    head = record(1, struct.pack("<I4sI", 4, b"ros2", 0))
+    path.write_bytes(MCAP_MAGIC + head + record(6, chunk) + record(15, bytes(4)) + record(2, bytes(20)) + MCAP_MAGIC)
+
+
+def bomb_of_rows(path: Path) -> None:
+    """Write a database with one message of zeros."""
+    write_joint_states(path.parent / "whole", [], storage="sqlite3", messages=[string_message("/joint_states", "x")])
+    (file,) = (path.parent / "whole").glob("*.db3")
+    shutil.copy(file, path)
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE topics SET type = 'sensor_msgs/msg/JointState'")
+        database.execute("UPDATE messages SET data = zeroblob(?)", [LARGE])
+    database.close()
+
+
+def bomb_of_arrays(path: Path) -> None:
+    """Write an NPZ with one array of zeros."""
+    head = BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (LARGE // 8,)})
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("time.npy", "w") as member:
+        member.write(head.getvalue())
+        for _ in range(LARGE >> 20):
+            member.write(bytes(1 << 20))
+
+
+def bomb_of_columns(path: Path) -> None:
+    """Write a Parquet file with one column of zeros."""
+    part = pa.table({"time": np.zeros(LARGE >> 7)})
+    with pq.ParquetWriter(path, part.schema, compression="zstd") as writer:
+        for _ in range(16):
+            writer.write_table(part)
+
+
+BOMBS = {
+    "chunk.mcap": lambda path: bomb_of_chunks(path, LARGE),
+    "endless.mcap": lambda path: bomb_of_chunks(path, 1 << 63),
+    "blob.db3": bomb_of_rows,
+    "arrays.npz": bomb_of_arrays,
+    "columns.parquet": bomb_of_columns,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BOMBS)
+def test_what_unpacks_to_far_more_is_refused_before(name: str, tmp_path: Path) -> None:
+    """One line states the limit; the process never has 500 MB."""
+    BOMBS[name](tmp_path / name)
+    mapping = "time: {column: time, unit: s}\nnames: [a]\nposition: {columns: [time], unit: rad}\n"
+    (tmp_path / name).with_suffix(".yaml").write_text(mapping, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "-c", PEAK, str(tmp_path / name)], capture_output=True, text=True, check=True
+    )
+    line, peak = done.stdout.splitlines()
+    assert "bytes unpacked; accepted: up to" in line
+    assert int(peak) <= 500

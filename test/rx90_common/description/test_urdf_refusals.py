@@ -40,6 +40,8 @@ CASES = {
     "unknown parent": ('<parent link="link_5"/>', '<parent link="link_7"/>', "parent link is 'link_7'"),
     "two parents": ('<child link="flange"/>', '<child link="link_2"/>', "child link is 'link_2'"),
     "name twice": ('<link name="flange"/>', '<link name="link_4"/>', "link name is 'link_4'"),
+    "name of lines": ('<link name="flange"/>', '<link name="a&#10;b"/>', r"name of an element 'link' is 'a\\nb'"),
+    "name that turns the text": ('<robot name="rx90b"', '<robot name="a\u202eb"', "'robot' is 'a"),
     "zero mass": (LINK_5, '<mass value="0"/>', "'link_5' inertial mass is 0.0"),
     "negative mass": (LINK_5, '<mass value="-1.2"/>', "'link_5' inertial mass is -1.2"),
     "mass NaN": (LINK_5, '<mass value="nan"/>', "'link_5' inertial mass value is 'nan'"),

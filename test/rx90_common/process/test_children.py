@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import threading
 from pathlib import Path
 
 import pytest
 from processes import Processes, wait_until
+from warm_start import COLD
 
-from rx90_common.process.children import ChildProcess, ProcessGroup
+from rx90_common.base.share import config_path
+from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 
 pytestmark = pytest.mark.slow
 
@@ -121,3 +124,15 @@ def test_more_interrupts_leave_no_child_behind(monkeypatch: pytest.MonkeyPatch) 
     finally:
         signal.signal(signal.SIGTERM, before)
     assert stubborn.returncode == -signal.SIGTERM
+
+
+@pytest.mark.slow
+def test_children_run_no_module_of_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither in place of the package, nor of a library, nor of what Python itself begins with."""
+    monkeypatch.setattr(subprocess, "Popen", COLD)  # a warm process has imported them
+    names = ("rx90_emulator", "rx90_common", "queue", "numpy", "runpy", "pkgutil", "pathlib", "yaml", "argparse")
+    for name in names:
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('hostile')\n", encoding="ascii")
+    monkeypatch.chdir(tmp_path)
+    child = ChildProcess("check", executable("rx90_config", "check", config_path("robots/rx90b/friction.yaml")))
+    assert (child.wait(), "hostile" in child.output) == (0, False), child.output

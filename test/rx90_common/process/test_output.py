@@ -38,7 +38,7 @@ sys.exit(frame.tool())
 @pytest.mark.parametrize("name", TOOLS)
 def test_a_full_disk_is_one_line(name: str) -> None:
     """Output to a full device gives one line that says so and exit code 3."""
-    with Path("/dev/full").open("w") as full:
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
         done = subprocess.run(
             executable(name, *TOOLS[name]), stdout=full, stderr=subprocess.PIPE, text=True, timeout=120, check=False
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -11,9 +12,11 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
 
 import rx90_emulator as rx
 from benchmarks.any_arm import write_arm
+from rx90_emulator.export.targets import TARGETS
 from rx90_emulator.loop.setup import Setup
 
 
@@ -101,3 +104,40 @@ def test_names_that_other_languages_refuse(tmp_path: Path) -> None:
     setup = rx.load_setup(robot=folder)
     assert [*rx.export_robot(setup, "sdf").files] == ["my_arm-3.sdf"]
     assert r'joint_names_expr=["arm\\[1\\]", "arm_2"]' in one_file(setup, "isaaclab")
+
+
+HOSTILE = """x\"\"\"; raise SystemExit('hostile') # \\ & ' {{ 7 * 7 }} ]]> --> <i>\U0001f980"""
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_names_are_quoted_for_the_language_that_they_go_into(
+    target: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No name of a robot, a link or a joint is code in any file, and each is read back as it was."""
+    folder = write_arm(tmp_path / "arm", 2)
+    file = folder / "robot.urdf"
+    root = ET.fromstring(file.read_text(encoding="utf-8"))
+    names = {root.get("name", ""): HOSTILE, "arm_1": f"joint {HOSTILE}"}
+    for element in root.iter():
+        element.set("name", names.get(element.get("name", ""), element.get("name", "")))
+    file.write_text(ET.tostring(root, encoding="unicode"), encoding="utf-8")
+    friction = yaml.safe_load((folder / "friction.yaml").read_text(encoding="utf-8"))
+    friction["elements"] = {names.get(name, name): values for name, values in friction["elements"].items()}
+    (folder / "friction.yaml").write_text(yaml.safe_dump(friction), encoding="utf-8")
+    export = rx.export_robot(rx.load_setup(robot=folder), target)
+    ((name, text),) = export.files.items()
+    assert "/" not in name
+    if target == "isaaclab":
+        package, actuators = ModuleType("isaaclab"), ModuleType("isaaclab.actuators")
+        actuators.ImplicitActuatorCfg = SimpleNamespace  # type: ignore[attr-defined]
+        monkeypatch.setitem(sys.modules, "isaaclab", package)
+        monkeypatch.setitem(sys.modules, "isaaclab.actuators", actuators)
+        module: dict[str, object] = {}
+        exec(text, module)
+        assert HOSTILE in str(module["__doc__"])
+        (config,) = (value for key, value in module.items() if key.endswith("ACTUATORS"))
+        first, _ = config.friction  # type: ignore[attr-defined]
+        assert re.fullmatch(first, names["arm_1"])
+    else:
+        read = ET.fromstring(text)
+        assert {names["arm_1"]} <= {element.get("name", "") for element in read.iter()}

@@ -58,7 +58,7 @@ def _held(urdf: Path) -> pin.Model:
 
 def _knots(file: Path) -> tuple[list[str], Array, Array]:
     """Return names, times and knots, shape (n, 3, joints), of a trajectory file, by PyYAML."""
-    content = yaml.safe_load(file.read_text())
+    content = yaml.safe_load(file.read_text(encoding="utf-8"))
     points = content["points"]
     times = [one["time_from_start"]["sec"] + 1e-9 * one["time_from_start"]["nanosec"] for one in points]
     knots = [[one[key] for key in ("positions", "velocities", "accelerations")] for one in points]
@@ -150,7 +150,7 @@ def test_what_does_not_fit_the_arm_is_refused(
 ) -> None:
     """Options, and limits that plan nothing, are one line with the value and what is accepted, and exit code 2."""
     file = tmp_path / "arm.urdf"
-    file.write_text(urdf.read_text().replace(*change) if change else urdf.read_text())
+    file.write_text(urdf.read_text(encoding="utf-8").replace(*change) if change else urdf.read_text(encoding="utf-8"))
     assert _plan("--urdf", str(file), *SHORT, *words) == REFUSED
     error = capsys.readouterr().err.strip().splitlines()
     assert len(error) == 1

@@ -115,7 +115,7 @@ def test_a_file_that_is_no_urdf_is_refused(
 ) -> None:
     """Text that is no URDF, or holds a body of no number, is refused in one line with the path, and nothing else."""
     path = tmp_path / "no.urdf"
-    path.write_text(urdf.read_text().replace(old, new, 1), encoding="utf-8")
+    path.write_text(urdf.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
     with pytest.raises(IdentificationError, match=rf"no\.urdf: {said}") as caught:
         RigidArm.from_urdf(path)
     assert "\n" not in str(caught.value)
@@ -125,7 +125,7 @@ def test_a_file_that_is_no_urdf_is_refused(
 def test_kinematics_of_a_urdf_without_inertials(urdf: Path, tmp_path: Path) -> None:
     """Where only kinematics are wanted, links need no <inertial>, and the regressor is the same without it."""
     bare = tmp_path / "bare.urdf"
-    text = urdf.read_text().replace("<origin ", '<origin note="made by hand" ')
+    text = urdf.read_text(encoding="utf-8").replace("<origin ", '<origin note="made by hand" ')
     bare.write_text(re.sub(r"<inertial>.*?</inertial>", "", text, flags=re.DOTALL))
     with pytest.raises(IdentificationError, match="accepted: links with <inertial>"):
         RigidArm.from_urdf(bare, ["shoulder", "elbow"])

@@ -92,7 +92,9 @@ def test_interrupt_and_kill_keep_what_is_done(
     request.getfixturevalue("warm")  # how it starts has been seen
     second = start_apart(*command, "--resume", cwd=ROOT)
     until(lambda: parts(output), second)
-    workers = [int(pid) for pid in Path(f"/proc/{second.pid}/task/{second.pid}/children").read_text().split()]
+    workers = [
+        int(pid) for pid in Path(f"/proc/{second.pid}/task/{second.pid}/children").read_text(encoding="utf-8").split()
+    ]
     second.send_signal(signal.SIGKILL)
     second.wait(timeout=TIMEOUT)
     assert len(workers) == 2

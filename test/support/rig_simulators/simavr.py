@@ -19,7 +19,7 @@ def build_shim(library: Path) -> None:
 def read_intel_hex(path: Path) -> bytes:
     """Return the flash image of an Intel hex file that starts at address 0."""
     image = bytearray()
-    for line in path.read_text().splitlines():
+    for line in path.read_text(encoding="utf-8").splitlines():
         record = bytes.fromhex(line[1:])
         if record[3] == 0:
             start = record[1] << 8 | record[2]
