@@ -135,11 +135,13 @@ def refuse_unknown_parameters(nodes: Sequence[Node]) -> None:
 
 def unknown_parameter(node: Node, name: str, accepted: str | None = None) -> str:
     """Return the result for an unknown parameter, with accepted names; by default the node's parameters."""
+    known: list[str] = []
     if accepted is None and name.startswith(PREFIX):
         accepted = overridable_topics(node)
     elif accepted is None:
-        accepted = ", ".join(sorted(one for one in node._parameters if one not in OF_ROS and PREFIX not in one))
-    asked = question(nearest(name, node._parameters))
+        known = sorted(one for one in node._parameters if one not in OF_ROS and PREFIX not in one)
+        accepted = ", ".join(known)
+    asked = question(nearest(name, known))
     return f"parameter {plain(name)} is unknown to {node.get_name()}{asked}; accepted: {accepted}"
 
 

@@ -29,7 +29,9 @@ from rx90_controller.paths.curve import Curve, Piece, arc_about, arc_through, li
 from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
 
 FIXED, TANGENT, INTERPOLATED = ORIENTATIONS = ("fixed", "tangent", "interpolated")
-LOWER, HOLD = SPEED_POLICIES = ("lower", "hold")
+LOWER = "lower"
+HOLD = "hold"
+SPEED_POLICIES = (LOWER, HOLD)
 _FARTHEST = 1e3  # m
 _SHORTEST_PATH = 1e-6  # m: far below the arm's resolution; shorter phases vanish in rounding
 _TURN = 0.02  # rad of the path between two places at which it is examined

@@ -180,8 +180,8 @@ def _show(options: argparse.Namespace) -> None:
 def _add_precompensate(precompensate: argparse.ArgumentParser) -> None:
     precompensate.add_argument("file", type=Path, metavar="FILE", help="correction file")
     precompensate.add_argument("path", metavar="PATH", help="task, path or trajectory that it is of")
-    precompensate.add_argument("--output", type=place, metavar="FILE", required=True, help="trajectory to write: "
-                               ".yaml, or .csv for its set-points: s, joints in deg, tool in mm and deg")  # fmt: skip
+    about = "trajectory to write: .yaml, or .csv for its set-points: s, joints in deg, tool in mm and deg"
+    precompensate.add_argument("--output", type=place, metavar="FILE", required=True, help=about)
     precompensate.add_argument("--force", action="store_true", help="replace a trajectory that exists")
     precompensate.add_argument(
         "--cutoff", type=POSITIVE, metavar="HZ", help="of the filter that smooths the offsets (5)"

@@ -73,8 +73,8 @@ def _add_sending(parser: argparse.ArgumentParser) -> None:
     send.add_argument("--approach", action="store_true", help="first move to the start, straight in the joints")
     send.add_argument("--correction", metavar="FILE", help="correction file of this path, as rx90_correct learns it")
     send.add_argument("--dry-run", action="store_true", help="plan and print, send nothing")
-    send.add_argument("--output", type=place, metavar="FILE", help="write the trajectory as a YAML message, or to "
-                      "FILE.csv its set-points: s, joints in deg, tool in mm and deg")  # fmt: skip
+    about = "write the trajectory as a YAML message, or in FILE.csv set-points: s, joints in deg, tool in mm and deg"
+    send.add_argument("--output", type=place, metavar="FILE", help=about)
 
 
 def line(options: argparse.Namespace) -> None:
