@@ -18,18 +18,17 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import nearest, plain, question, quoted
 
 # What is read in two seconds: letters, and values, as often as aliases repeat them.
-_MAX_BYTES = 3 << 19
-_MAX_VALUES = 60_000
+_MAX_BYTES = 3 << 20
+_MAX_VALUES = 150_000
 _DEEPEST = 64
 _LONGEST_INTEGER = 400  # characters; the largest finite number has 309 digits
 _IN_FILE = re.compile(r',? in "<file>", ')
 _LONGEST_REASON = 400
 _TYPING_ERROR = 0.8  # likeness of a misspelt key to the required one that is meant, where other keys are accepted, too
-_SURROGATE = re.compile("[\ud800-\udfff]")  # by an escape such as "\ud800"; no file and no terminal takes it
 _SCHEMA_LINE = "# yaml-language-server: $schema="
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(yaml.composer.Composer, yaml.cyaml.CParser, yaml.constructor.SafeConstructor, yaml.resolver.Resolver):
     """Reads YAML 1.2 (core schema) with names as keys, and refuses repeated keys, because one value would be lost.
 
     YAML 1.1, which PyYAML follows, reads 1e5 as a text, 1:30 as 90, 010 as 8, yes as true and 2001-01-01 as a date.
@@ -37,7 +36,10 @@ class _Loader(yaml.SafeLoader):
     """
 
     def __init__(self, stream: StringIO) -> None:
-        super().__init__(stream)
+        yaml.cyaml.CParser.__init__(self, stream)
+        yaml.composer.Composer.__init__(self)
+        yaml.constructor.SafeConstructor.__init__(self)
+        yaml.resolver.Resolver.__init__(self)
         self._depth = 0
         self._values: dict[yaml.Node, int] = {}  # in each node that is complete, itself included
 
@@ -49,10 +51,6 @@ class _Loader(yaml.SafeLoader):
         self._depth += 1
         node: Any = super().compose_node(parent, index)
         self._depth -= 1
-        if isinstance(node, yaml.ScalarNode) and _SURROGATE.search(node.value):
-            raise _Fault(
-                None, None, f"{quoted(node.value)} holds half of a surrogate pair, no character", node.start_mark
-            )
         if not isinstance(event, yaml.AliasEvent):
             self._values[node] = 1 + sum(self._values[child] for child in _children(node))
         elif node not in self._values:
