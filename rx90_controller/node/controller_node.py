@@ -5,7 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
+<<<<<<< HEAD
 from contextlib import suppress
+=======
+from functools import partial
+>>>>>>> 9699d32ab4ee2b4fcd2d78a6de94f73d26657658
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -67,7 +71,7 @@ from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
 from rx90_controller.node.simulation_mode import SimulationMode
 from rx90_controller.trajectory.points import check_trajectory_bytes
-from rx90_controller.trajectory.stream import from_array, from_joint_state
+from rx90_controller.trajectory.stream import from_message
 
 if TYPE_CHECKING:
     from rx90_controller.node.client_interfaces import ClientInterfaces
@@ -186,8 +190,8 @@ class Control:
         correction = f"~/{COMMANDED_CORRECTION}"
         subscribe(node, JointTrajectory, correction, loop.receive_correction, TRAJECTORY_QOS, check_trajectory_bytes)
         subscribe(node, JointTrajectory, _TRAJECTORY, loop.receive, TRAJECTORY_QOS, check_trajectory_bytes)
-        subscribe(node, JointState, _SET_POINTS, self._on_set_point, TRAJECTORY_QOS)
-        subscribe(node, Float64MultiArray, _COMMANDS, self._on_commands, TRAJECTORY_QOS)
+        subscribe(node, JointState, _SET_POINTS, partial(self._on_set_point, _SET_POINTS), TRAJECTORY_QOS)
+        subscribe(node, Float64MultiArray, _COMMANDS, partial(self._on_set_point, _COMMANDS), TRAJECTORY_QOS)
 
     # The ticking thread.
 
@@ -253,18 +257,15 @@ class Control:
         with suppress(ExchangeError):  # ends `tick_loop`
             self.serving.follow(mode)
 
-    def _on_set_point(self, message: JointState) -> None:
-        """Follow a streamed set-point: positions, with velocities or without, or velocities."""
+    def _on_set_point(self, source: str, message: JointState | Float64MultiArray) -> None:
+        """Follow a streamed set-point: positions, with velocities or without, or velocities.
+
+        Those without names are as those of ros2_controllers' forward_command_controller.
+        """
         loop = self.loop
         names = self._cs7b.joint_names
         some = loop.options.allow_partial_joints_goal
-        loop.receive_stream(lambda: from_joint_state(names, message, loop.streaming, partial=some), _SET_POINTS)
-
-    def _on_commands(self, message: Float64MultiArray) -> None:
-        """Follow a streamed set-point without names, as those of ros2_controllers' forward_command_controller are."""
-        loop = self.loop
-        names = self._cs7b.joint_names
-        loop.receive_stream(lambda: from_array(names, message, loop.streaming), _COMMANDS)
+        loop.receive_stream(lambda: from_message(names, message, loop.streaming, partial=some), source)
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data and not self.loop.active:

@@ -179,7 +179,7 @@ class ServoLoop:
                     self._note(f"{what} at {end[0] * self._period:.3f} s; holding")
                 stream = self._stream
                 tick = cs7b.position_tick
-                if stream is not None and tick > stream.expires and not cs7b.trajectory.moving(tick):
+                if stream is not None and tick * self._period > stream.expires and not cs7b.trajectory.moving(tick):
                     self._end_stream("holding")
             cs7b.step(states.position, states.velocity, states.torque)
             self._unpublished = slow
@@ -409,7 +409,7 @@ class ServoLoop:
         partial_joints = self.options.allow_partial_joints_goal
         names = self._cs7b.joint_names
         points = points_from_message(names, message, partial=partial_joints, moving_end=True)
-        return from_trajectory(points, message_time_ns(message.header.stamp) or None)
+        return from_trajectory(points, message_time_ns(message.header.stamp))
 
     @property
     def stream(self) -> str:
@@ -520,9 +520,10 @@ class ServoLoop:
             stream = Stream(points.interface, points.named, cs7b.trajectory.limits, self._period, self.streaming)
             self._stream = stream
             self._note(f"stream begins at {now * self._period:.3f} s: {points.interface} set-points from {source}")
+        told = len(stream.notes)
         cs7b.trajectory.follow_stream(stream, points, now)
-        while stream.notes:
-            self._note(f"stream: {stream.notes.pop(0)}", wrong=True)
+        for text in list(stream.notes.values())[told:]:
+            self._note(f"stream: {text}", wrong=True)
 
     def _end_stream(self, what: str) -> None:
         stream = self._stream

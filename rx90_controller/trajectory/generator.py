@@ -71,9 +71,7 @@ class TrajectoryGenerator:
         self._followed(0, Path(spline, 0.0, 1.0)).halted(0, 1)
         every = np.ones(joints, dtype=np.bool_)
         stream = Stream(POSITION, every, self.limits, self.period, StreamOptions())
-        one = SetPoints(POSITION, None, np.array([self.period]), rest[:1], rest[:1], every)
-        stream.take(one, 0, held)
-        stream.motion(0, held)
+        stream.follow(SetPoints(POSITION, 0, np.array([self.period]), rest[None], every), 0, held)
 
     def reset(self, hold: Array) -> None:
         """Drop every trajectory and hold a position, rad, shape (j,)."""
@@ -257,8 +255,8 @@ class TrajectoryGenerator:
         base = self._base(now)
         rate = self._rate(base, now)
         reference = base.setpoints(now, 1)[0] if rate == 0.0 else base.entry(now)
-        if stream.take(points, now, reference):
-            spline = stream.motion(now, reference)
+        spline = stream.follow(points, now, reference)
+        if spline is not None:
             self._follow(base, Path(spline, 0.0, spline.duration), now, now, rate or self.factor)
             assert self._next is not None
             self._next.announced = True

@@ -31,8 +31,7 @@ from rx90_controller.trajectory.stream import (
     SetPoints,
     Stream,
     StreamOptions,
-    from_array,
-    from_joint_state,
+    from_message,
 )
 from rx90_emulator.loop.setup import Setup
 
@@ -80,10 +79,7 @@ class Arm(Rig):
             self.loop.receive(message)
             return
         some = self.loop.options.allow_partial_joints_goal
-        read: Callable[[], Any] = lambda: from_joint_state(self.names, message, self.options, partial=some)  # noqa: E731
-        if hasattr(message, "data"):
-            read = lambda: from_array(self.names, message, self.options)  # noqa: E731
-        self.loop.receive_stream(read, "a topic")
+        self.loop.receive_stream(lambda: from_message(self.names, message, self.options, partial=some), "a topic")
 
 
 def keeps_limits(limits: JointLimits, setpoints: Array) -> None:
@@ -170,8 +166,9 @@ def test_whatever_is_streamed_the_limits_are_kept_and_the_end_is_rest(
         due = np.sort(random.uniform(0.0, 0.05, random.integers(1, 4)))
         values, slopes = random.normal(0.0, spread, (2, len(due), 6))
         slopes[random.random(len(due)) < 0.7] = np.nan
-        stamp_ns = None if stamp is None else round(stamp * 1e9)
-        generator.follow_stream(stream, SetPoints(interface, stamp_ns, due, values, slopes, every), now)
+        stamp_ns = 0 if stamp is None else round(stamp * 1e9)
+        points = SetPoints(interface, stamp_ns, due, np.stack([values, slopes], axis=1), every)
+        generator.follow_stream(stream, points, now)
         wait = int(random.integers(1, 60))
         parts.append(generator.setpoints(now, wait))
         now += wait
@@ -179,13 +176,13 @@ def test_whatever_is_streamed_the_limits_are_kept_and_the_end_is_rest(
     keeps_limits(limits, setpoints)
     assert (setpoints[-1, 1:] == 0.0).all()
     if interface == POSITION:
-        reached = np.clip(stream._values[-1], limits.lower, limits.upper)
+        reached = np.clip(stream._values[-1, 0], limits.lower, limits.upper)
         assert np.abs(setpoints[-1, 0] - reached).max() < 1e-9
 
 
 def test_a_step_is_travelled_as_fast_as_the_limits_allow_without_overshoot(arm: Arm) -> None:
     """A step of 1 rad takes the time of a trapezoid, v/a + way/v, is not overshot, and is said to be beyond limits."""
-    arm.loop.receive_stream(lambda: from_joint_state(arm.names, state(1.0), arm.options, partial=False), "a topic")
+    arm.take(state(1.0))
     setpoints = arm.play([], 3.0)
     keeps_limits(arm.limits, setpoints)
     assert (setpoints[:, 0] <= 1.0 + 1e-9).all()
