@@ -79,7 +79,7 @@ def main() -> int:
                 motion = recorded.motion.copy()
                 motion[0, :, joint] += turn
                 suspects, _ = suspicion(case.rigid, replace(recorded, motion=motion))
-                found[key].append([(one.joints, one.what) for one in suspects] == [((joint,), "zero")])
+                found[key].append(suspects == {joint: "zero"})
     rows = [(key, f"{np.mean(alarms[key]):.0%}", f"{np.mean(found[key]):.0%}") for key in alarms]
     print_table(("recording", "alarms with right zeros", "quarter turns named"), rows)
     merge({f"{key}_false": float(np.mean(said)) for key, said in alarms.items()})

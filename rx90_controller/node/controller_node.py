@@ -5,11 +5,8 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-<<<<<<< HEAD
 from contextlib import suppress
-=======
 from functools import partial
->>>>>>> 9699d32ab4ee2b4fcd2d78a6de94f73d26657658
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING

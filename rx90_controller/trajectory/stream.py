@@ -17,10 +17,6 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-<<<<<<< HEAD
-=======
-from scipy.integrate import cumulative_trapezoid
->>>>>>> 9699d32ab4ee2b4fcd2d78a6de94f73d26657658
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.declared import option
@@ -228,17 +224,10 @@ class Stream:
         values = self._values[:, 0]
         slopes = self._values[:, 1]
         if self.interface == POSITION:
-<<<<<<< HEAD
-            from scipy.interpolate import CubicHermiteSpline  # takes a while, which most runs do without
-
-            cubic = CubicHermiteSpline(times, self._values, self._bessel())
-            inside = np.minimum(at, last) * self._period
-            reference[:, 0] = cubic(inside)
-            reference[:, 1] = np.where((at < last)[:, None], cubic(inside, 1), 0.0)
-=======
             slopes = np.where(np.isnan(slopes), np.gradient(values, times, axis=0), slopes)
->>>>>>> 9699d32ab4ee2b4fcd2d78a6de94f73d26657658
         else:
+            from scipy.integrate import cumulative_trapezoid  # takes a while, which most runs do without
+
             times = np.append(times, self.expires - now)
             slopes = np.vstack([values, values[-1]])
             values = cumulative_trapezoid(slopes, times, axis=0, initial=0)

@@ -122,7 +122,7 @@ def identify_excitation(
     parts = parts if fixed or len(problem) >= ROWS_PER_PARAMETER * problem.parameters else ()  # no choice by so few
     given = replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source))
     suspects, doubt = suspicion(problem.arm, Recorded.of(problem), given, source.zero)
-    if any(one.what != "zero" for one in suspects):
+    if any(what != "zero" for what in suspects.values()):
         raise IdentificationError(doubt)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
     progress("friction")

@@ -68,7 +68,7 @@ def test_a_wrong_sign_is_named_with_what_to_write(
     assert re.search(f"^wrong sign of the {said}", doubt(problem, RobotOptions(gear=GEAR, torque_constant=CONSTANT)))
 
 
-def test_of_gears_whose_mirror_images_fit_both_are_named(tmp_path: Path) -> None:
+def test_of_gears_whose_mirror_images_fit_one_is_named(tmp_path: Path) -> None:
     """Of an arm whose axes are upright and level in turn, a wrong gear of joint 4 is one of those of joints 2 and 4."""
     quarter, true = 0.5 * np.pi, plain_arm(3, 4, coupled=False)
     places = (
@@ -82,7 +82,7 @@ def test_of_gears_whose_mirror_images_fit_both_are_named(tmp_path: Path) -> None
         true, links=tuple(replace(link, xyz=np.array(xyz), rpy=np.array([r, 0.0, 0.0])) for link, (xyz, r) in links)
     )
     recorded = rigid_arm(true, tmp_path), runs_of(true, 100.0, NOISE, Bandwidths(20.0, 8.0), periods=1)
-    assert "sign of the gear of joint_2 or joint_4: " in doubt(turned_round(recorded, (3,), (3,)))
+    assert re.search("^wrong sign of the gear of joint_[24]: ", doubt(turned_round(recorded, (3,), (3,))))
 
 
 def test_right_signs_raise_no_alarm(recorded: tuple[RigidArm, tuple[FilteredRun, ...]]) -> None:
@@ -104,7 +104,7 @@ def test_quarter_turns_of_zeros_are_named(encoder: tuple[float, ...], tmp_path: 
     given, error = np.array([0.0, 0.25, 0.0, 0.0]), np.pi * np.array(encoder)
     problem = ExcitationProblem.of(arm, [replace(run, position=run.position + error) for run in runs])
     text = doubt(problem, zero=given)
-    wrong = text.removeprefix("wrong ").split(", if")[0].split(" and ")
+    wrong = text.removeprefix("wrong ").split(":")[0].split(" and ")
     assert sorted(wrong) == [f"zero of joint_{k + 1}" for k in np.flatnonzero(error)]
     better = np.array(text.split("--zero ")[1].split(",")[0].split(), dtype=float)
     assert np.angle(np.exp(1j * (better - given - error))) == pytest.approx(0.0, abs=1e-5)
