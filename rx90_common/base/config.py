@@ -28,24 +28,23 @@ _TYPING_ERROR = 0.8  # likeness of a misspelt key to the required one that is me
 _SCHEMA_LINE = "# yaml-language-server: $schema="
 
 
-class _Loader(yaml.composer.Composer, yaml.cyaml.CParser, yaml.constructor.SafeConstructor, yaml.resolver.Resolver):
+class _Loader(yaml.composer.Composer, yaml.CSafeLoader):
     """Reads YAML 1.2 (core schema) with names as keys, and refuses repeated keys, because one value would be lost.
 
     YAML 1.1, which PyYAML follows, reads 1e5 as a text, 1:30 as 90, 010 as 8, yes as true and 2001-01-01 as a date.
-    Depth and number of values are limited, because a few lines of aliases can expand to more than the memory.
+    Depth and number of values are limited, because a few lines of aliases can expand to more than the memory. libyaml
+    parses; the composer, which counts, is PyYAML's own.
     """
 
     def __init__(self, stream: StringIO) -> None:
-        yaml.cyaml.CParser.__init__(self, stream)
+        yaml.CSafeLoader.__init__(self, stream)
         yaml.composer.Composer.__init__(self)
-        yaml.constructor.SafeConstructor.__init__(self)
-        yaml.resolver.Resolver.__init__(self)
         self._depth = 0
         self._values: dict[yaml.Node, int] = {}  # in each node that is complete, itself included
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node:
         """Compose the next node, within the limits."""
-        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        event: Any = self.peek_event()
         if self._depth == _DEEPEST:
             raise _Fault(None, None, f"deeper than {_DEEPEST} levels", event.start_mark)
         self._depth += 1

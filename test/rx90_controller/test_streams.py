@@ -268,8 +268,9 @@ def test_what_is_no_set_point_is_one_line(arm: Arm, message: Any, said: str) -> 
     """It is named with what is accepted, counted, and moves nothing; hundreds of them are not as many lines."""
     setpoints = arm.play([(k * T, message) for k in range(200)], 0.3)
     assert not setpoints[:, :2].any()
-    (line,) = arm.around.lines[1:]
-    assert said in line
+    lines = arm.around.lines[1:]  # again after some seconds of the wall clock
+    assert 1 <= len(lines) < 20
+    assert all(said in line for line in lines)
     assert arm.loop.rejected == 200
 
 
