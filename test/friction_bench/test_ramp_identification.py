@@ -351,8 +351,7 @@ def test_a_bent_ramp_is_left_out_as_if_it_had_not_been_run() -> None:
 
 
 @pytest.mark.parametrize(
-    ("friction", "kept"),
-    [((0.03, 6.4e-4, 1.3e-5), True), ((0.10, 6e-4, 1.5e-4), False), ((0.11, 1e-3, 2e-5), False)],
+    ("friction", "kept"), [((0.03, 6.4e-4, 1.3e-5), True), ((0.10, 6e-4, 1.5e-4), False), ((0.11, 1e-3, 2e-5), False)]
 )
 def test_plan_gives_each_ramp_time_enough_to_slide(friction: tuple[float, float, float], kept: bool, rig: Rig) -> None:
     """Slopes that suit the rig are kept; else planned ramps slide for 8 time constants and 1.4 s, within the travel."""

@@ -38,11 +38,7 @@ MUTANTS = {
     "no_speed": ("core/rig.c", "trip(FAULT_SPEED);", ";"),
     "no_current": ("core/rig.c", "trip(FAULT_CURRENT);", ";"),
     "hasty_current": ("core/rig_config.h", "CURRENT_LIMIT_TICKS 3u", "CURRENT_LIMIT_TICKS 2u"),
-    "sticky_current": (
-        "core/rig.c",
-        "(uint8_t)(over_current + 1u) : 0",
-        "(uint8_t)(over_current + 1u) : over_current",
-    ),
+    "sticky_current": ("core/rig.c", "(uint8_t)(over_current + 1u) : 0", "(uint8_t)(over_current + 1u) : over_current"),
     "twice": ("core/rig.c", "hello_seen && sequence == ack_sequence", "0 && sequence == ack_sequence"),
     "deaf_stop": ("core/rig.c", " && type != HELLO && type != STOP)", " && type != HELLO)"),
     "floor_ramp": ("core/rig.c", "level = 0x80u;", "level = 0u;"),

@@ -230,10 +230,7 @@ REFUSED: list[tuple[tuple[list[float], list[Array], list[Array]], int | None, st
 
 @pytest.mark.parametrize(("sent", "start", "words"), REFUSED, ids=[words for *_, words in REFUSED])
 def test_what_breaks_a_limit_is_refused(
-    generator: TrajectoryGenerator,
-    sent: tuple[list[float], list[Array], list[Array]],
-    start: int | None,
-    words: str,
+    generator: TrajectoryGenerator, sent: tuple[list[float], list[Array], list[Array]], start: int | None, words: str
 ) -> None:
     """One line names point, joint, value and what is accepted; the running motion goes on untouched."""
     twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)

@@ -25,14 +25,7 @@ from rx90_common.description.coupling import to_motor
 from rx90_controller.node.servo_loop import MotorStates
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 from rx90_controller.trajectory.request import ResultCode, State
-from rx90_controller.trajectory.stream import (
-    INTERFACES,
-    POSITION,
-    SetPoints,
-    Stream,
-    StreamOptions,
-    from_message,
-)
+from rx90_controller.trajectory.stream import INTERFACES, POSITION, SetPoints, Stream, StreamOptions, from_message
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]

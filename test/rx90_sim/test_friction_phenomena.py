@@ -131,9 +131,7 @@ def presliding_loop(record: Any, amplitude: float, frequency: float, cycles: int
     return np.array(rows).reshape(cycles, steps, 2)
 
 
-def test_presliding_hysteresis_is_closed_and_independent_of_rate(
-    record: Callable[[FrictionElement], Any],
-) -> None:
+def test_presliding_hysteresis_is_closed_and_independent_of_rate(record: Callable[[FrictionElement], Any]) -> None:
     """Cyclic micro-motion gives the same closed loop at rates that differ a hundredfold."""
     element = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0)
     amplitude = 2.5e-4  # 0.8 of the break-away deflection

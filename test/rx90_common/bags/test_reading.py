@@ -130,10 +130,7 @@ def test_sets_of_joints_are_kept_apart(tmp_path: Path) -> None:
         (joint_state(7, ["a", "b"], [1.0, 2.0], [1.0]), "1 numbers in velocity for 2 joints"),
         (joint_state(7, ["a", "a"], [1.0, 2.0]), "each once"),
         (joint_state(7, [], []), "one or more"),
-        (
-            joint_state(7, ["a", "b"], [1.0, 2.0], [1.0, 2.0]),
-            "carries position in some messages and position, vel",
-        ),
+        (joint_state(7, ["a", "b"], [1.0, 2.0], [1.0, 2.0]), "carries position in some messages and position, vel"),
         (b"\x00\x01\x00\x00\x00\x00", "is no sensor_msgs/msg/JointState"),
     ],
 )
@@ -180,10 +177,7 @@ def test_counts_rates_and_gaps(tmp_path: Path, storage: str) -> None:
     steady = series(101, step_ns=250_000, topic="/motor_states")
     rows = np.r_[0:10, 11:30, 33:60, 70:101]
     write_joint_states(
-        tmp_path / "bag",
-        [steady, series(101).take(rows)],
-        storage=storage,
-        messages=[string_message("note", "")],
+        tmp_path / "bag", [steady, series(101).take(rows)], storage=storage, messages=[string_message("note", "")]
     )
     summary = summarise(tmp_path / "bag")
     assert (summary.count, summary.storage) == (101 + 87 + 1, {"mcap": "mcap", "sqlite3": "db3"}[storage])
@@ -200,8 +194,7 @@ def test_time_that_goes_back(tmp_path: Path) -> None:
     """Stamps that repeat or go back are counted, in ROS 1 bags too."""
     stamps = [0, 10, 20, 20, 30, 5, 15]
     path = write_ros1(
-        tmp_path / "bag.bag",
-        [("/x", i, joint_state(s, ["a"], [1.0], store=ROS1)) for i, s in enumerate(stamps)],
+        tmp_path / "bag.bag", [("/x", i, joint_state(s, ["a"], [1.0], store=ROS1)) for i, s in enumerate(stamps)]
     )
     (topic,) = summarise(path).topics
     assert (topic.backward, topic.repeated, topic.first_ns, topic.last_ns) == (1, 1, 0, 30)

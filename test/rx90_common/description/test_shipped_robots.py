@@ -78,12 +78,7 @@ def _khalil_kleinfinger(theta: np.ndarray) -> np.ndarray:
     for j in range(6):
         ca, sa, ct, st = np.cos(alpha[j]), np.sin(alpha[j]), np.cos(theta[j]), np.sin(theta[j])
         transform = transform @ np.array(
-            [
-                [ct, -st, 0, d[j]],
-                [ca * st, ca * ct, -sa, -r[j] * sa],
-                [sa * st, sa * ct, ca, r[j] * ca],
-                [0, 0, 0, 1],
-            ]
+            [[ct, -st, 0, d[j]], [ca * st, ca * ct, -sa, -r[j] * sa], [sa * st, sa * ct, ca, r[j] * ca], [0, 0, 0, 1]]
         )
     return transform
 

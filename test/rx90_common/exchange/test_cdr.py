@@ -41,8 +41,7 @@ def rosbags_bytes(names, frame_id, stamp_ns, arrays, *, little_endian=True):
     """Serialise with rosbags, whose padding is zero."""
     types = STORE.types
     header = types["std_msgs/msg/Header"](
-        stamp=types["builtin_interfaces/msg/Time"](sec=stamp_ns // NS, nanosec=stamp_ns % NS),
-        frame_id=frame_id,
+        stamp=types["builtin_interfaces/msg/Time"](sec=stamp_ns // NS, nanosec=stamp_ns % NS), frame_id=frame_id
     )
     filled = [np.array([]) if a is None else np.asarray(a, float) for a in arrays]
     message = types["sensor_msgs/msg/JointState"](header, list(names), *filled)

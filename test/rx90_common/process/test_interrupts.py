@@ -131,10 +131,7 @@ with ends_within(0.1, 0.1 if "stuck" in sys.argv else 60.0, last, stuck) as star
 def test_it_ends_however_busy_it_is(words: list[str], code: int, said: str) -> None:
     """Ctrl-C ends a start in compiled code within its time, with 130 and its children; once it is over, as usual."""
     with subprocess.Popen(
-        [sys.executable, "-c", _BUSY, *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
+        [sys.executable, "-c", _BUSY, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as process:
         assert process.stdout is not None
         child = int(process.stdout.readline())

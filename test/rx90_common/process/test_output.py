@@ -13,10 +13,7 @@ from rx90_common.process.children import executable
 
 pytestmark = pytest.mark.slow
 
-TOOLS = {
-    "rx90_line": ["--from-file", "robots/rx90b/task.yaml", "--dry-run"],
-    "rx90_sim": ["--help"],
-}
+TOOLS = {"rx90_line": ["--from-file", "robots/rx90b/task.yaml", "--dry-run"], "rx90_sim": ["--help"]}
 # Stands for a tool that prints more than a buffer holds, and has something to end in order.
 LONG = """
 import sys

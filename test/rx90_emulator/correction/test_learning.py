@@ -18,14 +18,7 @@ from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
 from rx90_emulator.cli.frame import run
-from rx90_emulator.correction.learning import (
-    ENGINE,
-    CorrectionError,
-    Learner,
-    Measured,
-    learn,
-    run_corrected,
-)
+from rx90_emulator.correction.learning import ENGINE, CorrectionError, Learner, Measured, learn, run_corrected
 from rx90_emulator.correction.methods import best_change, gains, response
 from rx90_emulator.correction.path import TrajectoryPath
 from rx90_emulator.correction.precompensation import corrected_trajectory, travelled_error

@@ -76,10 +76,6 @@ class SimavrBoard:
         """Put the current sense on another of the converter's channels."""
         self._lib.board_sense(self._board, channel)
 
-    def worst_dac(self) -> int:
-        """Return the highest DAC code seen with the stage on since the last call."""
-        return int(self._lib.board_worst_dac(self._board))
-
     def close(self) -> None:
         """End the simulation."""
         self._finalizer()

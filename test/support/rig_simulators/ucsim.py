@@ -112,20 +112,11 @@ class UcsimBoard:
         # The simulator looks for input every million instructions, unless told; twice the time that the bytes take.
         self._listen -= 0.5e-3 * slice_us
         listens = self._listen > 0.0 or self._pending()
-        given = {
-            f"expr uart0_check_often={int(listens)}",
-            f"set hw port[{self.adc_port}] {adc}",
-            "set hw port[3] 255",
-        }
+        given = {f"expr uart0_check_often={int(listens)}", f"set hw port[{self.adc_port}] {adc}", "set hw port[3] 255"}
         lines = sorted(given - self._given)
         self._given = given
         for _ in range(edges):
-            lines += [
-                f"step {max(1, steps // (edges + 1))}",
-                "set hw port[3] 251",
-                "step 4",
-                "set hw port[3] 255",
-            ]
+            lines += [f"step {max(1, steps // (edges + 1))}", "set hw port[3] 251", "step 4", "set hw port[3] 255"]
         self._look([*lines, f"step {max(1, steps // (edges + 1))}"])
 
     def _look(self, lines: list[str]) -> None:
