@@ -12,6 +12,7 @@ import reprlib
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from typing import Any, Final
+from unicodedata import category
 
 LIMIT: Final = 120
 """Characters of a quoted value, as far as the caller gives no other limit."""
@@ -112,3 +113,8 @@ class _Repr(reprlib.Repr):
 
     def repr_bytes(self, x: Any, level: int) -> str:  # noqa: ARG002
         return quoted(x, self.maxstring)
+
+
+def breaks_a_line(text: str) -> bool:
+    """Return whether a text holds a control character, a line break among them."""
+    return any(category(character) in ("Cc", "Zl", "Zp") for character in text)

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, warn_caller
@@ -337,6 +336,8 @@ def _places(curve: Any, at: Array) -> Array:
 
 def _off(points: Array, places: Array) -> Array:
     """Return how far places (n - 1, k, 3) between points (n, 3) are off the spline through the points, (n - 1,)."""
+    from scipy.interpolate import CubicSpline  # takes a while, which paths without a drawing do without
+
     through = CubicSpline(np.append(0.0, np.cumsum(length(np.diff(points, axis=0)))), points, bc_type="natural")
     begin = through.x[:-1, None]
     samples = through(begin + np.diff(through.x)[:, None] * np.linspace(0.0, 1.0, _SAMPLES))

@@ -143,7 +143,7 @@ def test_empty_cells_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str
     """An empty cell of a column that is read, the last one too, is called so, with line and column."""
     log = write(tmp_path / "log.csv", f"t,a,b\n0,1,2\n{cells}\n3,1,2\n")
     mapping = write(tmp_path / "m.yaml", PLAIN)
-    assert run("rx90_bag", ["import", str(log), str(tmp_path / "bag"), "--mapping", str(mapping)]) == 2
+    assert run("rx90_bag", ["import", str(log), str(tmp_path / "bag"), "--signals", str(mapping)]) == 2
     is_word = "" if where == "time" else "is "
     assert f"1 corrupt row, line 3 (line 3: {where} {is_word}empty" in capsys.readouterr().err
 

@@ -129,7 +129,7 @@ CALLS = {
     "rx90_demo": ([], "bokeh"),
     "rx90_experiment": (["plan"], "rosbags"),
     "rx90_export": (["mujoco-classic", "--output", "out"], "scipy"),
-    "rx90_identify": (["bag", "--output", "out.yaml"], "scipy"),
+    "rx90_identify": (["bag", "--output", "out.yaml"], "yaml"),
     "rx90_line": (["--from-file", "robots/rx90b/task.yaml"], "yaml"),
     "rx90_own_controller": (["--engine"], "pinocchio"),
     "rx90_path": (["paths/circle.yaml"], "numba"),

@@ -116,7 +116,7 @@ def test_values_of_task_and_links(shipped: Setup, task: LineTask, catalogue: Cat
         ("arm.link_2.inertia[0]", 50.0, "arm.link_2.inertia"),
         ("arm.seed", 0.5, "arm.seed is 0.5; accepted: a whole number from 0 to 9007199254740992"),
         ("arm.seed", math.nan, "arm.seed is nan; accepted: a whole number from 0 to 9007199254740992"),
-        ("friction.joint_9.c0", 1.0, "'joint_9' is unknown; accepted there: joint_1, joint_2"),
+        ("friction.joint_9.c0", 1.0, "'joint_9' is unknown (did you mean joint_6?); accepted there: joint_1, joint_2"),
         ("friction.joint_1.c9", 1.0, "'c9' is unknown; accepted there: alpha, c0, c1, c2"),
         ("fricton.joint_1.c0", 1.0, "accepted there: arm, controller, drives, friction"),
         ("friction.joint_1", 1.0, "is a group of values"),

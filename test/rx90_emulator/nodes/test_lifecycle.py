@@ -60,7 +60,7 @@ def test_a_pair_goes_through_its_states(processes: Processes, client: Client) ->
     # A configuration that is refused leaves the node as it was.
     assert client.set_parameters(CONTROLLER, controller="robots/tx40/drives.yaml") == [""]
     assert not client.transition(CONTROLLER, "configure")
-    controller.wait_for("cannot configure: .*drives.yaml: servo is missing")
+    controller.wait_for("cannot configure: .*drives.yaml: brake is not a known key; accepted: .*servo")
     assert client.state(CONTROLLER) == "unconfigured"
     (reason,) = client.set_parameters(CONTROLLER, robot="nowhere")
     assert reason.startswith("robot 'nowhere': no such folder; accepted: panda, rx90b, rx90b/paper, tx40")
@@ -153,7 +153,7 @@ def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
     refused = {
         "robot": ("tx40", "robot is read when the node is configured"),
         "autostart": (False, "read-only"),
-        "servo_kp": (1.0, "servo_kp is unknown to rx90_controller; accepted: .*servo.kp"),
+        "servo_kp": (1.0, "servo_kp is unknown to rx90_controller .did you mean servo.kp.*; accepted: .*servo.kp"),
         "servo.kp": ([1.0] * 5, r"servo.kp is .*; accepted: 6 numbers"),
         "servo.kv": ([1, 2, 3, 4, 5, -6], r"servo.kv\[5\] is -6.0; accepted"),
         "constraints.joint_3.trajectory": (float("nan"), "joint_3.trajectory .* value: nan"),

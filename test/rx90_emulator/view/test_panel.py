@@ -141,7 +141,9 @@ def _a_slider_moves_its_joint(shown: BrowserPage, panel: ControlPanel, states: l
 def _a_stranger_does_not(page: Page, panel: ControlPanel, states: list[JointSample]) -> None:
     """It knows what the inputs are called, and sends what they would send; its own form is asked without a code."""
     ((slider, *_),) = panel._sliders.values()
-    before, value = states[-1].position, slider.value
+    wait_until(lambda: float(np.abs(states[-1].position - states[-50].position).max()) < 5e-5, "the arm to rest")
+    before = states[-1].position
+    value = slider.value
     stranger = Stranger(page)
     wait_until(lambda: bool(panel._forms), "the stranger's form")
     ((_, code, button),) = panel._forms.values()
