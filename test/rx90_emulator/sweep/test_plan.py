@@ -157,7 +157,7 @@ def test_shipped_and_documented_plans_fit(
         ("{grid: {task.speed: {value: [0.1, 0.1]}}}", "0.1 stands twice"),
         ("{grid: {task.speed: {value: [1], factor: [1]}}}", "value and factor: both are there; accepted: one"),
         ("{grid: {task.speed: {value: {linspace: [1, 2, -3]}}}}", "count of values is -3"),
-        ("{grid: {task.speed: {value: {logspace: [1, 2, 3]}}}}", "logspace is not a known key (did you mean linspace?)"),
+        ("{grid: {task.speed: {value: {logspace: [1, 2, 3]}}}}", "logspace is not a known key (did you mean linspace"),
         ("{grid: {task.speed: {value: [1], each: true}}}", "in random draws only"),
         ("{grid: {task.sped: {value: [1]}}}", "'sped' is unknown (did you mean speed?); accepted there: accel"),
         ("{grid: {friction.*.c0: {factor: [1]}, friction.joint_2.c0: {factor: [1]}}}", "both set friction.joint_2.c0"),
