@@ -11,7 +11,7 @@ from processes import files_up_to
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.plotting import TopicPlot, plot_bags
-from rx90_common.bags.writing import string_message, write_joint_states
+from rx90_common.bags.writing import write_joint_states
 from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import Curve, Panel, Plot
 from rx90_emulator.cli.frame import run
@@ -123,28 +123,3 @@ def test_a_full_disk_leaves_the_old_page_or_picture(
             assert run("rx90_bag", ["plot", str(bags["first"]), "--output", str(tmp_path / name), "--force"]) == 3
         assert f"{name}: cannot be written (File too large)" in capsys.readouterr().err
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == old
-
-
-def test_bags_of_two_robots_are_drawn_without_a_difference(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Their motions lie over each other, also where no stamp is equal; page and terminal say whose they are, and why.
-
-    Bags of one robot, and one without a description, are subtracted.
-    """
-    monkeypatch.chdir(tmp_path)
-    for name, robot, start in (("a", "rx90b", 0), ("b", "tx40", 500), ("c", "rx90b", 0)):
-        described = string_message("robot_description", f'<?xml version="1.0"?>\n<robot name="{robot}"/>')
-        write_joint_states(name, [series("/joint_states", start=start)], messages=[described])
-    write_joint_states("none", [series("/joint_states")])
-    assert run("rx90_bag", ["plot", "a", "b"]) == 0
-    said = "two robots, a of rx90b and b of tx40: drawn over each other, without a difference"
-    assert capsys.readouterr().out == f"{said}\npage: {tmp_path / 'a.html'}\n"
-    assert said[1:] in Path("a.html").read_text(encoding="utf-8")
-    (plot,) = plot_bags([Path("a"), Path("b")])
-    assert [panel.y_label for panel in plot.plot.panels if isinstance(panel, Panel)] == ["position, rad", "effort, Nm"]
-    assert len(curves(plot, 0)) == 4
-    assert plot.differences == []
-    for same in ("c", "none"):
-        (plot,) = plot_bags([Path("a"), Path(same)])
-        assert (len(plot.plot.panels), len(plot.differences), plot.robots) == (4, 4, ())

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import re
 
 import numpy as np
 import pytest
 
 from rx90_common.base.arrays import least_and_largest
-from rx90_common.report.page import render_page
 from rx90_common.report.plot import Curve, Panel, Plot, with_fewer_points
 
 pytestmark = pytest.mark.slow
@@ -33,13 +31,6 @@ def extremes(x: np.ndarray, y: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Return the first, least, largest and last value between each two edges, shape (m, 4)."""
     parts = np.split(y, np.searchsorted(x, edges[1:-1]))
     return np.array([[part[0], part.min(), part.max(), part[-1]] for part in parts])
-
-
-def dense_page(plot: Plot) -> str:
-    """Return the page of a bag that shows a plot."""
-    plots = [{"plot": plot, "topic": "t", "messages": (1,), "differences": []}]
-    values = {"names": ["a"], "paths": ["a"], "robots": "", "plots": plots}
-    return render_page("rx90_common.bags", "bag.html.j2", **values)
 
 
 def test_each_column_keeps_its_extremes() -> None:
@@ -94,14 +85,3 @@ def test_the_extremes_of_rows_leave_out_what_is_no_number() -> None:
             known = sorted(value for value in rows[:, column] if math.isfinite(value))
             ends = (known[0], known[-1]) if known else (np.nan, np.nan)
             np.testing.assert_array_equal((least[k, column], largest[k, column]), ends)
-
-
-def test_a_page_of_many_dense_curves_stays_small() -> None:
-    """However many dense curves there are, the page has 3 MB at most, and says what is drawn of them."""
-    x = np.arange(400.0)
-    y = np.random.default_rng(4).normal(size=len(x))
-    plot = Plot([Panel([Curve(x, y + 5.0 * k, f"joint_{k}") for k in range(50)]) for _ in range(6)])
-    page = dense_page(plot)
-    assert len(page.encode()) <= 3_000_000
-    (columns,) = re.findall(r"in each of (\d+) parts", page)
-    assert 30 <= int(columns) < 100

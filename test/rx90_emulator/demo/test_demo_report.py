@@ -15,7 +15,7 @@ from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.demo.animation import Animation, animate
-from rx90_emulator.demo.demonstration import SWITCHED_OFF, RunReport
+from rx90_emulator.demo.demonstration import RunReport
 from rx90_emulator.loop.setup import Setup
 
 MODELS = Path(__file__).parents[3] / "docs" / "explanation" / "models.md"
@@ -53,24 +53,6 @@ def pages(bag: Path, run: RunReport) -> list[Path]:
 def test_the_same_run_gives_the_same_page(pages: list[Path]) -> None:
     """A report of the same run has the same bytes: no counter, no chance, no date of its libraries."""
     assert pages[0].read_bytes() == pages[1].read_bytes()
-
-
-def test_what_is_switched_off_has_the_name_of_the_documentation(
-    pages: list[Path], run: RunReport, shipped: Setup, task: rx.LineTask
-) -> None:
-    """The report compares with no feed-forward and D on the measured velocity, another error than with FF off alone."""
-    text = MODELS.read_text(encoding="utf-8")
-    rows = re.findall(r"^\| (\S[^|]* off) \| (.*?) \|", text, re.MULTILINE)
-    switches = {name: re.findall(r"`(\w+)`", what) for name, what in rows[:2]}
-    switches[SWITCHED_OFF] = [each for names in switches.values() for each in names if each != "dq_r"]
-    assert f"| {SWITCHED_OFF} |" in text
-    worst = {}
-    for name in ("FF off", SWITCHED_OFF):
-        changes = {f"controller.feed_forward.{each}": False for each in switches[name] if each != "dq_r"}
-        worst[name] = rx.run_line(rx.with_parameters(shipped, changes), task).path_accuracy.worst
-    assert run.path_without.worst == worst[SWITCHED_OFF] > worst["FF off"]
-    page = pages[0].read_text(encoding="utf-8")
-    assert f"worst path error {SWITCHED_OFF}, RMS" in page
 
 
 def test_an_arm_of_meshes_is_animated(run: RunReport, task: rx.LineTask, tmp_path: Path) -> None:
