@@ -33,8 +33,8 @@ def run(folder: Path, apt_get: str, *words: str) -> subprocess.CompletedProcess[
         program.write_text(text.replace("FOLDER", str(folder)))
         program.chmod(0o755)
     command = [sys.executable, "-m", "tools.packages", *words]
-    environment = {**os.environ, "PATH": str(folder)}
-    return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    path = {**os.environ, "PATH": str(folder)}
+    return subprocess.run(command, cwd=ROOT, env=path, capture_output=True, text=True, check=False)
 
 
 @pytest.mark.parametrize(("words", "code"), [((), 0), (("--required",), 1)])
@@ -44,9 +44,8 @@ def test_what_cannot_be_installed_is_a_line_each(tmp_path: Path, words: tuple[st
     assert done.returncode == code
     lines = done.stderr.splitlines()
     for name in ("make", "native", "mcs51", "ucsim", "avr", "chromium", "c++"):
-        need = NEEDS[name]
-        wanted = " ".join(need.packages)
-        assert sum(f" {need.title} is missing" in line and line.endswith(f" {wanted}") for line in lines) == 1
+        title, wanted = f" {NEEDS[name].title} is missing", " ".join(NEEDS[name].packages)
+        assert sum(title in line and line.endswith(f" {wanted}") for line in lines) == 1
     assert any("no network" in line for line in lines)
 
 

@@ -29,8 +29,7 @@ def double(number: int) -> int:
 def test_tokens_are_those_of_the_code_alone() -> None:
     """Of a sample counted by hand: import 2, signature 10, return 6 tokens; 5 lines of code of 11."""
     size = measure(SOURCE)
-    # `import os`, the signature, and what it returns
-    assert size.tokens == 2 + 10 + 6
+    assert size.tokens == 2 + 10 + 6  # `import os`, the signature, and what it returns
     assert (size.code_lines, size.lines) == (5, 11)
 
 

@@ -18,8 +18,6 @@ from rx90_emulator.demo.animation import Animation, animate
 from rx90_emulator.demo.demonstration import RunReport
 from rx90_emulator.loop.setup import Setup
 
-MODELS = Path(__file__).parents[3] / "docs" / "explanation" / "models.md"
-
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory, shipped: Setup, task: rx.LineTask) -> Path:

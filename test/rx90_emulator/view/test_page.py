@@ -11,6 +11,7 @@ import threading
 import time
 import webbrowser
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import partial
 from types import FrameType, SimpleNamespace
 from typing import Any
@@ -160,17 +161,23 @@ def test_on_a_telephone_the_arm_is_above_the_panel(shipped: Setup, page: Page, o
     seen: list[Any] = []
     page.server.on_client_connect(seen.append)
 
-    def looks(count: int, away: float, lower: bool) -> bool:
-        if len(seen) < count:
-            return False
-        camera = seen[-1].camera
+    def looks(away: float, lower: bool) -> bool:
+        camera = seen[-1].camera if seen else page.server.initial_camera
         distance = float(np.linalg.norm(camera.position - camera.look_at))
         return abs(distance / length / away - 1.0) < 0.02 and bool(camera.look_at[2] < 0.0) is lower
 
-    open_page(page.address, (390, 844))
-    wait_until(lambda: looks(1, 0.9 * 844 / 390, True), "the page's camera")
-    open_page(page.address, (900, 600))
-    wait_until(lambda: looks(2, 1.0, False), "the other page's camera")
+    def open_and_look(size: tuple[int, int], away: float, lower: bool) -> None:
+        # A browser's report of where its camera was may cross the server's order to it: then the page is opened again.
+        for _ in range(3):
+            seen.clear()
+            open_page(page.address, size)
+            with suppress(pytest.fail.Exception):
+                wait_until(lambda: looks(away, lower), "the page's camera", timeout=20.0)
+                return
+        pytest.fail(f"a page of {size} never had its camera at {away:g} of the distance")
+
+    open_and_look((390, 844), 0.9 * 844 / 390, True)
+    open_and_look((900, 600), 1.0, False)
 
 
 class Clock:
