@@ -133,13 +133,24 @@ def load_yaml(
     first: bool = False,
     faults: list[ConfigError] | None = None,
 ) -> Section:
-    """Read a YAML file whose top level is a mapping.
+    """Read a YAML file whose top level is a mapping, as a Section; see `read_yaml`.
 
     Args:
         path: of the file.
         accepted: expected content, for messages.
         first: whether to read the first of several documents; otherwise there must be one.
         faults: collects refusals, see `Section`.
+    """
+    return Section(read_yaml(path, accepted, first=first), path, faults=faults)
+
+
+def read_yaml(path: Path, accepted: str = "a mapping of keys to values", *, first: bool = False) -> dict[str, Any]:
+    """Read a YAML file whose top level is a mapping.
+
+    Args:
+        path: of the file.
+        accepted: expected content, for messages.
+        first: whether to read the first of several documents; otherwise there must be one.
     """
     text = StringIO(_read(path))
     try:
@@ -151,7 +162,7 @@ def load_yaml(
     if not isinstance(data, dict):
         content = "nothing" if data is None else "a list" if isinstance(data, list) else "a single value"
         raise ConfigError(f"{plain(path)}: holds {content}; accepted: {accepted}")
-    return Section(data, path, faults=faults)
+    return data
 
 
 def yaml_value(text: str) -> Any:

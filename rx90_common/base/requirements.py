@@ -34,6 +34,8 @@ SOURCES = {
     "numpy": Source("numpy", "python3-numpy"),
     "pinocchio": Source("pin", "ros-jazzy-pinocchio"),
     "pyarrow": Source("pyarrow"),
+    "pydantic": Source("pydantic"),  # Ubuntu's python3-pydantic is 1.10
+    "pydantic_core": Source("pydantic"),
     "rosbags": Source("rosbags"),
     "rich": Source("viser"),
     "scipy": Source("scipy", "python3-scipy"),

@@ -1,0 +1,367 @@
+"""Models of files and parameters, by pydantic: what each value may be, with its unit and its meaning, once.
+
+    class Encoder(FileModel):
+        '''Encoder of a motor.'''
+
+        counts: Annotated[int, Field(ge=16, le=2**30, description="Counts per revolution.")]
+        bandwidth: Annotated[float, quantity("Hz", "Bandwidth of the observer.", gt=0.0)] = 100.0
+
+Reader, writer, JSON schema, legends, sweep paths and the nodes' parameters follow from the model. `read_model` reads a
+file; `refusals` and `fault_lines` turn pydantic's ValidationError into lines for users: file, place, value and what is
+accepted. What is accepted comes from the field's JSON schema, or from `accepted` in it where words say it better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from rx90_common.base.config import read_yaml, yaml_text
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import nearest, plain, question, quoted
+
+JsonSchema: TypeAlias = dict[str, Any]
+AnyModel = TypeVar("AnyModel", bound="Model")
+Place: TypeAlias = tuple[str | int, ...]
+Provenance: TypeAlias = Literal["published", "derived", "assumed", "identified"]
+
+MAX_JOINTS: Final = 7
+"""Joints that an arm may have."""
+
+_REFUSED: Final = "refused"
+_BRANCH_FAULTS: Final = {"union_tag_invalid", "union_tag_not_found"}
+
+
+class Model(BaseModel):
+    """A set of values that cannot change; unknown names, numbers that are not finite and other types are refused."""
+
+    model_config = ConfigDict(
+        frozen=True, strict=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants"
+    )
+
+    def replaced(self: AnyModel, **changes: Any) -> AnyModel:
+        """Return a copy with other values, checked like those of a file.
+
+        Raises:
+            ConfigError: naming the value and what is accepted.
+        """
+        with refusals(type(self)):
+            return type(self).model_validate({**self.__dict__, **changes})
+
+
+class FileModel(Model):
+    """A mapping of a file; it may say where its values come from."""
+
+    about_keys: ClassVar[tuple[str, ...]] = ("provenance", "source", "note")
+
+    provenance: Annotated[
+        Provenance | dict[str, Provenance | None] | None,
+        Field(
+            description="Where the values come from: one word for the whole mapping, or one for each key.",
+            json_schema_extra={"accepted": "one of published, derived, assumed, identified"},
+        ),
+    ] = None
+    source: Annotated[Any, Field(description="A sentence that names the source, for the mapping or for each key.")] = (
+        None
+    )
+    note: Annotated[Any, Field(description="A remark for readers.")] = None
+
+
+def quantity(
+    unit: str,
+    description: str,
+    *,
+    gt: float | None = None,
+    ge: float | None = None,
+    le: float | None = None,
+    accepted: str = "",
+) -> Any:
+    """Return the Field of a physical quantity.
+
+    Args:
+        unit: "1" for a pure number.
+        description: its meaning, a sentence.
+        gt: what it is above, if anything.
+        ge: its least value.
+        le: its largest value.
+        accepted: the accepted values in words, where the bounds do not say it.
+    """
+    extra: dict[str, Any] = {"unit": unit}
+    if accepted:
+        extra["accepted"] = accepted
+    return Field(description=description, gt=gt, ge=ge, le=le, json_schema_extra=extra)
+
+
+Row: TypeAlias = Annotated[tuple[float, ...], Field(strict=False)]
+"""Numbers, of a list in a file."""
+
+
+def refusal(key: str, value: object, accepted: str) -> PydanticCustomError:
+    """Return what a validator of a model raises for a value that does not fit the others; `key` is its field."""
+    context = {"key": key, "value": quoted(value), "accepted": accepted}
+    return PydanticCustomError(_REFUSED, "{key} is {value}; accepted: {accepted}", context)
+
+
+def read_model(
+    model: type[AnyModel], path: Path, accepted: str = "a mapping of keys to values", *, first: bool = False
+) -> AnyModel:
+    """Read a YAML file.
+
+    Args:
+        model: of its content.
+        path: of the file.
+        accepted: expected content in words, for messages.
+        first: whether to read the first of several documents; otherwise there must be one.
+
+    Raises:
+        ConfigError: naming file, key, value and what is accepted.
+    """
+    content = read_yaml(path, accepted, first=first)
+    with refusals(model, plain(path), content):
+        return model.model_validate(content)
+
+
+def model_text(values: Model) -> str:
+    """Return a model's values as YAML, without those that are defaults; `read_model` gives the same values back."""
+    return yaml_text(values.model_dump(mode="json", exclude_defaults=True))
+
+
+def json_schema(model: type[BaseModel], title: str) -> JsonSchema:
+    """Return the JSON schema, draft 2020-12, of a file, for editors: their texts name the units.
+
+    Args:
+        model: of the file's content.
+        title: of the schema.
+    """
+    schema = model.model_json_schema()
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return {**head, **_with_units(schema), "title": title}
+
+
+def _with_units(value: Any) -> Any:
+    """Return a schema whose descriptions end with the unit."""
+    if isinstance(value, list):
+        return [_with_units(item) for item in value]
+    if not isinstance(value, dict):
+        return value
+    named = {key: _with_units(item) for key, item in value.items()}
+    unit = value.get("unit")
+    if isinstance(unit, str) and "description" in value:
+        named["description"] = f"{value['description']} [{unit}]"
+    return named
+
+
+def unit_of(model: type[BaseModel], field: str) -> str:
+    """Return the unit of a model's field, empty if it has none."""
+    extra = model.model_fields[field].json_schema_extra
+    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+
+
+@contextmanager
+def refusals(model: type[BaseModel], where: str = "", content: Any = None) -> Iterator[None]:
+    """Turn the ValidationError of a block into a ConfigError with the first fault.
+
+    Args:
+        model: that is validated.
+        where: what contains the values, such as a file.
+        content: that is validated, if it came from a file.
+    """
+    try:
+        yield
+    except ValidationError as error:
+        raise ConfigError(fault_lines(model, error, where, content)[0]) from None
+
+
+def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "", content: Any = None) -> list[str]:
+    """Return a line for each fault, with place, value and what is accepted; misspelt keys come first.
+
+    Args:
+        model: that was validated.
+        error: of pydantic.
+        where: what contains the values, such as a file.
+        content: that was validated, if it came from a file.
+    """
+    schema = model.model_json_schema(by_alias=True)
+    faults = error.errors(include_url=False)
+    unknown = [fault for fault in faults if fault["type"] == "extra_forbidden"]
+    others = [fault for fault in faults if fault["type"] != "extra_forbidden"]
+    lines: list[str] = []
+    meant: set[Place] = set()
+    for fault in unknown:
+        *around, key = fault["loc"]
+        place = _place_in_file(tuple(around), content)
+        node = _node(schema, schema, place)
+        near = nearest(str(key), _missing(node, _value_at(content, place)))
+        meant.add((*place, near))
+        keys = ", ".join(name for name in node.get("properties", {}) if name not in FileModel.about_keys)
+        lines.append(f"{_where(where, (*place, key))} is not a known key{question(near)}; accepted: {keys}")
+    for fault in others:
+        place = _place_of(fault, content)
+        if fault["type"] == "missing" and place in meant:
+            continue  # one mistake would be told twice
+        line = _line(schema, fault, place, where)
+        if line not in lines:
+            lines.append(line)
+    return lines
+
+
+def accepted_values(schema: JsonSchema, root: JsonSchema | None = None) -> str:
+    """Return in words what a JSON schema accepts.
+
+    Args:
+        schema: of a value.
+        root: the schema that defines what its references stand for.
+    """
+    schema = _resolved(schema, root or {})
+    kinds = [kind for kind in schema.get("anyOf", schema.get("oneOf", ())) if kind.get("type") != "null"]
+    kind = str(schema.get("type", ""))
+    if "accepted" in schema:
+        words = str(schema["accepted"])
+    elif "enum" in schema or "const" in schema:
+        values = schema.get("enum", [schema.get("const")])
+        words = f"one of {', '.join(map(str, values))}" if len(values) > 1 else str(values[0])
+    elif kinds:
+        words = " or ".join(dict.fromkeys(accepted_values(kind, root) for kind in kinds))
+    elif kind in {"number", "integer"}:
+        words = _range_in_words("an integer" if kind == "integer" else "a number", schema)
+    elif kind == "array":
+        words = _list_in_words(schema, root)
+    else:
+        words = {"string": "a text", "boolean": "true or false", "object": "a mapping"}.get(kind, "another value")
+    return words
+
+
+def _range_in_words(noun: str, schema: JsonSchema) -> str:
+    above = schema.get("exclusiveMinimum")
+    least = schema.get("minimum", above)
+    below = schema.get("exclusiveMaximum")
+    most = schema.get("maximum", below)
+    if least is None and most is None:
+        return "an integer" if noun == "an integer" else "a finite number"
+    if most is None:
+        return f"{noun} {'>=' if above is None else '>'} {least:g}"
+    if least is None:
+        return f"{noun} {'<=' if below is None else '<'} {most:g}"
+    opening = "[" if above is None else "("
+    closing = "]" if below is None else ")"
+    return f"{noun} in {opening}{least:g}, {most:g}{closing}"
+
+
+def _list_in_words(schema: JsonSchema, root: JsonSchema | None) -> str:
+    item = _resolved(schema.get("items", {}), root or {})
+    nouns = {"number": "number", "integer": "integer", "string": "text", "object": "mapping", "array": "row"}
+    noun = nouns.get(str(item.get("type")), "value")
+    least = schema.get("minItems", 0)
+    most = schema.get("maxItems")
+    if most is None:
+        text = f"a list of {noun}s" if not least else f"a list of {least} {noun}s or more"
+    elif least == most:
+        text = f"a list of {least} {noun}{'' if least == 1 else 's'}"
+    else:
+        text = f"a list of {least} to {most} {noun}s"
+    ranged = {"minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "accepted"} & item.keys()
+    return f"{text}, each {accepted_values(item, root)}" if ranged else text
+
+
+def _line(schema: JsonSchema, fault: ErrorDetails, place: Place, where: str) -> str:
+    context = fault.get("ctx", {})
+    if fault["type"] == _REFUSED:
+        return f"{_where(where, (*place, context['key']))} is {context['value']}; accepted: {context['accepted']}"
+    if fault["type"] == "value_error":
+        return f"{_where(where, place)}: {context['error']}" if place or where else str(context["error"])
+    accepted = accepted_values(_node(schema, schema, place), schema)
+    value = fault["input"]
+    if fault["type"] in _BRANCH_FAULTS:
+        choices = _node(schema, schema, place[:-1])["discriminator"]["mapping"]
+        accepted = f"one of {', '.join(choices)}"
+        value = context.get("tag")
+    if fault["type"] in {"missing", "union_tag_not_found"}:
+        return f"{_where(where, place)} is missing; accepted: {accepted}"
+    if fault["type"] == "finite_number":
+        accepted = accepted.replace("a number", "a finite number", 1)
+    return f"{_where(where, place)} is {quoted(value)}; accepted: {accepted}"
+
+
+def _where(where: str, place: Sequence[str | int]) -> str:
+    path = ""
+    for key in place:
+        if isinstance(key, int):
+            path += f"[{key}]"
+        else:
+            path += f".{plain(key)}" if path else plain(key)
+    return f"{where}: {path}" if where and path else where or path or "the value"
+
+
+def _place_of(fault: ErrorDetails, content: Any) -> Place:
+    """Return the place of a fault in the file; of a missing key where it would stand, of a choice its key."""
+    if fault["type"] == "missing":
+        return (*_place_in_file(fault["loc"][:-1], content), fault["loc"][-1])
+    place = _place_in_file(fault["loc"], content)
+    if fault["type"] in _BRANCH_FAULTS:
+        return (*place, fault["ctx"]["discriminator"].strip("'"))
+    return place
+
+
+def _place_in_file(loc: Place, content: Any) -> Place:
+    """Return a place as it stands in the file: without what pydantic adds to it, as the names of a union's kinds."""
+    if content is None:
+        return loc
+    place: list[str | int] = []
+    value = content
+    for key in loc:
+        in_mapping = isinstance(value, Mapping) and key in value
+        in_list = isinstance(value, list) and isinstance(key, int) and key < len(value)
+        if in_mapping or in_list:
+            place.append(key)
+            value = value[key]
+    return tuple(place)
+
+
+def _value_at(content: Any, place: Place) -> Any:
+    value = content
+    for key in place:
+        value = None if value is None else value[key]
+    return value
+
+
+def _missing(node: JsonSchema, mapping: Any) -> list[str]:
+    present = mapping if isinstance(mapping, Mapping) else {}
+    return [name for name in node.get("properties", {}) if name not in present]
+
+
+def _resolved(schema: JsonSchema, root: JsonSchema) -> JsonSchema:
+    """Return a schema whose own reference, if it is one, is replaced by what it stands for."""
+    if "$ref" not in schema:
+        return schema
+    name = schema["$ref"].rpartition("/")[2]
+    rest = {key: value for key, value in schema.items() if key != "$ref"}
+    return {**root.get("$defs", {}).get(name, {}), **rest}
+
+
+def _words(schema: JsonSchema) -> JsonSchema:
+    return {key: schema[key] for key in ("accepted", "description", "unit", "default") if key in schema}
+
+
+def _node(schema: JsonSchema, root: JsonSchema, place: Place) -> JsonSchema:
+    """Return the schema of the value at a place: of several kinds the first that knows the place."""
+    schema = _resolved(schema, root)
+    if not place:
+        nullable = [kind for kind in schema.get("anyOf", ()) if kind.get("type") != "null"]
+        return _resolved(nullable[0], root) | _words(schema) if len(nullable) == 1 else schema
+    for kinds in ("anyOf", "oneOf", "allOf"):
+        for kind in schema.get(kinds, ()):
+            node = _node(kind, root, place)
+            if node:
+                return node
+    key = place[0]
+    if isinstance(key, int):
+        items = schema.get("prefixItems", ())
+        inner = items[key] if key < len(items) else schema.get("items", {})
+    else:
+        inner = schema.get("properties", {}).get(key, schema.get("additionalProperties") or {})
+    return _node(inner, root, place[1:]) if isinstance(inner, dict) and inner else {}

@@ -1,0 +1,96 @@
+"""The models of files: each kind of refusal is one line with place, value and what is accepted."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import pytest
+from jsonschema import Draft202012Validator
+from pydantic import Field, ValidationError, model_validator
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.models import FileModel, Row, fault_lines, json_schema, quantity, read_model, refusal, unit_of
+
+
+class Slip(FileModel):
+    """A kind of bristles."""
+
+    kind: Literal["slip"]
+    share: Annotated[Row, Field(min_length=1, max_length=2)]
+
+
+class Plastic(FileModel):
+    """Another kind."""
+
+    kind: Literal["plastic"]
+    break_away: Annotated[float, quantity("1", "Break-away.", ge=0.0, le=0.9)]
+
+
+class Bristle(FileModel):
+    """A bristle."""
+
+    stiffness: Annotated[float, quantity("Nm/rad", "Stiffness.", gt=0.0)]
+    damping: Annotated[float, quantity("Nm s/rad", "Damping.", ge=0.0)] = 0.5
+    kind: Annotated[Slip | Plastic, Field(discriminator="kind")] | None = None
+
+    @model_validator(mode="after")
+    def _check_damping(self) -> Bristle:
+        if self.damping > self.stiffness:
+            raise refusal("damping", self.damping, "up to the stiffness")
+        return self
+
+
+FAULTS: list[tuple[dict[str, Any], list[str]]] = [
+    ({}, ["stiffness is missing; accepted: a number > 0"]),
+    ({"stiffness": 0}, ["stiffness is 0; accepted: a number > 0"]),
+    ({"stiffness": float("nan")}, ["stiffness is nan; accepted: a finite number > 0"]),
+    ({"stiffness": True}, ["stiffness is True; accepted: a number > 0"]),
+    ({"stiffness": "3"}, ["stiffness is '3'; accepted: a number > 0"]),
+    ({"stifness": 3}, ["stifness is not a known key (did you mean stiffness?); accepted: stiffness, damping, kind"]),
+    ({"stiffness": 1, "damping": 2}, ["damping is 2.0; accepted: up to the stiffness"]),
+    ({"stiffness": 1, "kind": {"kind": "soft"}}, ["kind.kind is 'soft'; accepted: one of plastic, slip"]),
+    ({"stiffness": 1, "kind": {}}, ["kind.kind is missing; accepted: one of plastic, slip"]),
+    ({"stiffness": 1, "kind": 3}, ["kind is 3; accepted: a mapping"]),
+    (
+        {"stiffness": -1, "kind": {"kind": "slip", "share": [1, 2, 3]}},
+        ["stiffness is -1; accepted: a number > 0", "kind.share is [1, 2, 3]; accepted: a list of 1 to 2 numbers"],
+    ),
+    (
+        {"stiffness": 1, "kind": {"kind": "slip", "share": [1, None]}},
+        ["kind.share[1] is None; accepted: a finite number"],
+    ),
+    (
+        {"stiffness": 1, "provenance": "guess"},
+        ["provenance is 'guess'; accepted: one of published, derived, assumed, identified"],
+    ),
+]
+
+
+@pytest.mark.parametrize(("content", "lines"), FAULTS)
+def test_each_fault_is_one_line(content: dict[str, Any], lines: list[str]) -> None:
+    """All faults of a file are told, in lines that begin with the place."""
+    with pytest.raises(ValidationError) as caught:
+        Bristle.model_validate(content)
+    assert fault_lines(Bristle, caught.value, "", content) == lines
+
+
+def test_a_file_gives_its_values_and_its_provenance(tmp_path) -> None:
+    """Values are checked, remarks kept, and a changed value is checked like one of a file."""
+    path = tmp_path / "bristle.yaml"
+    path.write_text("stiffness: 3\nprovenance: {stiffness: assumed}\nsource: a book\n", encoding="utf-8")
+    bristle = read_model(Bristle, path)
+    assert bristle.stiffness == 3.0
+    assert bristle.provenance == {"stiffness": "assumed"}
+    with pytest.raises(ConfigError, match=r"stiffness is -1\.0; accepted: a number > 0"):
+        bristle.replaced(stiffness=-1.0)
+
+
+def test_the_schema_for_editors_refuses_the_same_and_names_units() -> None:
+    """An editor shows the unit and accepts what the reader accepts."""
+    schema = json_schema(Bristle, "bristle")
+    assert schema["properties"]["stiffness"]["description"] == "Stiffness. [Nm/rad]"
+    assert unit_of(Bristle, "damping") == "Nm s/rad"
+    validator = Draft202012Validator(schema)
+    assert validator.is_valid({"stiffness": 1, "kind": {"kind": "plastic", "break_away": 0.5}})
+    assert not validator.is_valid({"stiffness": 0})
+    assert not validator.is_valid({"stiffness": 1, "other": 2})
