@@ -215,7 +215,7 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
     schema = model.model_json_schema(by_alias=True)
     faults = error.errors(include_url=False)
     unknown = [fault for fault in faults if fault["type"] == "extra_forbidden"]
-    others = [fault for fault in faults if fault["type"] != "extra_forbidden"]
+    known = [fault for fault in faults if fault["type"] != "extra_forbidden"]
     lines: list[str] = []
     meant: set[Place] = set()
     for fault in unknown:
@@ -225,14 +225,15 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
         near = nearest(str(key), _missing(node, value_at(content, place)))
         meant.add((*place, near))
         lines.append(_unknown_key(where, (*place, key), near, node))
-    for fault in others:
+    for fault in known:
         place = _place_of(fault, content)
         if fault["type"] == "missing":
             if place in meant:
                 continue  # one mistake would be told twice
             node = schema_at(schema, place[:-1], content)
-            keys = [key for key in value_at(content, place[:-1]) or () if key not in node.get("properties", {})]
-            near = nearest(str(place[-1]), keys, _TYPING_ERROR)
+            given = value_at(content, place[:-1])
+            others = given.keys() - node.get("properties", {}).keys() if isinstance(given, dict) else ()
+            near = nearest(str(place[-1]), others, _TYPING_ERROR)
             if near:  # where other keys are accepted, too
                 lines.insert(0, _unknown_key(where, (*place[:-1], near), str(place[-1]), node))
                 continue
@@ -422,7 +423,7 @@ def _kinds(schema: JsonSchema, root: JsonSchema, value: Any) -> list[JsonSchema]
             kinds += _kinds(kind, root, value)
     if isinstance(value, Mapping):
         kinds.sort(key=lambda kind: -_likeness(kind, value))
-    words = {key: schema[key] for key in ("accepted", "description", "unit", "default") if key in schema}
+    words: JsonSchema = {key: schema[key] for key in ("accepted", "description", "unit", "default") if key in schema}
     return [{**kind, **words} for kind in kinds]
 
 
