@@ -256,7 +256,8 @@ def accepted_values(schema: JsonSchema, root: JsonSchema | None = None) -> str:
         root: the schema that defines what its references stand for.
     """
     schema = _resolved(schema, root or {})
-    kinds = [kind for kind in schema.get("anyOf", schema.get("oneOf", ())) if kind.get("type") != "null"]
+    alternatives = schema.get("anyOf") or schema.get("oneOf") or ()
+    kinds = [kind for kind in alternatives if kind.get("type") != "null"]
     kind = str(schema.get("type", ""))
     if "accepted" in schema:
         words = str(schema["accepted"])
