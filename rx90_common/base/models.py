@@ -18,8 +18,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
 
 from rx90_common.base.config import read_yaml, yaml_text
 from rx90_common.base.errors import ConfigError
@@ -88,6 +88,26 @@ class Named(FileModel, Generic[Item]):
         return self.__pydantic_extra__
 
 
+class OneOf(FileModel):
+    """A mapping that has exactly one of some keys."""
+
+    one_of: ClassVar[tuple[str, ...]]
+
+    @model_validator(mode="after")
+    def _check_one_of(self) -> OneOf:
+        given = [key for key in self.one_of if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise ValueError(f"has {' and '.join(given) or 'none'} of {', '.join(self.one_of)}; accepted: one of them")
+        return self
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+        """Return the schema, with the rule."""
+        schema = handler.resolve_ref_schema(handler(core_schema))
+        schema["oneOf"] = [{"required": [key]} for key in cls.one_of]
+        return schema
+
+
 def quantity(
     unit: str,
     description: str,
@@ -115,11 +135,18 @@ def quantity(
 
 Row: TypeAlias = Annotated[tuple[float, ...], Field(strict=False)]
 """Numbers, of a list in a file."""
+Triple: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=3, max_length=3)]
+"""Three numbers, such as those of a place."""
+PerJoint: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=MAX_JOINTS)]
+"""A number for each joint."""
+Names: TypeAlias = Annotated[tuple[str, ...], Field(strict=False)]
+"""Texts, of a list in a file."""
 
 
 def refusal(key: str, value: object, accepted: str) -> PydanticCustomError:
     """Return what a validator of a model raises for a value that does not fit the others; `key` is its field."""
-    context = {"key": key, "value": quoted(value), "accepted": accepted}
+    shown = list(value) if isinstance(value, tuple) else value
+    context = {"key": key, "value": quoted(shown), "accepted": accepted}
     return PydanticCustomError(_REFUSED, "{key} is {value}; accepted: {accepted}", context)
 
 
@@ -154,18 +181,23 @@ def json_schema(model: type[BaseModel], title: str) -> JsonSchema:
         model: of the file's content.
         title: of the schema.
     """
-    schema = model.model_json_schema()
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    return {**head, **_with_units(schema), "title": title}
+    schema = _with_units(model.model_json_schema())
+    about = {key: FileModel.model_json_schema()["properties"][key] for key in FileModel.about_keys}
+    return {**head, **schema, "title": title, "$defs": {**schema.get("$defs", {}), **about}}
 
 
 def _with_units(value: Any) -> Any:
-    """Return a schema whose descriptions end with the unit."""
+    """Return a schema whose descriptions end with the unit, with what all mappings may have in one place."""
     if isinstance(value, list):
         return [_with_units(item) for item in value]
     if not isinstance(value, dict):
         return value
     named = {key: _with_units(item) for key, item in value.items()}
+    properties = named.get("properties", {})
+    for key in FileModel.about_keys:
+        if isinstance(properties, dict) and key in properties:
+            properties[key] = {"$ref": f"#/$defs/{key}"}
     unit = value.get("unit")
     if isinstance(unit, str) and "description" in value:
         named["description"] = f"{value['description']} [{unit}]"
