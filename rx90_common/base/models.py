@@ -18,7 +18,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError, model_validator
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    ValidationError,
+    model_validator,
+)
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
 
 from rx90_common.base.config import read_yaml, yaml_text
@@ -88,6 +98,18 @@ class Named(FileModel, Generic[Item]):
         return self.__pydantic_extra__
 
 
+class Some(Named[Item], Generic[Item]):
+    """A mapping from free names to values of one kind, at least one."""
+
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1, "accepted": "a mapping with one entry or more"})
+
+    @model_validator(mode="after")
+    def _check_some(self: AnyModel) -> AnyModel:
+        if not self.__pydantic_extra__:
+            raise not_accepted()
+        return self
+
+
 class OneOf(FileModel):
     """A mapping that has exactly one of some keys."""
 
@@ -133,12 +155,36 @@ def quantity(
     return Field(description=description, gt=gt, ge=ge, le=le, json_schema_extra=extra)
 
 
+def not_accepted() -> PydanticCustomError:
+    """Return what a validator of a field raises for a value that is not accepted; `accepted` says in words what is."""
+    return PydanticCustomError("not_accepted", "not accepted")
+
+
+def _not_zero(value: float) -> float:
+    if value == 0.0:
+        raise not_accepted()
+    return value
+
+
+def _plain_list(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
 Row: TypeAlias = Annotated[tuple[float, ...], Field(strict=False)]
 """Numbers, of a list in a file."""
+Positive: TypeAlias = Annotated[float, Field(gt=0.0)]
+NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
+PerJoint: TypeAlias = Annotated[
+    tuple[Item, ...], Field(strict=False, min_length=1, max_length=MAX_JOINTS), BeforeValidator(_plain_list)
+]
+"""Values of the joints, or the motors, of an arm: of a list in a file, or of an array in Python."""
+NotZero: TypeAlias = Annotated[
+    float,
+    AfterValidator(_not_zero),
+    Field(json_schema_extra={"not": {"const": 0}, "accepted": "a finite number other than 0"}),
+]
 Triple: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=3, max_length=3)]
 """Three numbers, such as those of a place."""
-PerJoint: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=MAX_JOINTS)]
-"""A number for each joint."""
 Names: TypeAlias = Annotated[tuple[str, ...], Field(strict=False)]
 """Texts, of a list in a file."""
 
@@ -257,8 +303,10 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
         near = nearest(str(key), _missing(node, value_at(content, place)))
         meant.add((*place, near))
         lines.append(_unknown_key(where, (*place, key), near, node))
-    for fault in known:
-        place = _place_of(fault, content)
+    places = [_place_of(fault, content) for fault in known]
+    for fault, place in zip(known, places, strict=True):
+        if any(len(inner) > len(place) and inner[: len(place)] == place for inner in places):
+            continue  # of several kinds of value, another one is meant
         if fault["type"] == "missing":
             if place in meant:
                 continue  # one mistake would be told twice

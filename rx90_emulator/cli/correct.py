@@ -168,9 +168,9 @@ def _show(options: argparse.Namespace) -> None:
     head = found.head
     offsets = found.correction.offsets
     period = found.correction.period
-    print(f"robot {plain(head['robot'])}, {head['payload']['mass']:.4g} kg on the last joint")
-    print(f"path of {head['path']['duration']:.3f} s, up to {head['path']['speed'] * 1e3:.4g} mm/s")
-    print(f"learned by {plain(head['method'])}")
+    print(f"robot {plain(head.robot)}, {head.payload.mass:.4g} kg on the last joint")
+    print(f"path of {head.path.duration:.3f} s, up to {head.path.speed * 1e3:.4g} mm/s")
+    print(f"learned by {plain(head.method)}")
     for number, (how, worst) in enumerate(zip(found.measurements, found.worst, strict=True)):
         print(f"trial {number}, {how}: worst {worst * 1e3:.4f} mm")
     rate = float(np.abs(np.diff(offsets, axis=0)).max(initial=0.0)) / period

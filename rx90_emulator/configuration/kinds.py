@@ -10,8 +10,8 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Field, ValidationError
 
 from friction_bench.rig.rig_file import RIG, load_rig
-from rx90_common.bags.mapping import MAPPING, LogMapping
-from rx90_common.bags.tolerance import TOLERANCES, load_rules
+from rx90_common.bags.mapping import LogMapping, SignalMapFile
+from rx90_common.bags.tolerance import TolerancesFile, load_rules
 from rx90_common.base.config import Section
 from rx90_common.base.entries import JsonSchema
 from rx90_common.base.errors import ConfigError
@@ -23,7 +23,7 @@ from rx90_common.description.robot import TOOL, load_tool
 from rx90_common.friction.friction_file import FRICTION, FrictionFile
 from rx90_controller.law.parameters import CONTROLLER, load_controller
 from rx90_controller.lines.task import TaskFile, load_task
-from rx90_emulator.correction.file import CORRECTION, load_correction
+from rx90_emulator.correction.file import CorrectionHead, load_correction
 from rx90_emulator.identification.experiments.plan import ExperimentsFile, Poses, PosesFile, read_index
 from rx90_emulator.loop.path_file import PathFile, TrajectoryFile, load_path, load_trajectory
 from rx90_emulator.sweep.plan import PLAN, load_sweep_plan
@@ -119,9 +119,9 @@ KINDS = (
         TrajectoryFile,
         lambda path: load_trajectory(path, read_model(TrajectoryFile, path, first=True).joint_names),
     ),
-    FileKind("log_mapping", MAPPING, LogMapping.load),
-    FileKind("tolerances", TOLERANCES, load_rules),
-    FileKind("correction", CORRECTION, load_correction),
+    FileKind("log_mapping", SignalMapFile, LogMapping.load),
+    FileKind("tolerances", TolerancesFile, load_rules),
+    FileKind("correction", CorrectionHead, load_correction),
     FileKind("experiments", ExperimentsFile, lambda path: read_index(path.parent)),
 )
 """All kinds but the nodes' parameter files, which need ROS: see nodes.py.
