@@ -19,8 +19,16 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
 
 from rx90_common.base.config import read_yaml, yaml_text
 from rx90_common.base.errors import ConfigError
@@ -109,6 +117,26 @@ class Named(FileModel, Generic[Item]):
         return self.__pydantic_extra__
 
 
+class OneOf(FileModel):
+    """A mapping that has exactly one of some keys."""
+
+    one_of: ClassVar[tuple[str, ...]]
+
+    @model_validator(mode="after")
+    def _check_one_of(self) -> OneOf:
+        given = [key for key in self.one_of if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise ValueError(f"has {' and '.join(given) or 'none'} of {', '.join(self.one_of)}; accepted: one of them")
+        return self
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+        """Return the schema, with the rule."""
+        schema = handler.resolve_ref_schema(handler(core_schema))
+        schema["oneOf"] = [{"required": [key]} for key in cls.one_of]
+        return schema
+
+
 def quantity(
     unit: str,
     description: str,
@@ -145,9 +173,15 @@ def _plain_list(value: Any) -> Any:
 
 Row: TypeAlias = Annotated[tuple[float, ...], Field(strict=False)]
 """Numbers, of a list in a file."""
+Triple: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=3, max_length=3)]
+"""Three numbers, such as those of a place."""
+PerJoint: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=MAX_JOINTS)]
+"""A number for each joint."""
+Names: TypeAlias = Annotated[tuple[str, ...], Field(strict=False)]
+"""Texts, of a list in a file."""
 Positive: TypeAlias = Annotated[float, Field(gt=0.0)]
 NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
-PerJoint: TypeAlias = Annotated[
+RowOf: TypeAlias = Annotated[
     tuple[Item, ...], Field(strict=False, min_length=1, max_length=MAX_JOINTS), BeforeValidator(_plain_list)
 ]
 """Values of the joints, or the motors, of an arm: of a list in a file, or of an array in Python."""
@@ -155,7 +189,8 @@ PerJoint: TypeAlias = Annotated[
 
 def refusal(key: str, value: object, accepted: str) -> PydanticCustomError:
     """Return what a validator of a model raises for a value that does not fit the others; `key` is its field."""
-    context = {"key": key, "value": quoted(value), "accepted": accepted}
+    shown = list(value) if isinstance(value, tuple) else value
+    context = {"key": key, "value": quoted(shown), "accepted": accepted}
     return PydanticCustomError(_REFUSED, "{key} is {value}; accepted: {accepted}", context)
 
 
@@ -190,18 +225,23 @@ def json_schema(model: type[BaseModel], title: str) -> JsonSchema:
         model: of the file's content.
         title: of the schema.
     """
-    schema = model.model_json_schema()
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    return {**head, **_with_units(schema), "title": title}
+    schema = _with_units(model.model_json_schema())
+    about = {key: FileModel.model_json_schema()["properties"][key] for key in FileModel.about_keys}
+    return {**head, **schema, "title": title, "$defs": {**schema.get("$defs", {}), **about}}
 
 
 def _with_units(value: Any) -> Any:
-    """Return a schema whose descriptions end with the unit."""
+    """Return a schema whose descriptions end with the unit, with what all mappings may have in one place."""
     if isinstance(value, list):
         return [_with_units(item) for item in value]
     if not isinstance(value, dict):
         return value
     named = {key: _with_units(item) for key, item in value.items()}
+    properties = named.get("properties", {})
+    for key in FileModel.about_keys:
+        if isinstance(properties, dict) and key in properties:
+            properties[key] = {"$ref": f"#/$defs/{key}"}
     unit = value.get("unit")
     if isinstance(unit, str) and "description" in value:
         named["description"] = f"{value['description']} [{unit}]"
@@ -257,7 +297,7 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
     schema = model.model_json_schema(by_alias=True)
     faults = error.errors(include_url=False)
     unknown = [fault for fault in faults if fault["type"] == "extra_forbidden"]
-    others = [fault for fault in faults if fault["type"] != "extra_forbidden"]
+    known = [fault for fault in faults if fault["type"] != "extra_forbidden"]
     lines: list[str] = []
     meant: set[Place] = set()
     for fault in unknown:
@@ -267,14 +307,15 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
         near = nearest(str(key), _missing(node, value_at(content, place)))
         meant.add((*place, near))
         lines.append(_unknown_key(where, (*place, key), near, node))
-    for fault in others:
+    for fault in known:
         place = _place_of(fault, content)
         if fault["type"] == "missing":
             if place in meant:
                 continue  # one mistake would be told twice
             node = schema_at(schema, place[:-1], content)
-            keys = [key for key in value_at(content, place[:-1]) or () if key not in node.get("properties", {})]
-            near = nearest(str(place[-1]), keys, _TYPING_ERROR)
+            given = value_at(content, place[:-1])
+            others = given.keys() - node.get("properties", {}).keys() if isinstance(given, dict) else ()
+            near = nearest(str(place[-1]), others, _TYPING_ERROR)
             if near:  # where other keys are accepted, too
                 lines.insert(0, _unknown_key(where, (*place[:-1], near), str(place[-1]), node))
                 continue
@@ -297,7 +338,8 @@ def accepted_values(schema: JsonSchema, root: JsonSchema | None = None) -> str:
         root: the schema that defines what its references stand for.
     """
     schema = _resolved(schema, root or {})
-    kinds = [kind for kind in schema.get("anyOf", schema.get("oneOf", ())) if kind.get("type") != "null"]
+    alternatives = schema.get("anyOf") or schema.get("oneOf") or ()
+    kinds = [kind for kind in alternatives if kind.get("type") != "null"]
     kind = str(schema.get("type", ""))
     if "accepted" in schema:
         words = str(schema["accepted"])
@@ -464,7 +506,7 @@ def _kinds(schema: JsonSchema, root: JsonSchema, value: Any) -> list[JsonSchema]
             kinds += _kinds(kind, root, value)
     if isinstance(value, Mapping):
         kinds.sort(key=lambda kind: -_likeness(kind, value))
-    words = {key: schema[key] for key in ("accepted", "description", "unit", "default") if key in schema}
+    words: JsonSchema = {key: schema[key] for key in ("accepted", "description", "unit", "default") if key in schema}
     return [{**kind, **words} for kind in kinds]
 
 

@@ -18,8 +18,8 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import (
     FileModel,
     NotNegative,
-    PerJoint,
     Positive,
+    RowOf,
     quantity,
     read_model,
     refusal,
@@ -37,7 +37,7 @@ _ABSOLUTE_ZERO = -273.15
 # planetary ones half a degree; a larger value is a wrong unit.
 _MAX_PLAY = 0.5
 
-_Rows: TypeAlias = Annotated[tuple[PerJoint[float], ...], Field(strict=False)]
+_Rows: TypeAlias = Annotated[tuple[RowOf[float], ...], Field(strict=False)]
 _Waves: TypeAlias = Annotated[tuple[Annotated[float, Field(gt=0.0, le=1000.0)], ...], Field(strict=False)]
 _PositiveOrEndless: TypeAlias = Annotated[float, Field(gt=0.0, allow_inf_nan=True)]
 _Play: TypeAlias = Annotated[float, Field(ge=0.0, le=_MAX_PLAY)]
@@ -80,11 +80,11 @@ class Cogging(FileModel):
 class CurrentSensor(FileModel):
     """Errors of the amplifiers' current sensors, a value for each: none where the block is left out."""
 
-    offset: Annotated[PerJoint[float], quantity("A", "What a sensor shows without a current.")] = (0.0,)
-    noise: Annotated[PerJoint[NotNegative], quantity("A", "Standard deviation of a sample, one in each base tick.")] = (
+    offset: Annotated[RowOf[float], quantity("A", "What a sensor shows without a current.")] = (0.0,)
+    noise: Annotated[RowOf[NotNegative], quantity("A", "Standard deviation of a sample, one in each base tick.")] = (
         0.0,
     )
-    resolution: Annotated[PerJoint[NotNegative], quantity("A", "Step of the converter; 0 for none.")] = (0.0,)
+    resolution: Annotated[RowOf[NotNegative], quantity("A", "Step of the converter; 0 for none.")] = (0.0,)
     bandwidth: Annotated[
         float,
         quantity("Hz", "Bandwidth of the current loop, through which the errors act on the torque.", gt=0.0),
@@ -104,11 +104,11 @@ class Windings(FileModel):
     """
 
     resistance: Annotated[
-        PerJoint[NotNegative],
+        RowOf[NotNegative],
         quantity("Ohm", "Resistance at the reference temperature; 0 for a constant temperature."),
     ]
-    thermal_resistance: Annotated[PerJoint[_PositiveOrEndless], quantity("K/W", "Between winding and surroundings.")]
-    heat_capacity: Annotated[PerJoint[_PositiveOrEndless], quantity("J/K", "Of the winding.")]
+    thermal_resistance: Annotated[RowOf[_PositiveOrEndless], quantity("K/W", "Between winding and surroundings.")]
+    heat_capacity: Annotated[RowOf[_PositiveOrEndless], quantity("J/K", "Of the winding.")]
     ambient: Annotated[_Degrees, quantity("°C", "Temperature of the surroundings.")]
     initial: Annotated[
         _Degrees | None,
@@ -146,16 +146,16 @@ class Elasticity(FileModel):
     """
 
     stiffness: Annotated[
-        PerJoint[_PositiveOrEndless],
+        RowOf[_PositiveOrEndless],
         quantity(
             "Nm/rad",
             "Stiffness between the motor, seen through its gear, and what it moves; .inf where that is rigid.",
         ),
     ]
-    damping: Annotated[PerJoint[NotNegative], quantity("Nm s/rad", "Damping beside the stiffness.")] = (0.0,)
-    backlash: Annotated[
-        PerJoint[_Play], quantity("rad", "Play: the way, at the joint, from one flank to the other.")
-    ] = (0.0,)
+    damping: Annotated[RowOf[NotNegative], quantity("Nm s/rad", "Damping beside the stiffness.")] = (0.0,)
+    backlash: Annotated[RowOf[_Play], quantity("rad", "Play: the way, at the joint, from one flank to the other.")] = (
+        0.0,
+    )
     friction: Annotated[
         Literal["motor", "link"], Field(description="The side on which the friction of the joints acts.")
     ] = "motor"
@@ -183,13 +183,13 @@ class Transmission(FileModel):
     """Gears and rotors."""
 
     gear: Annotated[
-        PerJoint[float],
+        RowOf[float],
         quantity(
             "1", "Motor revolutions per joint revolution; negative where they turn against each other.", path="gear"
         ),
     ]
     rotor_inertia: Annotated[
-        PerJoint[NotNegative], quantity("kg m^2", "Rotor inertia seen from the joint (armature).", path="rotor_inertia")
+        RowOf[NotNegative], quantity("kg m^2", "Rotor inertia seen from the joint (armature).", path="rotor_inertia")
     ]
     coupling: Annotated[
         _Rows,
@@ -213,11 +213,9 @@ class Motors(FileModel):
     """Motors and amplifiers."""
 
     torque_constant: Annotated[
-        PerJoint[Positive], quantity("Nm/A", "Motor torque per current, motor side.", path="torque_constant")
+        RowOf[Positive], quantity("Nm/A", "Motor torque per current, motor side.", path="torque_constant")
     ]
-    peak_current: Annotated[
-        PerJoint[Positive], quantity("A", "The most that the amplifier gives.", path="peak_current")
-    ]
+    peak_current: Annotated[RowOf[Positive], quantity("A", "The most that the amplifier gives.", path="peak_current")]
 
 
 class Encoders(FileModel):
@@ -234,20 +232,16 @@ class Encoders(FileModel):
 class Brakes(FileModel):
     """Closed brakes, joint side."""
 
-    torque: Annotated[PerJoint[Positive], quantity("Nm", "What the brake holds at most.", path="brake_torque")]
-    stiffness: Annotated[
-        PerJoint[Positive], quantity("Nm/rad", "Stiffness of the closed brake.", path="brake_stiffness")
-    ]
-    damping: Annotated[
-        PerJoint[NotNegative], quantity("Nm s/rad", "Damping of the closed brake.", path="brake_damping")
-    ]
+    torque: Annotated[RowOf[Positive], quantity("Nm", "What the brake holds at most.", path="brake_torque")]
+    stiffness: Annotated[RowOf[Positive], quantity("Nm/rad", "Stiffness of the closed brake.", path="brake_stiffness")]
+    damping: Annotated[RowOf[NotNegative], quantity("Nm s/rad", "Damping of the closed brake.", path="brake_damping")]
 
 
 class Springs(FileModel):
     """Gravity-compensation springs."""
 
     torque: Annotated[
-        PerJoint[NotNegative],
+        RowOf[NotNegative],
         quantity("Nm", "Amplitude k of the torque -k sin(q) on each joint; 0 for none.", path="spring_torque"),
     ]
 
@@ -255,10 +249,8 @@ class Springs(FileModel):
 class EndStops(FileModel):
     """Mechanical end stops, joint side."""
 
-    stiffness: Annotated[
-        PerJoint[NotNegative], quantity("Nm/rad", "Stiffness of the end stops.", path="stop_stiffness")
-    ]
-    damping: Annotated[PerJoint[NotNegative], quantity("Nm s/rad", "Damping of the end stops.", path="stop_damping")]
+    stiffness: Annotated[RowOf[NotNegative], quantity("Nm/rad", "Stiffness of the end stops.", path="stop_stiffness")]
+    damping: Annotated[RowOf[NotNegative], quantity("Nm s/rad", "Damping of the end stops.", path="stop_damping")]
 
 
 RIGID: Final = Elasticity(stiffness=(math.inf,))

@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import FileModel, Named, Row, quantity, read_model, refusal
+from rx90_common.base.models import FileModel, Named, Triple, quantity, read_model, refusal
 from rx90_common.base.quoting import counted, plain
 from rx90_common.description.chain import RigidChain, rigid_chain
 from rx90_common.description.urdf import Placement, UrdfFile, inertia_fault
@@ -27,7 +27,6 @@ MOUNT_LINK = "tool0"
 TOOL_LINK = "tool"
 TCP_LINK = "tcp"
 _COLOR = "0.75 0.15 0.15 1"
-_Triple: TypeAlias = Annotated[Row, Field(min_length=3, max_length=3)]
 _Degrees: TypeAlias = Annotated[
     tuple[Annotated[float, Field(ge=-360.0, le=360.0)], ...], Field(strict=False, min_length=3, max_length=3)
 ]
@@ -37,9 +36,9 @@ class Inertial(FileModel):
     """The tool as a rigid body."""
 
     mass: Annotated[float, quantity("kg", "Mass.", gt=0.0)]
-    center_of_mass: Annotated[_Triple, quantity("m", "Centre of mass.")]
+    center_of_mass: Annotated[Triple, quantity("m", "Centre of mass.")]
     inertia: Annotated[
-        Annotated[Row, Field(min_length=6, max_length=6)],
+        Annotated[tuple[float, ...], Field(strict=False, min_length=6, max_length=6)],
         quantity("kg m^2", "Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass; such as a body can have."),
     ]
 
@@ -54,11 +53,11 @@ class Inertial(FileModel):
 class ToolCentrePoint(FileModel):
     """The tool centre point."""
 
-    position: Annotated[_Triple, quantity("m", "Where it is.")]
+    position: Annotated[Triple, quantity("m", "Where it is.")]
     rpy_degrees: Annotated[_Degrees, quantity("deg", "Its roll, pitch and yaw about fixed axes.")]
 
 
-class Cylinders(Named[_Triple]):
+class Cylinders(Named[Triple]):
     """Cylinders along z of tool0, by names of your own: from, to, radius, m."""
 
     @model_validator(mode="after")

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, located
-from rx90_common.base.models import FileModel, PerJoint, Positive, quantity, read_model, refusal
+from rx90_common.base.models import FileModel, Positive, RowOf, quantity, read_model, refusal
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import Rates
 from rx90_common.description.coupling import ArmSize, gear_field
@@ -66,12 +66,12 @@ _Exponent: TypeAlias = Annotated[float, Field(ge=ALPHA_BOUNDS[0], le=ALPHA_BOUND
 class Servo(FileModel):
     """Gains of the loops."""
 
-    inertia: Annotated[PerJoint[_Inertia], quantity("kg m^2", "Nominal inertia, rotors included.", path="inertia")]
-    kp: Annotated[PerJoint[_Rate], quantity("1/s", "Proportional gain of the position loop.", path="kp")]
-    kv: Annotated[PerJoint[_Rate], quantity("1/s", "Gain of the velocity loop.", path="kv")]
-    ki: Annotated[PerJoint[_IntegralGain], quantity("1/s^3", "Integral gain.", path="ki")]
+    inertia: Annotated[RowOf[_Inertia], quantity("kg m^2", "Nominal inertia, rotors included.", path="inertia")]
+    kp: Annotated[RowOf[_Rate], quantity("1/s", "Proportional gain of the position loop.", path="kp")]
+    kv: Annotated[RowOf[_Rate], quantity("1/s", "Gain of the velocity loop.", path="kv")]
+    ki: Annotated[RowOf[_IntegralGain], quantity("1/s^3", "Integral gain.", path="ki")]
     integrator_limit: Annotated[
-        PerJoint[_Torque], quantity("Nm", "The most that the integrator gives.", path="integrator_limit")
+        RowOf[_Torque], quantity("Nm", "The most that the integrator gives.", path="integrator_limit")
     ]
 
 
@@ -95,7 +95,7 @@ class FeedForward(FileModel):
         bool,
         Field(description="Friction of the model, in place of Coulomb and viscous friction compensation."),
     ] = False
-    coulomb_torque: Annotated[PerJoint[_Torque], quantity("Nm", "Coulomb friction to compensate.", path="coulomb")]
+    coulomb_torque: Annotated[RowOf[_Torque], quantity("Nm", "Coulomb friction to compensate.", path="coulomb")]
     coulomb_velocity: Annotated[
         float,
         quantity(
@@ -107,10 +107,10 @@ class FeedForward(FileModel):
         ),
     ]
     viscous_friction: Annotated[
-        PerJoint[_Torque], quantity("Nm (s/rad)^viscous_exponent", "Viscous friction to compensate.", path="viscous")
+        RowOf[_Torque], quantity("Nm (s/rad)^viscous_exponent", "Viscous friction to compensate.", path="viscous")
     ]
     viscous_exponent: Annotated[
-        PerJoint[_Exponent],
+        RowOf[_Exponent],
         quantity("1", "Exponent of the viscous friction to compensate.", path="viscous_exponent"),
     ] = (1.0,)
 
@@ -130,7 +130,7 @@ class CurrentLoop(FileModel):
 
     bandwidth: Annotated[float, quantity("Hz", "Bandwidth of the current loop.", gt=0.0, path="current_bandwidth")]
     slew_rate: Annotated[
-        PerJoint[Positive], quantity("A/s", "The amplifier's fastest change of current.", path="current_slew")
+        RowOf[Positive], quantity("A/s", "The amplifier's fastest change of current.", path="current_slew")
     ]
 
 
@@ -138,7 +138,7 @@ class Supervision(FileModel):
     """What cuts the power, joint by joint."""
 
     following_error: Annotated[
-        PerJoint[Annotated[float, Field(gt=0.0, le=1.0)]],
+        RowOf[Annotated[float, Field(gt=0.0, le=1.0)]],
         quantity("rad", "Position error at which the power is cut.", path="following_error"),
     ]
     over_speed: Annotated[
@@ -161,7 +161,7 @@ class TrajectoryLimits(FileModel):
         quantity("rad", "How far a trajectory may start from the held set-point.", ge=0.0, path="start_tolerance"),
     ]
     max_acceleration: Annotated[
-        PerJoint[Positive],
+        RowOf[Positive],
         quantity("rad/s^2", "The most that a set-point may ask of each joint.", path="max_acceleration"),
     ]
 

@@ -54,7 +54,7 @@ from rx90_emulator.loop.setup import Setup
 from tools import schemas
 
 ROOT = Path(__file__).resolve().parents[3]
-WRONG = (None, "text", True, 7, -3.5, 0, 1e400, -1e30, 0.5, [], [1.0], {}, {"odd": 1})
+WRONG = (None, "text", True, 7, -3.5, 0, -1e30, 0.5, [], [1.0], {}, {"odd": 1})
 MUTATIONS = 25  # of each kind
 TOGETHER = re.compile(
     r"positive definite inertia|principal moments|from < to|counts_per_turn is missing|2 numbers, each|ends? at|"
