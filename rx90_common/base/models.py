@@ -57,14 +57,34 @@ class Model(BaseModel):
         frozen=True, strict=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants"
     )
 
+    def __iter__(self) -> Iterator[tuple[str, Any]]:  # type: ignore[override] - of pydantic, a generator
+        """Yield names and values of the fields, and not what has been computed of them."""
+        fields = type(self).model_fields
+        yield from ((name, value) for name, value in self.__dict__.items() if name in fields)
+        yield from (self.__pydantic_extra__ or {}).items()
+
     def replaced(self: AnyModel, **changes: Any) -> AnyModel:
         """Return a copy with other values, checked like those of a file.
+
+        Args:
+            changes: by field; of a model in the model a mapping with the fields that change.
 
         Raises:
             ConfigError: naming the value and what is accepted.
         """
         with refusals(type(self)):
-            return type(self).model_validate({**self.__dict__, **changes})
+            return type(self).model_validate(_with_changes(self, changes))
+
+
+def _with_changes(model: Model, changes: Mapping[str, Any]) -> dict[str, Any]:
+    values = dict(model)
+    for name, value in changes.items():
+        inner = values.get(name)
+        if isinstance(inner, Model) and isinstance(value, dict):
+            values[name] = _with_changes(inner, value)
+        else:
+            values[name] = value
+    return values
 
 
 class FileModel(Model):
@@ -138,6 +158,7 @@ def quantity(
     ge: float | None = None,
     le: float | None = None,
     accepted: str = "",
+    path: str = "",
 ) -> Any:
     """Return the Field of a physical quantity.
 
@@ -148,10 +169,14 @@ def quantity(
         ge: its least value.
         le: its largest value.
         accepted: the accepted values in words, where the bounds do not say it.
+        path: its name in paths of sweeps, where that is not made of those of its mappings; it stands for the whole
+            way from the file's top.
     """
     extra: dict[str, Any] = {"unit": unit}
     if accepted:
         extra["accepted"] = accepted
+    if path:
+        extra["path"] = path
     return Field(description=description, gt=gt, ge=ge, le=le, json_schema_extra=extra)
 
 
@@ -172,12 +197,6 @@ def _plain_list(value: Any) -> Any:
 
 Row: TypeAlias = Annotated[tuple[float, ...], Field(strict=False)]
 """Numbers, of a list in a file."""
-Positive: TypeAlias = Annotated[float, Field(gt=0.0)]
-NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
-PerJoint: TypeAlias = Annotated[
-    tuple[Item, ...], Field(strict=False, min_length=1, max_length=MAX_JOINTS), BeforeValidator(_plain_list)
-]
-"""Values of the joints, or the motors, of an arm: of a list in a file, or of an array in Python."""
 NotZero: TypeAlias = Annotated[
     float,
     AfterValidator(_not_zero),
@@ -185,8 +204,16 @@ NotZero: TypeAlias = Annotated[
 ]
 Triple: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=3, max_length=3)]
 """Three numbers, such as those of a place."""
+PerJoint: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=MAX_JOINTS)]
+"""A number for each joint."""
 Names: TypeAlias = Annotated[tuple[str, ...], Field(strict=False)]
 """Texts, of a list in a file."""
+Positive: TypeAlias = Annotated[float, Field(gt=0.0)]
+NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
+RowOf: TypeAlias = Annotated[
+    tuple[Item, ...], Field(strict=False, min_length=1, max_length=MAX_JOINTS), BeforeValidator(_plain_list)
+]
+"""Values of the joints, or the motors, of an arm: of a list in a file, or of an array in Python."""
 
 
 def refusal(key: str, value: object, accepted: str) -> PydanticCustomError:
@@ -264,6 +291,12 @@ def unit_at(root: JsonSchema, place: Place, content: Any) -> str:
             if "unit" in schema:
                 return str(schema["unit"])
     return ""
+
+
+def path_of(model: type[BaseModel], field: str) -> str:
+    """Return the name that a field's `quantity` gives it in paths of sweeps, empty if it has none."""
+    extra = model.model_fields[field].json_schema_extra
+    return str(extra.get("path", "")) if isinstance(extra, dict) else ""
 
 
 @contextmanager

@@ -18,10 +18,10 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import DEFINITIONS
 from rx90_common.base.models import FileModel, Model, Named, fault_lines, json_schema, quantity, read_model
 from rx90_common.base.quoting import plain
-from rx90_common.description.drives import DRIVES, load_drives
-from rx90_common.description.robot import TOOL, load_tool
+from rx90_common.description.drives import DriveParameters, load_drives
+from rx90_common.description.robot import Tool, load_tool
 from rx90_common.friction.friction_file import FRICTION, FrictionFile
-from rx90_controller.law.parameters import CONTROLLER, load_controller
+from rx90_controller.law.parameters import CS7BParameters, load_controller
 from rx90_controller.lines.task import TaskFile, load_task
 from rx90_emulator.correction.file import CorrectionHead, load_correction
 from rx90_emulator.identification.experiments.plan import ExperimentsFile, Poses, PosesFile, read_index
@@ -104,10 +104,10 @@ class FileKind:
 
 
 KINDS = (
-    FileKind("drives", DRIVES, load_drives),
-    FileKind("tool", TOOL, load_tool),
+    FileKind("drives", DriveParameters, load_drives),
+    FileKind("tool", Tool, load_tool),
     FileKind("friction", FRICTION, FrictionFile.read),
-    FileKind("controller", CONTROLLER, load_controller),
+    FileKind("controller", CS7BParameters, load_controller),
     FileKind("task", TaskFile, load_task),
     FileKind("path", PathFile, load_path),
     FileKind("poses", PosesFile, Poses.load),

@@ -46,7 +46,7 @@ class CorrectedPath(FileModel):
     identity: Annotated[str, Field(description="Digest of its points.")]
     speed: Annotated[float, quantity("m/s", "Largest speed of the tip.", gt=0.0)]
     duration: Annotated[float, quantity("s", "From first to last point.", gt=0.0)]
-    start: Annotated[PerJoint[float], quantity("rad", "Where it begins.")]
+    start: Annotated[PerJoint, quantity("rad", "Where it begins.")]
 
 
 class Offsets(FileModel):

@@ -13,7 +13,7 @@ import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rx90_common.base.declared import Declared, declarations
 from rx90_common.base.entries import Integer, ListOf, Number, Other, Rows, Switch
 from rx90_common.base.errors import ConfigError, check_type, located
+from rx90_common.base.models import Model, path_of, unit_of
 from rx90_common.base.quoting import nearest, question, quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
@@ -40,6 +41,7 @@ SWITCH = "switch"
 """Stands where the unit would, for values that are true or false."""
 
 ARM_UNITS = {"mass": "kg", "com": "m", "inertia": "kg m^2"}
+ModelOfFile = TypeVar("ModelOfFile", bound=Model)
 Motion = TypeVar("Motion", bound="LineTask | Path")
 TASK_UNITS = {
     "start": "m", "end": "m", "speed": "m/s", "acceleration": "m/s^2", "start_rpy": "rad", "end_rpy": "rad",
@@ -105,8 +107,8 @@ class Catalogue:
         check_type(setup=(setup, Setup))
         self._units: dict[Key, str] = {("arm", "seed"): "1"}
         self._values: dict[Key, Any] = {("arm", "seed"): setup.seed}
-        self._add_declared(("drives",), setup.drives)
-        self._add_declared(("controller",), setup.controller)
+        self._add_model("drives", setup.drives)
+        self._add_model("controller", setup.controller)
         for field, unit in TASK_UNITS.items():
             if hasattr(task, field):
                 self._units["task", field] = unit
@@ -123,6 +125,14 @@ class Catalogue:
         for name, parameter in itertools.product(setup.friction.names, FRICTION_PARAMETERS):
             keys = tuple(("friction", name, field) for field in parameter.attributes)
             self._names["friction", name, parameter.name] = keys
+
+    def _add_model(self, top: str, model: Model) -> None:
+        """Add all numbers and switches of a file."""
+        for key, place in ways(type(model)).items():
+            value = _value_of(model, place.names)
+            if np.size(value):
+                self._units[(top, *key)] = place.unit
+                self._values[(top, *key)] = value
 
     def _add_declared(self, prefix: Key, holder: Declared) -> None:
         """Add all numbers and switches that a declared object holds, and what it holds of others."""
@@ -240,6 +250,78 @@ def apply(setup: Setup, task: Motion, values: Mapping[Leaf, Value]) -> tuple[Set
     return _changed(setup, tree), replace(task, **_fields(task, tree["task"])) if "task" in tree else task
 
 
+class Way(NamedTuple):
+    """Where a value of a file stands: the names of its mappings and its own, and its unit or SWITCH."""
+
+    names: Key
+    unit: str
+
+
+@cache
+def ways(model: type[Model], above: Key = ()) -> dict[Key, Way]:
+    """Return where the values of a file stand, by their names in paths.
+
+    Args:
+        model: of the file, or of a mapping in it.
+        above: the names of the mappings around it.
+    """
+    found: dict[Key, Way] = {}
+    for name, field in model.model_fields.items():
+        names = (*above, name)
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Model):
+            found |= ways(field.annotation, names)
+        elif field.annotation is bool:
+            found[names] = Way(names, SWITCH)
+        elif unit_of(model, name):
+            short = path_of(model, name)
+            found[(short,) if short else names] = Way(names, unit_of(model, name))
+    return found
+
+
+def _value_of(model: Model, names: Key) -> Any:
+    """Return the value at a place in a file."""
+    value: Any = model
+    for name in names:
+        value = getattr(value, name)
+    return value
+
+
+def _changed_model(where: str, model: ModelOfFile, tree: Mapping[str, Any]) -> ModelOfFile:
+    """Return a file's content with some values changed."""
+    changes: dict[str, Any] = {}
+    for key, entries in _entries(tree).items():
+        way = ways(type(model))[key].names
+        old = _value_of(model, way)
+        inner = changes
+        for name in way[:-1]:
+            inner = inner.setdefault(name, {})
+        inner[way[-1]] = _with_entries(old, entries)
+    with located(where):
+        return model.replaced(**changes)
+
+
+def _entries(tree: Mapping[Any, Any], above: Key = ()) -> dict[Key, dict[Index, Value]]:
+    found: dict[Key, dict[Index, Value]] = {}
+    for name, inner in tree.items():
+        if isinstance(name, tuple):
+            found.setdefault(above, {})[name] = inner
+        else:
+            found |= _entries(inner, (*above, name))
+    return found
+
+
+def _with_entries(old: Any, entries: Mapping[Index, Value]) -> Any:
+    """Return a value, or rows of values, with some of them changed."""
+    if () in entries:
+        value = entries[()]
+        whole = type(old) is int and isinstance(value, float) and value.is_integer()
+        return int(value) if whole else value
+    numbers = np.array(old, dtype=np.float64)
+    for index, value in entries.items():
+        numbers[index] = value
+    return numbers.tolist()
+
+
 def _tree(values: Mapping[Leaf, Value]) -> dict[str, Any]:
     """Return values by the names of their paths, one below the other; those of a leaf by their index."""
     tree: dict[Any, Any] = {}
@@ -252,7 +334,11 @@ def _tree(values: Mapping[Leaf, Value]) -> dict[str, Any]:
 
 
 def _changed(setup: Setup, tree: Mapping[str, Any]) -> Setup:
-    new = {name: _replaced(name, getattr(setup, name), tree[name]) for name in ("drives", "controller") if name in tree}
+    new: dict[str, Any] = {}
+    if "drives" in tree:
+        new["drives"] = _changed_model("drives", setup.drives, tree["drives"])
+    if "controller" in tree:
+        new["controller"] = _changed_model("controller", setup.controller, tree["controller"])
     if "friction" in tree:
         elements = zip(setup.friction.names, setup.friction.elements, strict=True)
         changed = [_replaced(f"friction.{name}", one, tree["friction"].get(name, {})) for name, one in elements]

@@ -72,14 +72,14 @@ class Experiment:
 class HomePose(FileModel):
     """Where every experiment begins and ends."""
 
-    position: Annotated[PerJoint[float], quantity("rad", "Joint positions.")]
+    position: Annotated[PerJoint, quantity("rad", "Joint positions.")]
 
 
 class PoseList(FileModel):
     """Where experiments take place."""
 
     positions: Annotated[
-        tuple[PerJoint[float], ...], Field(strict=False, min_length=1), quantity("rad", "Joint positions of each pose.")
+        tuple[PerJoint, ...], Field(strict=False, min_length=1), quantity("rad", "Joint positions of each pose.")
     ]
 
     @field_validator("positions")

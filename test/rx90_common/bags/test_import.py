@@ -214,7 +214,7 @@ EXACT = "delimiter: ','\nheader: 1\nexact: true\n"
         (
             ("rad", "rad, counts_per_turn: 4096"),
             b"1,2,3",
-            "position.counts_per_turn is 4096.0; accepted: none beside unit rad",
+            "counts_per_turn is 4096.0; accepted: none beside unit rad",
         ),
         (("rad", "rad, factor: [1, 0]"), b"1,2,3", "position.factor[1] is 0; accepted: a finite number other than 0"),
         (("rad", "rad, file: 2"), b"1,2,3", ": 1 log; accepted: 2, those that "),
@@ -223,7 +223,7 @@ EXACT = "delimiter: ','\nheader: 1\nexact: true\n"
         (
             ("[a, b]", '[a, "b\\0"]'),
             b"1,2,3",
-            "joint_states.names is ['a', 'b\\x00']; accepted: a list of texts, one or more, each once, without NUL",
+            "joint_states.names is ['a', 'b\\x00']; accepted: a list of texts",
         ),
         (("", ""), b"t,qa,qb\n", "log.csv: holds no row of numbers"),
         (("", ""), b"x,a,3\n", "log.csv: every row is corrupt: 1 corrupt row, line 1 (line 1: col"),

@@ -80,10 +80,9 @@ def test_all_problems_of_files_are_told_with_their_lines(arm: Path, capsys: Capt
     said = capsys.readouterr().out.splitlines()
     assert said[1:3] == [
         f"{tool}:{line_of(tool, 'mass:')}: inertial.mass is -3.5; accepted: a number > 0",
-        f"{tool}:{line_of(tool, 'beam:')}: visual.cylinders.beam[0] is 'high'; accepted: 3 numbers, "
-        "each a finite number",
+        f"{tool}:{line_of(tool, 'beam:')}: visual.cylinders.beam[0] is 'high'; accepted: a finite number",
     ]
-    colour = f"{tool}:{line_of(tool, 'colour:')}: \\u202ecolour is not a known key; accepted: collision, inertial, tcp"
+    colour = f"{tool}:{line_of(tool, 'colour:')}: \\u202ecolour is not a known key; accepted: inertial, tcp, "
     assert said[0].startswith(colour)
     assert said[3].startswith(f"{friction}:{line_of(friction, 'joint_3:')}: elements.joint_3: tau_s_positive is 23.0")
     assert re.match(rf"{re.escape(str(task))}:\d+: not valid YAML", said[4])

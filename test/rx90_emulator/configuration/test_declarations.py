@@ -40,7 +40,6 @@ from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.groups import Either, Entries, Group, Variants
 from rx90_common.base.quoting import quoted
 from rx90_common.base.share import config_path
-from rx90_common.description.drives import Cogging, CurrentSensor, Elasticity, Windings
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_common.friction.parts.load import LoadPart
@@ -179,20 +178,6 @@ def test_what_joint_trajectory_controller_alone_has_is_taken_out() -> None:
             declared("rx90_controller", {name: 1.0})
 
 
-SIX = [0.1] * 6
-BLOCKS: dict[str, dict[str, Any]] = {
-    "drives": {
-        "cogging": {"harmonic": [6.0], "amplitude": [SIX], "phase": [SIX]},
-        "winding": {
-            "resistance": SIX, "thermal_resistance": SIX, "heat_capacity": SIX, "ambient": 25.0, "initial": 25.0,
-            "derating": 120.0, "limit": 140.0, "reference": 20.0, "coefficient": 0.004,
-        },
-        "current_sensor": {"offset": SIX, "noise": SIX, "resolution": SIX, "bandwidth": 800.0},
-        "elasticity": {"stiffness": SIX, "damping": SIX, "backlash": SIX, "friction": "link"},
-    },
-    "controller": {"model": {"urdf": "a", "drives": "b", "friction": "c", "tool": "none"}},
-}  # fmt: skip
-"""What the shipped files leave out."""
 WRONG_KINDS = ("text", None, True, [], [1.0], {})
 
 
@@ -275,7 +260,7 @@ def contents(samples: list[tuple[str, Path]]) -> dict[str, list[Any]]:
     for kind, path in samples:
         if kind in found:
             data = load_yaml(path, first=True).content
-            found[kind] += [data, *({**data, name: block} for name, block in BLOCKS.get(kind, {}).items())]
+            found[kind].append(data)
     return found
 
 
@@ -353,20 +338,17 @@ def test_a_misspelt_key_is_the_first_thing_named(
     assert misspelt
 
 
-ONE = np.full(6, 0.1)
 OBJECTS = (
     LoadPart(0.1, 0.2), RipplePart((1.0,), (0.05,)), ScatterPart(0.01, 10.0), ElastoPlastic(0.5),
-    MaxwellSlip((0.5, 0.5), (0.4, 0.6), 2.0), CurrentSensor(ONE, ONE, ONE, 800.0), Elasticity(ONE),
-    Cogging(np.ones(1), np.ones((1, 6)), np.zeros((1, 6))),
-    Windings(ONE, ONE, ONE, ambient=25.0, derating=120.0, limit=140.0),
+    MaxwellSlip((0.5, 0.5), (0.4, 0.6), 2.0),
     TemperaturePart(20.0, 0.0, 60.0, 20.0, 20.0, 1e4, 0.5, 30.0),
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("index", range(len(OBJECTS) + 9))
+@pytest.mark.parametrize("index", range(len(OBJECTS) + 7))
 def test_each_field_is_refused_in_python_as_in_a_file(index: int, shipped: Setup) -> None:
     """A declared dataclass refuses what its declarations exclude, by its own name and that of the field."""
-    own = (shipped.drives, shipped.controller, *shipped.friction.elements)
+    own = shipped.friction.elements
     good: Declared = (*OBJECTS, *own)[index]
     for name, one in declarations(type(good)).items():
         if one.in_python is None or one.by_owner or isinstance(one.in_python, Other | ListOf | Rows):
