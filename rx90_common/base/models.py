@@ -45,6 +45,7 @@ MAX_JOINTS: Final = 7
 """Joints that an arm may have."""
 
 _REFUSED: Final = "refused"
+_UNKNOWN_KEY: Final = "extra_forbidden"
 _TYPING_ERROR: Final = 0.8
 """Likeness of a misspelt key to the missing one that is meant, where other keys are accepted, too."""
 _BRANCH_FAULTS: Final = {"union_tag_invalid", "union_tag_not_found"}
@@ -323,22 +324,19 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
         where: what contains the values, such as a file.
         content: that was validated, if it came from a file.
     """
-    schema = model.model_json_schema(by_alias=True)
-    faults = error.errors(include_url=False)
-    unknown = [fault for fault in faults if fault["type"] == "extra_forbidden"]
-    known = [fault for fault in faults if fault["type"] != "extra_forbidden"]
+    schema = model.model_json_schema()
+    faults = [(fault, _place_of(fault, content)) for fault in error.errors(include_url=False)]
+    places = [place for _, place in faults]
     lines: list[str] = []
     meant: set[Place] = set()
-    for fault in unknown:
-        *around, key = fault["loc"]
-        place = _place_in_file(tuple(around), content)
-        node = schema_at(schema, place, content)
-        near = nearest(str(key), _missing(node, value_at(content, place)))
-        meant.add((*place, near))
-        lines.append(_unknown_key(where, (*place, key), near, node))
-    places = [_place_of(fault, content) for fault in known]
-    for fault, place in zip(known, places, strict=True):
-        if any(len(inner) > len(place) and inner[: len(place)] == place for inner in places):
+    for fault, place in faults:
+        if fault["type"] == _UNKNOWN_KEY:
+            node = schema_at(schema, place[:-1], content)
+            near = nearest(str(place[-1]), _missing(node, value_at(content, place[:-1])))
+            meant.add((*place[:-1], near))
+            lines.append(_unknown_key(where, place, near, node))
+    for fault, place in faults:
+        if fault["type"] == _UNKNOWN_KEY or any(inner != place and inner[: len(place)] == place for inner in places):
             continue  # of several kinds of value, another one is meant
         if fault["type"] == "missing":
             if place in meant:

@@ -26,7 +26,7 @@ from rx90_controller.lines.task import TaskFile, load_task
 from rx90_emulator.correction.file import CorrectionHead, load_correction
 from rx90_emulator.identification.experiments.plan import ExperimentsFile, Poses, PosesFile, read_index
 from rx90_emulator.loop.path_file import PathFile, TrajectoryFile, load_path, load_trajectory
-from rx90_emulator.sweep.plan import PLAN, load_sweep_plan
+from rx90_emulator.sweep.plan import PlanFile, load_sweep_plan
 
 NODE_PARAMETERS = "node_parameters"
 """The name of the kind of the nodes' parameter files."""
@@ -113,7 +113,7 @@ KINDS = (
     FileKind("poses", PosesFile, Poses.load),
     FileKind("moveit_limits", MoveItLimits, lambda path: read_model(MoveItLimits, path)),
     FileKind("rig", RIG, load_rig),
-    FileKind("sweep_plan", PLAN, _read_sweep),
+    FileKind("sweep_plan", PlanFile, _read_sweep),
     FileKind(
         "trajectory",
         TrajectoryFile,
