@@ -8,17 +8,15 @@ number, and as many again for the series.
 from __future__ import annotations
 
 import csv
-import heapq
 import io
 import math
 from bisect import bisect_left, bisect_right
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal, DecimalException
 from itertools import islice, pairwise
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -28,19 +26,10 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from rx90_common.bags.batch import Int64Array, series_encoder
-from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.joint_series import Int64Array, JointSeries
+from rx90_common.bags.limits import DamagedError, check_arrays, library_errors, load_arrays
 from rx90_common.bags.mapping import ARRAYS, DELIMITERS, SECONDS, UNITS, Column, LogMapping, mapping_of
-from rx90_common.bags.storage_files import (
-    BagTopic,
-    DamagedError,
-    LoggedMessage,
-    StorageFile,
-    check_arrays,
-    library_errors,
-    load_arrays,
-)
-from rx90_common.bags.topics import JOINT_STATE, absolute
+from rx90_common.bags.topics import absolute
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
@@ -106,7 +95,11 @@ def corrupt_text(corrupt: Sequence[tuple[int, str]]) -> str:
 
 
 def read_logs(
-    paths: Sequence[Path], mapping: LogMapping | None, more: Callable[[int], None], *, skip_corrupt: bool = False
+    paths: Sequence[Path],
+    mapping: LogMapping | None = None,
+    more: Callable[[int], object] = int,
+    *,
+    skip_corrupt: bool = False,
 ) -> ReadLog:
     """Read logs whose rows belong together.
 
@@ -214,7 +207,7 @@ class _Log(NamedTuple):
     faults: dict[int, str]
 
 
-def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int], None]) -> _Log:
+def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int], object]) -> _Log:
     """Read the log of this number, from 1 on, in a mapping."""
     source = _open_arrays(path, more) if path.suffix.lower() in ARRAYS else _open_text(path, mapping, more)
     time, used = _places(path, source, mapping, number)
@@ -300,7 +293,7 @@ def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tu
     return time, used
 
 
-def _open_arrays(path: Path, more: Callable[[int], None]) -> _Source:
+def _open_arrays(path: Path, more: Callable[[int], object]) -> _Source:
     """Open a log of arrays: columns of Parquet; of NPZ those of shape (n,), and each column of (n, k), as `q[0]`."""
     there: dict[str, NDArray[Any]] = {}
     parquet = path.suffix.lower() == ".parquet"
@@ -337,7 +330,7 @@ def _open_arrays(path: Path, more: Callable[[int], None]) -> _Source:
     return _Source(names, len(names), f"{len(names)} columns {listed(names)}", ".", rows)
 
 
-def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], None]) -> _Source:
+def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], object]) -> _Source:
     """Open a log of text, which may be a pipe."""
     comments: list[str] = []
     lines = _rows_of(path, more, None if mapping.exact else comments)
@@ -374,7 +367,7 @@ def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], None]) -> 
     return _Source(header, width, dialect, decimal, rows)
 
 
-def _rows_of(path: Path, more: Callable[[int], None], comments: list[str] | None) -> Iterator[tuple[int, str]]:
+def _rows_of(path: Path, more: Callable[[int], object], comments: list[str] | None) -> Iterator[tuple[int, str]]:
     """Yield lines with their numbers, from 1 on; without blank ones and comments, the first of which go into the list.
 
     Bytes of a damaged log that are no text make a corrupt row, not an unreadable file. Without a list all lines are
@@ -489,37 +482,6 @@ def _dialect(lines: Sequence[str], mapping: LogMapping) -> tuple[str, str]:
         return 2 * sum(not math.isnan(_number(text, pair[1])) for text in texts) - len(texts)
 
     return max(choice, key=score)
-
-
-class TableFile(StorageFile):
-    """A log in columns as a storage file of a bag, so that CSV, Parquet and NPZ can be read like bags.
-
-    Args:
-        path: of the log.
-        mapping: of its columns; by default the file beside the log.
-
-    Attributes:
-        effort_units: of topics whose efforts are not in the usual unit of their names.
-    """
-
-    def __init__(self, path: Path, mapping: LogMapping | None) -> None:
-        self.kind = path.suffix.lower().removeprefix(".")
-        self._series = read_logs([path], mapping, lambda _: None).series
-        self.topics = {k: BagTopic(one.topic, JOINT_STATE, len(one.stamp_ns)) for k, one in enumerate(self._series)}
-        self.effort_units = {one.topic: one.effort_unit for one in self._series if one.effort_unit}
-
-    def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
-        """Yield the messages of these topics in the order of their stamps."""
-
-        def each(key: int) -> Iterator[LoggedMessage]:
-            stamp_ns = self._series[key].stamp_ns
-            encode = series_encoder(self._series[key])
-            for begin in range(0, len(stamp_ns), _BLOCK):
-                rows = np.arange(begin, min(begin + _BLOCK, len(stamp_ns)))
-                for stamp, data in zip(stamp_ns[rows].tolist(), encode(rows), strict=True):
-                    yield key, stamp, data
-
-        yield from heapq.merge(*map(each, sorted(keys)), key=itemgetter(1))
 
 
 def exported_logs(folder: Path) -> list[tuple[list[Path], LogMapping]]:
