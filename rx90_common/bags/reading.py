@@ -168,13 +168,14 @@ class BagReader:
             chosen.append(by_name[name])
         return chosen
 
-    def series(
+    def joint_states(
         self, topics: Collection[BagTopic], progress: Progress = silent, *, record_time: bool = False
-    ) -> dict[str, list[JointSeries]]:
-        """Return by topic of joint states a series for each set of joints, in the order of their first messages."""
+    ) -> JointBag:
+        """Return the series of these topics of joint states."""
+        names = [topic.name for topic in topics]
         if self.table:
-            names = [topic.name for topic in topics]
-            return {series.topic: [series] for series in self.table if series.topic in names}
+            series = {one.topic: [one] for one in self.table if one.topic in names}
+            return JointBag(self.path, self.topics, series, self.notes)
         builders: dict[int, SeriesBuilder] = {}  # to hash a topic takes 0.5 us
         for topic in topics:
             unit = self.effort_units.get(topic.name, "")
@@ -189,7 +190,8 @@ class BagReader:
                     progress(done, total)
             if total > _STEP:
                 progress(total, total)
-            return {topic.name: builders[id(topic)].build() for topic in topics}
+            series = dict(zip(names, (builder.build() for builder in builders.values()), strict=True))
+        return JointBag(self.path, self.topics, series, self.notes)
 
     def _read_metadata(self) -> Counter[tuple[str, str]] | None:
         """Find files and units of efforts in metadata.yaml; return the messages of each topic and type, if any."""
@@ -336,12 +338,12 @@ def read_joint_bag(
         all_there: whether topics that are not there are refused.
     """
     with BagReader(path, mapping) as bag:
-        held = bag.topics
-        names = None if topics is None else {*map(absolute, topics)}
-        wanted = [topic for topic in held if topic.is_joint_state and (names is None or topic.name in names)]
         if topics is not None and all_there:
             wanted = bag.series_topics(topics, filled=False)
-        return JointBag(bag.path, held, bag.series(wanted, progress, record_time=record_time), bag.notes)
+        else:
+            names = None if topics is None else {*map(absolute, topics)}
+            wanted = [topic for topic in bag.topics if topic.is_joint_state and (names is None or topic.name in names)]
+        return bag.joint_states(wanted, progress, record_time=record_time)
 
 
 def read_joint_states(

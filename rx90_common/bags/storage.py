@@ -215,6 +215,7 @@ class _McapFile(StorageFile):
         pending: list[LoggedMessage] = []
         with library_errors():
             for part, next_ns in self._parts(keys):
+                check_length("a message", max((len(data) for _, _, data in part), default=0), MAX_MESSAGE_BYTES)
                 pending += part
                 pending.sort(key=itemgetter(1))
                 end = bisect_left(pending, next_ns, key=itemgetter(1))
