@@ -422,8 +422,9 @@ def _records(content: bytes | memoryview, first: int = 0, last: int | None = Non
         DamagedError: if these do not fill the bytes exactly.
     """
     part = np.frombuffer(content, np.uint8)[first:last]
-    rows = np.empty((_find_records(part.ctypes.data, len(part), part.ctypes.data, 0), 5), dtype=np.int64)
-    _find_records(part.ctypes.data, len(part), rows.ctypes.data, len(rows))
+    find_records = _find_records()
+    rows = np.empty((find_records(part.ctypes.data, len(part), part.ctypes.data, 0), 5), dtype=np.int64)
+    find_records(part.ctypes.data, len(part), rows.ctypes.data, len(rows))
     if whole and (rows[-1, 4] if len(rows) else 0) != len(part):
         raise DamagedError("its records do not fill it")
     rows[:, 3:] += first

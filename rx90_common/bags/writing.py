@@ -99,6 +99,7 @@ class _McapBatches(McapWriter):
 
     def __init__(self, path: Path, compression: CompressionMode) -> None:
         super().__init__(path, compression)
+        self._write_records = _write_records()
         self._index: dict[int, list[bytes]] = {}  # of the pending chunk, by channel: times and places
 
     def write_many(self, channel: Int64Array, log_ns: Int64Array, messages: MessageBatch) -> None:
@@ -113,7 +114,7 @@ class _McapBatches(McapWriter):
             columns = (messages.start, messages.size, channel, log_ns)
             starts, sizes, numbers, times = (np.ascontiguousarray(one[begin:end]) for one in columns)
             records = np.empty(int(size[begin:end].sum()), dtype=np.uint8)
-            _write_records(
+            self._write_records(
                 messages.data.ctypes.data, starts.ctypes.data, sizes.ctypes.data, numbers.ctypes.data,
                 times.ctypes.data, end - begin, records.ctypes.data,
             )  # fmt: skip

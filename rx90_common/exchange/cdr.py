@@ -354,6 +354,7 @@ class JointStateCodec:
             present: _Layout(self.names, frame_id, present) for present in product((True, False), repeat=_BLOCKS)
         }
         self._expected = self._layouts[True, True, True]
+        self._read_frame = _read_frame()
 
     def encode(
         self, stamp_ns: int, position: Array | None = None, velocity: Array | None = None, effort: Array | None = None
@@ -395,13 +396,14 @@ class JointStateCodec:
         message = layout.outgoing[_MARGIN:]
         outgoing_at = layout.outgoing_at
         shape_at = layout.shape_at
+        write_frame = _write_frame()
 
         # A default argument, so that the owners of the addresses live as long as these are used, also without this
         # codec.
         def encode(stamp_ns: int, _kept: object = (arrays, layout)) -> bytes:
             if not 0 <= stamp_ns <= _MAX_STAMP_NS:
                 raise ExchangeError(f"stamp is {stamp_ns} ns; accepted: 0 to {_MAX_STAMP_NS}")
-            _write_frame(stamp_ns, outgoing_at, first, second, third, shape_at)
+            write_frame(stamp_ns, outgoing_at, first, second, third, shape_at)
             return message.tobytes()
 
         return encode
@@ -448,7 +450,7 @@ class JointStateCodec:
         """
         layout = self._expected
         if len(raw) == layout.size:
-            stamp_ns = _read_frame(raw, *layout.reading)
+            stamp_ns = self._read_frame(raw, *layout.reading)
             if stamp_ns != _NO_MATCH:
                 position, velocity, effort = layout.views  # faster than `*layout.views`
                 return stamp_ns, position, velocity, effort
