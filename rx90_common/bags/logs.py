@@ -89,7 +89,7 @@ class ReadLog:
         rate = f", {(good - 1) / seconds:.6g} Hz, longest gap {gap:.6g} s" if seconds else ""
         lines = [
             *(f"{plain(path)}: {dialect}" for path, dialect in zip(self.paths, self.dialects, strict=True)),
-            f"{good} of {self.rows} rows in {seconds:.6g} s{rate}",
+            f"{good} of {counted(self.rows, 'row')} in {seconds:.6g} s{rate}",
             *(f"{one.topic}: {counted(len(one.names), 'joint')}" for one in self.series),
         ]
         return "\n".join([*lines, *([f"left out: {corrupt_text(self.corrupt)}"] if self.corrupt else [])])
@@ -100,8 +100,8 @@ def corrupt_text(corrupt: Sequence[tuple[int, str]]) -> str:
     lines = [line for line, _ in corrupt]
     starts = [0, *(k + 1 for k, (a, b) in enumerate(pairwise(lines)) if b != a + 1), len(lines)]
     parts = [f"{lines[a]}" if b - a == 1 else f"{lines[a]}-{lines[b - 1]}" for a, b in pairwise(starts)]
-    more = f" and {len(parts) - _MAX_RANGES} more places" if len(parts) > _MAX_RANGES else ""
-    rows = f"{len(corrupt)} corrupt row{'s' * (len(corrupt) > 1)}"
+    more = f" and {counted(len(parts) - _MAX_RANGES, 'more place')}" if len(parts) > _MAX_RANGES else ""
+    rows = counted(len(corrupt), "corrupt row")
     return f"{rows}, line {', '.join(parts[:_MAX_RANGES])}{more} (line {lines[0]}: {corrupt[0][1]})"
 
 
@@ -334,7 +334,7 @@ def _open_arrays(path: Path, more: Callable[[int], None]) -> _Source:
         more(path.stat().st_size)
         yield np.arange(1, counts.pop() + 1), columns, {}
 
-    return _Source(names, len(names), f"{len(names)} columns {listed(names)}", ".", rows)
+    return _Source(names, len(names), f"{counted(len(names), 'column')} {listed(names)}", ".", rows)
 
 
 def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], None]) -> _Source:
@@ -370,7 +370,7 @@ def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], None]) -> 
             yield numbers, {place: [fields[place] for fields in split] for place in places}, torn
             block = list(islice(lines, _BLOCK))
 
-    dialect = f"{width} columns, delimiter {delimiter!r}, decimal {decimal!r}, {named}"
+    dialect = f"{counted(width, 'column')}, delimiter {delimiter!r}, decimal {decimal!r}, {named}"
     return _Source(header, width, dialect, decimal, rows)
 
 

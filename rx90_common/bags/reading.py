@@ -27,7 +27,7 @@ from rx90_common.bags.topics import EFFORT_UNIT, FIELDS, absolute
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import Integer, Text, Texts
 from rx90_common.base.errors import BagError, ConfigError, located
-from rx90_common.base.quoting import listed, plain
+from rx90_common.base.quoting import counted, listed, plain
 
 __all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_states"]
 
@@ -98,7 +98,8 @@ class BagReader:
                 ):
                     topic_, msgtype = map(plain, key)
                     raise self._disagreement(
-                        f"{counts[key]} messages of {topic_} ({msgtype}), the storage holds {counted_messages[key]}"
+                        f"{counted(counts[key], 'message')} of {topic_} ({msgtype}), the storage holds "
+                        f"{counted_messages[key]}"
                     )
             self._stack = stack.pop_all()
         return self
@@ -194,7 +195,7 @@ class BagReader:
             if str(key).startswith(EFFORT_UNIT):
                 self.effort_units[str(key).removeprefix(EFFORT_UNIT)] = plain(value)
         if self.files and total != counts.total():
-            raise self._disagreement(f"{total} messages in all, its topics add up to {counts.total()}")
+            raise self._disagreement(f"{counted(total, 'message')} in all, its topics add up to {counts.total()}")
         for file in self.files:
             if not file.is_file():
                 raise BagError(f"{plain(self.path)}: {plain(file.name)} is missing, which {FILE} names")

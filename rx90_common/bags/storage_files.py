@@ -35,7 +35,7 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rx90_common.bags.batch import Int64Array
 from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.base.errors import BagError, write_error
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import counted, plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.kernels.compiled import c_function
 
@@ -268,7 +268,7 @@ class _McapFile(StorageFile):
         count = int(((index[:, 4] - index[:, 3]) // _ENTRY_BYTES).sum())
         end_ns = max(_CHUNK.unpack_from(self._data, begin)[1] for begin in chunks[:, 3].tolist())
         return BagError(
-            f"is cut off (its recorder was killed, or the disk was full?): {count} messages up to t = "
+            f"is cut off (its recorder was killed, or the disk was full?): {counted(count, 'message')} up to t = "
             f"{end_ns / NANOSECONDS:.6f} s are whole, 'mcap recover' restores them"
         )
 

@@ -302,7 +302,7 @@ class DriveParameters(Declared):
         if self.cogging.amplitude.shape[0] and self.cogging.amplitude.shape[1] != joints:
             columns = self.cogging.amplitude.shape[1]
             raise ConfigError(
-                f"cogging: amplitude has rows of {columns} numbers; accepted: {joints}, as many as gear has"
+                f"cogging: amplitude has rows of {counted(columns, 'number')}; accepted: {joints}, as many as gear has"
             )
         if len(self.turning.turns) != joints:
             given = self.coupling.tolist()

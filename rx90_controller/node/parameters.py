@@ -18,7 +18,7 @@ from rx90_common.base.declared import option
 from rx90_common.base.entries import Numbers
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import counted, quoted
 from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.parameters import Effective, declare, declare_options
 from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS
@@ -192,7 +192,7 @@ def declare_law(node: Node, path: Path) -> tuple[CS7BParameters, Callable[[Mappi
         for name, value in values.items():
             section, _, key = name.partition(".")
             if isinstance(LAW_ENTRIES[name], Numbers) and len(value) != joints:
-                accepted = f"{joints} numbers, as many as inertia has"
+                accepted = f"{counted(joints, 'number')}, as many as inertia has"
                 raise ConfigError(f"parameter: {name} is {quoted(list(value))}; accepted: {accepted}")
             content[section][key] = value if isinstance(value, bool | float) else list(value)
         return read_controller(Section(content, Path("parameter")), model)

@@ -16,7 +16,7 @@ from rx90_common.base.config import load_yaml, yaml_text
 from rx90_common.base.entries import PER_JOINT, ListOf, Number, Numbers, Text
 from rx90_common.base.errors import ConfigError, TrajectoryError, warn_caller
 from rx90_common.base.groups import Group
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import counted, plain
 from rx90_common.process.files import write_all
 from rx90_controller.trajectory.correction import Correction, LearnedMotion
 from rx90_emulator.correction.learning import MEASUREMENTS, LearnedCorrection
@@ -201,6 +201,6 @@ def load_correction(name: Path | str) -> CorrectionFile:
     if best.shape != shape or shape[1] != len(content["path"]["start"]) or trials[0] != trials[1]:
         raise ConfigError(
             f"{plain(offsets_file)}: offsets of shape {shape}, those of the best trial {best.shape}, in {plain(file)} "
-            f"{trials[0]} trials, {trials[1]} seen; accepted: the files written together"
+            f"{counted(trials[0], 'trial')}, {trials[1]} seen; accepted: the files written together"
         )
     return CorrectionFile(file, content, correction, best)
