@@ -42,7 +42,7 @@ COAST = 0.02
 
 
 SMALL_WAY = 2e-4
-"""Of a joint that hardly moves, rad: below 1 % of it, 2 urad, differences do not count."""
+"""Of a joint that hardly moves, rad: below 1 % of it, 2 µrad, differences do not count."""
 
 STICKING_POSE = np.array([0.1, 0.4, 1.3, 0.2, 0.9, -0.1])
 """Where the arm sticks and breaks away, rad."""
@@ -258,7 +258,7 @@ def _exact_table(found: Convergence) -> None:
         order = "" if last is None or name.startswith("solver") else f"{np.log2(last / miss.tip):.2f}"
         rows.append((name, *_micro(miss.tip, miss.tip_rms, miss.joints.max(), miss.bristles.max()), order))
         last = miss.tip
-    print_table(("without the encoders' rounding", "tip um", "RMS um", "joints urad", "bristles urad", "order"), rows)
+    print_table(("without the encoders' rounding", "tip µm", "RMS µm", "joints µrad", "bristles µrad", "order"), rows)
 
 
 def _micro(*values: float) -> list[str]:
@@ -272,7 +272,7 @@ def _counts_table(found: Convergence) -> None:
         tip = np.array([m.tip for m in misses])
         others = np.median([(m.tip_rms, m.joints.max(), m.bristles.max()) for m in misses], axis=0)
         rows.append((name, *(f"{v * 1e6:.2f}" for v in (np.median(tip), tip.min(), tip.max(), *others))))
-    headers = ("encoders as shipped", "tip um", "least", "most", "RMS um", "joints urad", "bristles urad")
+    headers = ("encoders as shipped", "tip µm", "least", "most", "RMS µm", "joints µrad", "bristles µrad")
     print_table(headers, rows)
 
 
@@ -281,7 +281,7 @@ def _by_element(work: Work, miss: Miss) -> None:
     joints = (*(f"{v * 1e6:.3f}" for v in miss.joints), "")
     bristles = (f"{v * 1e6:.3f}" for v in miss.bristles)
     print_table(
-        ("one step in a tick, no rounding", "joint urad", "bristle urad"),
+        ("one step in a tick, no rounding", "joint µrad", "bristle µrad"),
         list(zip(names, joints, bristles, strict=True)),
     )
 
@@ -299,7 +299,7 @@ def main() -> int:
     print()
     coasts = [(factor, full_speed(scaled(work.setup, c0=factor))) for factor in (1.0, 100.0)]
     print_table(
-        ("coasting from full joint speed", "bristle rate x tick", "joints urad", "friction torque"),
+        ("coasting from full joint speed", "bristle rate x tick", "joints µrad", "friction torque"),
         [(f"c0 x {f:g}", f"{c.rate:.1f}", f"{c.joints * 1e6:.3f}", f"{c.torque:.1e}") for f, c in coasts],
     )
     print()
@@ -312,7 +312,7 @@ def main() -> int:
     }
     rows = [(name, sticking(setup)) for name, setup in cases.items()]
     print_table(
-        ("sticking, break-away, reversal", "steps in a tick", "joints urad", "of the way"),
+        ("sticking, break-away, reversal", "steps in a tick", "joints µrad", "of the way"),
         [(name, str(s.substeps), f"{s.joints * 1e6:.2f}", f"{s.share:.2%}") for name, s in rows],
     )
     merge(

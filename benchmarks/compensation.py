@@ -292,7 +292,7 @@ def print_conditions(runs: Mapping[str, Mapping[str, LineRun]]) -> None:
         print()
 
     table("path error, worst (RMS), mm", lambda one: f"{one.worst * 1e3:.4f} ({one.rms * 1e3:.4f})")
-    table("joint error, worst joint, urad", lambda one: f"{one.joint * 1e6:.0f}")
+    table("joint error, worst joint, µrad", lambda one: f"{one.joint * 1e6:.0f}")
     table("torque of PI and D, % of peak", lambda one: f"{one.feedback * 100:.1f}")
     print("the last: RMS along the line, of the joint that has most of it\n")
 
@@ -337,7 +337,7 @@ def own_budget(setup: Setup, task: LineTask) -> list[tuple[str, float, float]]:
 
 def print_budget(title: str, found: Sequence[tuple[str, float, float]]) -> None:
     """Print what is left."""
-    print_table((title, "worst, um", "RMS, um"), [(n, f"{w * 1e6:.2f}", f"{r * 1e6:.3f}") for n, w, r in found])
+    print_table((title, "worst, µm", "RMS, µm"), [(n, f"{w * 1e6:.2f}", f"{r * 1e6:.3f}") for n, w, r in found])
     print()
 
 
@@ -355,7 +355,7 @@ def print_measured(setups: Mapping[str, Setup], task: LineTask) -> None:
         for kind, worst, settled in cases:
             swing = float(np.ptp(settled, axis=0).max())
             rows.append((f"{name}, {kind}", f"{worst * 1e3:.4f}", f"{swing * 1e6:.1f}"))
-    print_table(("the model, its bristles follow", "worst, mm", "swing at rest, urad"), rows)
+    print_table(("the model, its bristles follow", "worst, mm", "swing at rest, µrad"), rows)
     print()
 
 

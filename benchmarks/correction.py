@@ -181,10 +181,10 @@ def cost(setup: Setup, task: LineTask) -> tuple[float, float]:
 
 
 def show(title: str, rows: Sequence[tuple[str, Array]]) -> None:
-    """Print path errors by trial, um."""
+    """Print path errors by trial, µm."""
     print()
     print_table(
-        (title, "path error by trial, um"), [(name, " ".join(f"{e * 1e6:.1f}" for e in row)) for name, row in rows]
+        (title, "path error by trial, µm"), [(name, " ".join(f"{e * 1e6:.1f}" for e in row)) for name, row in rows]
     )
 
 
@@ -236,11 +236,11 @@ def main() -> int:
     show(f"{LONG} trials", [("norm-optimal", long)])
     growth = float(np.diff(long).max())
     noise = noisy(setup, task)
-    show("noise of 5 um at the tip, 2 % more mass", [("norm-optimal", noise)])
+    show("noise of 5 µm at the tip, 2 % more mass", [("norm-optimal", noise)])
     wrong += [] if noise[1:].max() < noise[0] else ["noise"]
     trial, preparation = cost(setup, task)
     print(f"\na trial of 6 s: {trial:.3f} s of processor time, the preparation before the first {preparation:.3f} s")
-    print(f"the largest growth of the path error from trial to trial: {growth * 1e6:.2f} um")
+    print(f"the largest growth of the path error from trial to trial: {growth * 1e6:.2f} µm")
     wrong += [] if trial <= ACCEPTED_TIME else ["time of a trial"]
     figures |= transfer | {
         "correction_elastic_plain": gears["tip"][0],

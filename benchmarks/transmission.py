@@ -128,7 +128,7 @@ def main() -> int:
     miss = np.array([np.abs(way(elastic(setup, factor)) - rigid).max() for factor in FACTORS])
     orders = ["", *(f"{o:.2f}" for o in np.log10(miss[:-1] / miss[1:]))]
     print_table(
-        ("stiffness, times the example's", "from rigid, urad", "order"),
+        ("stiffness, times the example's", "from rigid, µrad", "order"),
         [(f"{f:g}", f"{m * 1e6:.3g}", o) for f, m, o in zip(FACTORS, miss, orders, strict=True)],
     )
     print()
@@ -136,7 +136,7 @@ def main() -> int:
     errors = np.array([np.abs(way(elastic(setup, 0.1), int(n)) - best).max() for n in SUBSTEPS])
     orders = ["", *(f"{o:.2f}" for o in np.log2(errors[:-1] / errors[1:]))]
     print_table(
-        ("plant steps in a tick, a tenth of the stiffness", f"from {FINEST} steps, urad", "order"),
+        ("plant steps in a tick, a tenth of the stiffness", f"from {FINEST} steps, µrad", "order"),
         [(str(n), f"{e * 1e6:.3g}", o) for n, e, o in zip(SUBSTEPS, errors, orders, strict=True)],
     )
     print()

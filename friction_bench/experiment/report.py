@@ -31,6 +31,7 @@ from friction_bench.experiment.identification import (
 )
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
+from rx90_common.base.quoting import counted
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.files import write_text
@@ -126,7 +127,10 @@ def _source_lines(found: SourceEvaluation) -> list[str]:
     title = "by the source's evaluation"
     lines = [f"{title:34}{'f_c, Nm':>10}{'s.d.':>9}{'f_v, Nm':>10}{'a, deg/s^2':>12}{'b, deg/s':>10}{'total, Nm':>11}"]
     for name, one in found.loads.items():
-        for text, row in ((f"{name}, {one.ramps} ramps", one), (f"{name}, as published", SOURCE_STATES.loads[name])):
+        for text, row in (
+            (f"{name}, {counted(one.ramps, 'ramp')}", one),
+            (f"{name}, as published", SOURCE_STATES.loads[name]),
+        ):
             spread = "-" if row is not one else f"{row.spread:.4f}"
             lines.append(
                 f"{text:34}{row.coulomb:10.4f}{spread:>9}{row.viscous:10.2e}{row.a:12.1f}{row.b:10.1f}{row.total:11.3f}"

@@ -78,7 +78,7 @@ class ReadLog:
         rate = f", {(good - 1) / seconds:.6g} Hz, longest gap {gap:.6g} s" if seconds else ""
         lines = [
             *(f"{plain(path)}: {dialect}" for path, dialect in zip(self.paths, self.dialects, strict=True)),
-            f"{good} of {self.rows} rows in {seconds:.6g} s{rate}",
+            f"{good} of {counted(self.rows, 'row')} in {seconds:.6g} s{rate}",
             *(f"{one.topic}: {counted(len(one.names), 'joint')}" for one in self.series),
         ]
         return "\n".join([*lines, *([f"left out: {corrupt_text(self.corrupt)}"] if self.corrupt else [])])
@@ -91,7 +91,7 @@ def corrupt_text(corrupt: Sequence[tuple[int, str]]) -> str:
     for _, run in groupby(enumerate(lines), key=lambda pair: pair[1] - pair[0]):
         first, *later = [line for _, line in run]
         places.append(f"{first}-{later[-1]}" if later else f"{first}")
-    more = f" and {len(places) - _MAX_RANGES} more places" if len(places) > _MAX_RANGES else ""
+    more = f" and {counted(len(places) - _MAX_RANGES, 'more place')}" if len(places) > _MAX_RANGES else ""
     rows = counted(len(lines), "corrupt row")
     return f"{rows}, line {', '.join(places[:_MAX_RANGES])}{more} (line {lines[0]}: {corrupt[0][1]})"
 
@@ -322,7 +322,7 @@ def _open_arrays(path: Path, more: Callable[[int], object]) -> _Source:
         more(path.stat().st_size)
         return _Rows(np.arange(1, counts.pop() + 1), columns, {})
 
-    return _Source(names, len(names), f"{len(names)} columns {listed(names)}", ".", rows)
+    return _Source(names, len(names), f"{counted(len(names), 'column')} {listed(names)}", ".", rows)
 
 
 def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], object]) -> _Source:
@@ -364,7 +364,7 @@ def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], object]) -
         columns = {place: pa.chunked_array(part) for place, part in parts.items()}
         return _Rows(np.array(numbers, dtype=np.int64), columns, torn)
 
-    dialect = f"{width} columns, delimiter {delimiter!r}, decimal {decimal!r}, {named}"
+    dialect = f"{counted(width, 'column')}, delimiter {delimiter!r}, decimal {decimal!r}, {named}"
     return _Source(header, width, dialect, decimal, rows)
 
 

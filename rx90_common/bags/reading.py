@@ -28,7 +28,7 @@ from rx90_common.bags.topics import EFFORT_UNIT, JOINT_STATE, absolute
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import Integer, Text, Texts
 from rx90_common.base.errors import BagError, ConfigError, located
-from rx90_common.base.quoting import listed, plain
+from rx90_common.base.quoting import counted, listed, plain
 
 __all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_states"]
 
@@ -95,7 +95,7 @@ class BagReader:
                 for topic in self.topics:
                     held[topic.name, topic.msgtype] += topic.count
                 for name, msgtype in sorted(key for key in counts.keys() | held.keys() if counts[key] != held[key]):
-                    said = f"{counts[name, msgtype]} messages of {plain(name)} ({plain(msgtype)})"
+                    said = f"{counted(counts[name, msgtype], 'message')} of {plain(name)} ({plain(msgtype)})"
                     raise self._disagreement(f"{said}, the storage holds {held[name, msgtype]}")
             self._stack = stack.pop_all()
         return self
@@ -213,7 +213,7 @@ class BagReader:
             if str(key).startswith(EFFORT_UNIT):
                 self.effort_units[str(key).removeprefix(EFFORT_UNIT)] = plain(value)
         if self.files and total != counts.total():
-            raise self._disagreement(f"{total} messages in all, its topics add up to {counts.total()}")
+            raise self._disagreement(f"{counted(total, 'message')} in all, its topics add up to {counts.total()}")
         for file in self.files:
             if not file.is_file():
                 raise BagError(f"{plain(self.path)}: {plain(file.name)} is missing, which {FILE} names")

@@ -16,7 +16,7 @@ import numpy as np
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import MAX_JOINTS
-from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.quoting import disturbs_a_line, plain, quoted
 
 _INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # A thin body may miss the triangle inequality by the rounding of its printed digits.
@@ -32,6 +32,15 @@ def inertia_fault(values: tuple[float, ...]) -> str | None:
     if principal[0] + principal[1] < principal[2] * (1.0 - _TRIANGLE_TOLERANCE):
         return "principal moments of which any two add up to at least the third"
     return None
+
+
+def robot_name(urdf: str) -> str:
+    """Return the name of the robot in a description, empty if it has none.
+
+    Raises:
+        ET.ParseError, ValueError: for what is no XML.
+    """
+    return ET.fromstring(urdf).get("name", "")
 
 
 def check_dynamics(file: Path, root: ET.Element) -> None:
@@ -130,8 +139,10 @@ class UrdfFile:
             self.refuse("an element", "xacro", "a plain URDF (expand it with xacro first)")
         for element in root.iter():
             name = element.get("name", "")
-            if not name.isprintable():
-                self.refuse(f"the name of an element {quoted(element.tag)}", name, "one line of printable characters")
+            if disturbs_a_line(name):
+                self.refuse(
+                    f"the name of an element {quoted(element.tag)}", name, "one line without control characters"
+                )
         return root
 
     def _named(self, tag: str) -> dict[str, ET.Element]:

@@ -12,7 +12,7 @@ from rx90_common.base.config import ABOUT, PROVENANCE, Section, load_yaml, yaml_
 from rx90_common.base.entries import LEFT_OUT, Number
 from rx90_common.base.errors import ConfigError, located
 from rx90_common.base.groups import Entries, Group
-from rx90_common.base.quoting import conjoined, nearest, question, quoted
+from rx90_common.base.quoting import conjoined, counted, nearest, question, quoted
 from rx90_common.friction.element import ELEMENT, FRICTION_PARAMETERS, PARTS, SIGNS, FrictionElement, legend
 from rx90_common.friction.parts.bristles import MaxwellSlip
 
@@ -149,7 +149,7 @@ class FrictionSet:
 
     def __post_init__(self) -> None:
         if len(self.names) != len(self.elements):
-            counts = f"{len(self.elements)} elements and {len(self.names)} names"
+            counts = f"{counted(len(self.elements), 'element')} and {counted(len(self.names), 'name')}"
             raise ConfigError(f"a friction set of {counts}; accepted: as many of each")
 
     def __getitem__(self, name: str) -> FrictionElement:

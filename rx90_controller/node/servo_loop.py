@@ -415,7 +415,7 @@ class ServoLoop:
     def stream(self) -> str:
         """Return the streamed quantity, in words; empty without a stream."""
         stream = self._stream
-        return "" if stream is None else f"{stream.interface}, {stream.count} set-points, {stream.late} late"
+        return "" if stream is None else f"{stream.interface}, {counted(stream.count, 'set-point')}, {stream.late} late"
 
     @property
     def has_goal(self) -> bool:
@@ -531,7 +531,7 @@ class ServoLoop:
         if stream is not None:
             late = f", {stream.late} of them late" if stream.late else ""
             now = self._cs7b.position_tick * self._period
-            self._note(f"stream ended at {now:.3f} s after {stream.count} set-points{late}; {what}")
+            self._note(f"stream ended at {now:.3f} s after {counted(stream.count, 'set-point')}{late}; {what}")
 
     def _drop(self, reason: str, *, wanted: bool = False) -> None:
         """End the stream, and the goal, if there is one, with -1 and a reason; `wanted`: the end is no failure."""

@@ -11,9 +11,9 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
 from rx90_common.base.errors import MessageError
-from rx90_common.base.quoting import one_line, quoted
+from rx90_common.base.quoting import counted, one_line, quoted
 from rx90_common.exchange.endpoints import ManualCallbackGroup, never_called
-from rx90_common.exchange.pacing import ThrottledLog
+from rx90_common.exchange.pacing import error_log
 from rx90_common.exchange.senders import senders_on, take_with_sender
 from rx90_common.exchange.topics import MOTOR_STATES, TIME_MODE, TimeMode
 
@@ -35,7 +35,7 @@ class SimulationMode:
     def __init__(self, node: Node, follow: Callable[[TimeMode], None]) -> None:
         self._node = node
         self._follow = follow
-        self._complaints = ThrottledLog(lambda text: node.get_logger().error(text))
+        self._complaints = error_log(node)
         self._subscription = node.create_subscription(
             String, TIME_MODE, never_called, _QOS, raw=True, callback_group=ManualCallbackGroup()
         )
@@ -67,7 +67,9 @@ class SimulationMode:
             self._complaints.say("mode", f"{error}; ignored")
         except RuntimeError:  # the middleware's text names a place in its source
             topic = self._subscription.topic_name
-            self._complaints.say("mode", f"{topic}: {len(raw)} bytes are no std_msgs/String; the message is ignored")
+            self._complaints.say(
+                "mode", f"{topic}: {counted(len(raw), 'byte')}, no std_msgs/String; the message is ignored"
+            )
         else:
             self._follow(mode)
 

@@ -34,9 +34,10 @@ class Finding(NamedTuple):
     @property
     def words(self) -> str:
         """Return value and limit in words."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
         return (
-            f"{self.case}: {self.quantity} of {self.joint} is {self.value:.4g} {self.unit}; accepted: up to "
-            f"{self.limit:.4g} {self.unit} (CS7B {self.cs7b:.4g})"
+            f"{self.case}: {self.quantity} of {self.joint} is {self.value:.4g}{unit}; accepted: up to "
+            f"{self.limit:.4g}{unit} (CS7B {self.cs7b:.4g})"
         )
 
 

@@ -24,7 +24,7 @@ from rx90_common.base.declared import Declared, declarations
 from rx90_common.base.entries import Integer, ListOf, Number, Other, Rows, Switch
 from rx90_common.base.errors import ConfigError, check_type, located
 from rx90_common.base.models import Model, path_of, unit_of
-from rx90_common.base.quoting import nearest, question, quoted
+from rx90_common.base.quoting import counted, nearest, question, quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
 from rx90_common.friction.element import FRICTION_PARAMETERS
@@ -207,9 +207,9 @@ class Catalogue:
 def _accepted_indices(name: str, shape: tuple[int, ...]) -> str:
     if not shape:
         return f"{name} is one value; accepted: {name}, without an index"
-    count = " by ".join(str(n) for n in shape)
+    count = counted(shape[0], "number") if len(shape) == 1 else f"{' by '.join(map(str, shape))} numbers"
     last = "".join(f"[{n - 1}]" for n in shape)
-    return f"{name} is {count} numbers; accepted: up to {name}{last}, or * for all of an index"
+    return f"{name} is {count}; accepted: up to {name}{last}, or * for all of an index"
 
 
 def _matches(key: Sequence[str], wanted: Sequence[str]) -> bool:

@@ -27,7 +27,7 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "components": (
         {"component_path_tolerance": [SimpleNamespace()]},
-        "component_path_tolerance of 1 joints; accepted: none",
+        "component_path_tolerance of 1 joint; accepted: none",
     ),
 }
 

@@ -106,6 +106,13 @@ def test_a_plan_that_does_not_fit_is_refused(shipped: Setup, change: dict[str, o
         make_plan(shipped.robot, shipped.drives, replace(PlanOptions(), **change))  # type: ignore[arg-type]
 
 
+def test_joints_that_would_share_a_file_are_refused(shipped: Setup) -> None:
+    """A slash and a colon in names of joints become the same letter of a file's name: both names are in the line."""
+    robot = replace(shipped.robot, joint_names=("a/b", "a:b", *shipped.robot.joint_names[2:]))
+    with pytest.raises(IdentificationError, match="'sliding_a/b' and 'sliding_a:b': one file name"):
+        make_plan(robot, shipped.drives)
+
+
 def test_a_plan_beyond_what_joints_or_motors_may_do_is_refused(shipped: Setup) -> None:
     """More torque than the URDF allows, or acceleration than the controller, is refused with joint, value and limit."""
     robot, drives = shipped.robot, shipped.drives

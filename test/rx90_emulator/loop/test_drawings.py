@@ -174,7 +174,7 @@ SPLINES = {
 
 @pytest.mark.parametrize("name", SPLINES)
 def test_dxf_splines_are_kept_within_the_tolerance(tmp_path: File, drawing: Any, name: str) -> None:
-    """By SciPy's B-splines: the path is nowhere farther than 10 um from one, and has its corners."""
+    """By SciPy's B-splines: the path is nowhere farther than 10 µm from one, and has its corners."""
     control, degree, knots, weights, corners = SPLINES[name]
     space = drawing.modelspace()
     if weights is None:
@@ -201,7 +201,7 @@ def test_dxf_splines_are_kept_within_the_tolerance(tmp_path: File, drawing: Any,
 
 
 def test_dxf_spline_that_takes_too_many_points_is_refused(tmp_path: File, drawing: Any) -> None:
-    """Within 10 um of a spline of some 100 km in each span no path is made."""
+    """Within 10 µm of a spline of some 100 km in each span no path is made."""
     control = 1e8 * np.random.default_rng(1).normal(size=(900, 3))
     drawing.modelspace().add_open_spline(control.tolist(), 3)
     with pytest.raises(ConfigError, match=r"do not keep the curve within 1e-05 m of it; accepted: a spline that"):

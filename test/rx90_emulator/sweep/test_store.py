@@ -60,7 +60,7 @@ def test_units_and_plan_are_in_the_file(output: Path, sweep: Sweep) -> None:
     assert len(about["plan"]["files"]["task"]["sha256"]) == 64
     assert about["versions"]["numpy"]
     lines = describe_results(output)
-    assert lines[0].endswith("all 40 runs")
+    assert lines[0].endswith("complete, 40 runs")
     assert any(line.startswith("4 runs failed (ConfigError 4), for example: ConfigError: arm") for line in lines)
     mass = next(line for line in lines if line.startswith("arm.link_3.mass"))
     assert mass.split() == ["arm.link_3.mass", "kg", "-1", "12", "20"]

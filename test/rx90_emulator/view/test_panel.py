@@ -173,7 +173,9 @@ class Bench:
         monkeypatch.setattr(panel_module, "subscribe_log", lambda _, __, hear: setattr(self, "hear", hear))
         self.page = Page("test", port=0)
         client: Any = SimpleNamespace(spin=lambda _: None)
-        self.panel = ControlPanel(self.page, client, setup, plan, None, lambda: self.arm, "rx90_controller")
+        self.magnified: list[float] = []
+        trace: Any = SimpleNamespace(magnify=self.magnified.append)
+        self.panel = ControlPanel(self.page, client, setup, plan, trace, lambda: self.arm, "rx90_controller")
 
     def stranger(self) -> tuple[Stranger, Any]:
         """Return a client that has come, and its form."""
@@ -214,8 +216,8 @@ def test_wrong_codes_of_all_clients_count_together(bench: Bench, capfd: pytest.C
         client.close()
 
 
-def test_what_no_slider_sends_moves_nothing(bench: Bench) -> None:
-    """Of an unlocked client, too: no number, none of the slider's range; and viser's tunnel is not made for anybody."""
+def test_what_no_input_offers_does_nothing(bench: Bench) -> None:
+    """Of an unlocked client, too: no number, none of the slider's or the list's; viser's tunnel is made for nobody."""
     known, form = bench.stranger()
     known.give(form, bench.panel.lock.code)
     wait_until(lambda: bool(bench.panel._sliders), "its inputs")
@@ -224,7 +226,13 @@ def test_what_no_slider_sends_moves_nothing(bench: Bench) -> None:
     for value in (float("nan"), float("inf"), 1e9, -1e9, "x", [1.0], None):
         known.change(slider, value)
     known.change(slider, 12.3)
-    wait_until(lambda: bool(bench.offered), "the value that can be")
+    (client,) = bench.page.server.get_clients().values()
+    inputs = client.gui._gui_input_handle_from_uuid.values()
+    (drawn,) = [field for field in inputs if "error drawn" in str(getattr(field, "label", ""))]
+    for factor in ("10", "7", "nan", 10.0, [1.0], None, "100"):
+        known.change(drawn, factor)
+    wait_until(lambda: bool(bench.offered) and bench.magnified[-1:] == [100.0], "the values that can be")
+    assert bench.magnified == [10.0, 100.0]
     (points,) = bench.offered
     assert points is not None
     assert np.degrees(points.position[-1][0]) == pytest.approx(12.3)
