@@ -157,7 +157,7 @@ def test_whatever_is_streamed_the_limits_are_kept_and_the_end_is_rest(
     for _ in range(random.integers(1, 20)):
         stamp = now * T + random.normal(0.0, 0.02) if random.random() < 0.8 else None
         due = np.sort(random.uniform(0.0, 0.05, random.integers(1, 4)))
-        values, slopes = random.normal(0.0, spread, (2, len(due), 6))
+        values, slopes = random.normal(0.0, spread if stream.count else 0.0, (2, len(due), 6))
         slopes[random.random(len(due)) < 0.7] = np.nan
         stamp_ns = 0 if stamp is None else round(stamp * 1e9)
         points = SetPoints(interface, stamp_ns, due, np.stack([values, slopes], axis=1), every)
@@ -175,6 +175,7 @@ def test_whatever_is_streamed_the_limits_are_kept_and_the_end_is_rest(
 
 def test_a_step_is_travelled_as_fast_as_the_limits_allow_without_overshoot(arm: Arm) -> None:
     """A step of 1 rad takes the time of a trapezoid, v/a + way/v, is not overshot, and is said to be beyond limits."""
+    arm.take(state(0.0))
     arm.take(state(1.0))
     setpoints = arm.play([], 3.0)
     keeps_limits(arm.limits, setpoints)
@@ -219,7 +220,7 @@ def test_goals_and_streams_replace_each_other_without_a_jump(arm: Arm) -> None:
     goal = arm.goal(arm.trajectory(0.3), SimpleNamespace(on_feedback=lambda _: None, on_result=told.append))
     arm.loop.offer(goal)
     arm.play([], 0.5)
-    arm.play([(0.5 + k * 0.01, state(0.2)) for k in range(10)], 0.6)
+    arm.play([(0.5 + k * 0.01, state(0.2 if k else arm.cs7b.setpoint[0])) for k in range(10)], 0.6)
     assert told == [goal]
     assert (goal.state, goal.code) == (State.ABORTED, ResultCode.INVALID_GOAL)
     assert goal.reason.startswith("replaced by streamed set-points, at 0.5")
@@ -232,12 +233,12 @@ def test_goals_and_streams_replace_each_other_without_a_jump(arm: Arm) -> None:
 
 def test_joints_that_are_not_named_hold_and_speed_scaling_holds_all(arm: Arm) -> None:
     """With `allow_partial_joints_goal` a stream may be of some joints; at speed scaling 0 nothing moves."""
-    one = state([0.2], names=["joint_3"])
+    one, first = state([0.2], names=["joint_3"]), state([0.0], names=["joint_3"])
     arm.take(one)
     assert "set-point from a topic ignored: joint 'joint_1' is missing" in arm.around.lines[-1]
     arm.loop.options = type(arm.loop.options)(allow_partial_joints_goal=True)
     arm.cs7b.trajectory.set_speed_scaling(0.0, 0)
-    assert not arm.play([(k * 0.01, one) for k in range(20)], 0.2)[:, 0].any()
+    assert not arm.play([(k * 0.01, one if k else first) for k in range(20)], 0.2)[:, 0].any()
     arm.cs7b.trajectory.set_speed_scaling(1.0, arm.cs7b.position_tick)
     setpoints = arm.play([(0.2 + k * 0.01, one) for k in range(20)], 1.0)
     keeps_limits(arm.limits, setpoints)
@@ -308,6 +309,55 @@ def test_moveit_servo_drives_the_arm(arm: Arm, jitter: float) -> None:
     assert furthest[3:].max() < 1e-4
     assert np.abs(setpoints[-1, 0] - wanted[max(wanted)]).max() < 1e-9
     assert max(np.abs(q).max() for q in wanted.values()) > 0.08
+
+
+def test_a_stream_that_begins_too_far_away_is_refused_with_the_time_it_needs(arm: Arm) -> None:
+    """By topic, as a point of a window or a goal: nothing moves or ends; in the stated time it is reached."""
+    told: list[Any] = []
+    running = arm.goal(arm.trajectory(0.0), SimpleNamespace(on_feedback=lambda _: None, on_result=told.append))
+    arm.loop.offer(running)
+    away = np.array([0.0, -1.0, 0.0, 0.0, 0.0, 0.5])
+    streamed: list[Any] = [state(away), SimpleNamespace(data=[1e308] * 6)]
+    streamed += [trajectory([at], [away]) for at in (1e-9, 0.05, 0.1)]
+    streamed += [trajectory([0.02, 0.05], [0.0 * away, away], [None, None])]
+    for message in streamed:
+        arm.take(message)
+    lines = [line for line in arm.around.lines if "joint_2 cannot go -1 rad in " in line]
+    assert {line.split(" rad in ")[1].split(" s ")[0] for line in lines} <= {"1e-09", "0.03", "0.05", "0.1"}
+    assert arm.loop.rejected == len(streamed)
+    arm.take(trajectory([0.101], [away]))
+    assert arm.loop.rejected == len(streamed) + 1
+    assert not told
+    assert not arm.play([], 0.3)[:, 0].any()
+    v, a = arm.limits.velocity[1], arm.limits.acceleration[1]
+    by_hand = 2.0 / math.sqrt(a) if a < v * v else 1.0 / v + v / a
+    needed = [float(line.split("accepted: from ")[1].split(" s on")[0]) for line in [*lines, arm.around.lines[-1]]]
+    assert all(by_hand <= each <= 1.006 * by_hand + 1e-3 for each in needed)
+    for velocities in (None, np.zeros(6)):
+        arm.take(trajectory([0.101], [away], [velocities]))
+        least = float(arm.around.lines[-1].split("accepted: from ")[1].split(" s on")[0])
+        arm.take(trajectory([0.98 * least], [away], [velocities]))
+        assert "accepted: from" in arm.around.lines[-1]
+        arm.take(trajectory([least], [away], [velocities]))
+        assert "trajectory accepted" in arm.around.lines[-1]
+        assert np.abs(arm.play([], arm.now + least + 0.1)[-1, 0] - away).max() < 1e-9
+        away = 0.0 * away
+
+
+def test_a_running_arm_takes_up_a_stream_where_that_goes_on(arm: Arm, shipped: Setup) -> None:
+    """What lies ahead on its way is in reach; as far behind it is not. A late set-point has the delay's time."""
+    arm.loop.receive(arm.trajectory(0.6))
+    arm.play([], 0.5)
+    position, velocity, _ = arm.cs7b.setpoint
+    assert np.abs(velocity * DELAY).min() > 5.0 * arm.limits.start_tolerance
+    arm.take(state(position - velocity * DELAY))
+    assert "cannot go" in arm.around.lines[-1]
+    arm.take(state(position + velocity * DELAY))
+    assert "stream begins" in arm.around.lines[-1]
+    late = Arm(shipped)
+    late.play([], 0.5)
+    late.take(state(1.2e-3, stamp=0.4))
+    assert any("stream begins" in line for line in late.around.lines)
 
 
 def test_longer_trajectories_are_none_of_a_stream(arm: Arm) -> None:
