@@ -249,13 +249,10 @@ def test_joints_that_are_not_named_hold_and_speed_scaling_holds_all(arm: Arm) ->
     ("message", "said"),
     [
         (state(0.1, names=["joint_1", "elbow"]), "unknown joint 'elbow'; accepted: joint_1"),
-        (state([0.1] * 5), "5 positions; accepted: 6, or none"),
         (state([0.1] * 5 + [math.nan]), "positions of joint_6: nan; accepted: a finite number"),
         (state(), "neither position nor velocity; accepted: one of them, or both"),
         (state(0.1, effort=1.0), "carries effort; accepted: position, with velocity or without, or velocity alone"),
         (SimpleNamespace(data=[0.1] * 7), "7 positions; accepted: 6, or none"),
-        (SimpleNamespace(data=[]), "neither position nor velocity; accepted: one of them, or both"),
-        (SimpleNamespace(data=[math.inf] * 6), "positions of joint_1: inf; accepted: a finite number"),
     ],
 )
 def test_what_is_no_set_point_is_one_line(arm: Arm, message: Any, said: str) -> None:
@@ -311,59 +308,41 @@ def test_moveit_servo_drives_the_arm(arm: Arm, jitter: float) -> None:
     assert max(np.abs(q).max() for q in wanted.values()) > 0.08
 
 
-def test_a_stream_that_begins_too_far_away_is_refused_with_the_time_it_needs(arm: Arm) -> None:
-    """By topic, as a point of a window or a goal: nothing moves or ends; in the stated time it is reached."""
-    told: list[Any] = []
-    running = arm.goal(arm.trajectory(0.0), SimpleNamespace(on_feedback=lambda _: None, on_result=told.append))
-    arm.loop.offer(running)
+@pytest.mark.parametrize("velocities", [None, np.zeros(6)])
+def test_what_begins_too_far_away_is_refused_with_the_time_it_needs(arm: Arm, velocities: Any) -> None:
+    """By any topic, as a point alone or in a window: nothing moves, and in the stated time the place is reached."""
     away = np.array([0.0, -1.0, 0.0, 0.0, 0.0, 0.5])
-    streamed: list[Any] = [state(away), SimpleNamespace(data=[1e308] * 6)]
-    streamed += [trajectory([at], [away]) for at in (1e-9, 0.05, 0.1)]
-    streamed += [trajectory([0.02, 0.05], [0.0 * away, away], [None, None])]
-    for message in streamed:
-        arm.take(message)
-    lines = [line for line in arm.around.lines if "joint_2 cannot go -1 rad in " in line]
-    assert {line.split(" rad in ")[1].split(" s ")[0] for line in lines} <= {"1e-09", "0.03", "0.05", "0.1"}
-    assert arm.loop.rejected == len(streamed)
-    arm.take(trajectory([0.101], [away]))
-    assert arm.loop.rejected == len(streamed) + 1
-    assert not told
-    assert not arm.play([], 0.3)[:, 0].any()
+    arm.take(state(0.2 * away))
     v, a = arm.limits.velocity[1], arm.limits.acceleration[1]
-    by_hand = 2.0 / math.sqrt(a) if a < v * v else 1.0 / v + v / a
-    needed = [float(line.split("accepted: from ")[1].split(" s on")[0]) for line in [*lines, arm.around.lines[-1]]]
-    assert all(by_hand <= each <= 1.006 * by_hand + 1e-3 for each in needed)
-    for velocities in (None, np.zeros(6)):
-        arm.take(trajectory([0.101], [away], [velocities]))
-        least = float(arm.around.lines[-1].split("accepted: from ")[1].split(" s on")[0])
-        arm.take(trajectory([0.98 * least], [away], [velocities]))
-        assert "accepted: from" in arm.around.lines[-1]
-        arm.take(trajectory([least], [away], [velocities]))
-        assert "trajectory accepted" in arm.around.lines[-1]
-        assert np.abs(arm.play([], arm.now + least + 0.1)[-1, 0] - away).max() < 1e-9
-        away = 0.0 * away
+    least = 2.0 * math.sqrt(0.2 / a) if 0.2 * a < v * v else 0.2 / v + v / a
+    assert f"joint_2 cannot go -0.2 rad in 0.03 s within its limits of {v:.6g} rad/s" in arm.around.lines[-1]
+    assert float(arm.around.lines[-1].split("accepted: from ")[1][:-5]) == pytest.approx(least, abs=1e-3)
+    window = trajectory([0.02, 0.05], [0.0 * away, away], [velocities] * 2)
+    for message in (SimpleNamespace(data=[1e308] * 6), window, *(trajectory([t], [away]) for t in (1e-9, 0.05, 0.1))):
+        arm.take(message)
+    arm.take(trajectory([0.101], [away], [velocities]))
+    assert arm.loop.rejected == 7
+    assert not arm.play([], 0.2)[:, 0].any()
+    least = float(arm.around.lines[-1].split("joint_2 cannot go -1 rad in 0.101 s ")[1].split("from ")[1][:-5])
+    arm.take(trajectory([0.98 * least], [away], [velocities]))
+    assert arm.loop.rejected == 8
+    arm.take(trajectory([least], [away], [velocities]))
+    assert np.abs(arm.play([], arm.now + least + 0.1)[-1, 0] - away).max() < 1e-9
 
 
-def test_a_running_arm_takes_up_a_stream_where_that_goes_on(arm: Arm, shipped: Setup) -> None:
-    """What lies ahead on its way is in reach; as far behind it is not. A late set-point has the delay's time."""
+def test_a_running_arm_takes_up_a_stream_where_that_goes_on(arm: Arm) -> None:
+    """What lies ahead on its way is in reach, as far behind it is not, and leaves the motion as it is."""
     arm.loop.receive(arm.trajectory(0.6))
     arm.play([], 0.5)
     position, velocity, _ = arm.cs7b.setpoint
-    assert np.abs(velocity * DELAY).min() > 5.0 * arm.limits.start_tolerance
     arm.take(state(position - velocity * DELAY))
     assert "cannot go" in arm.around.lines[-1]
     arm.take(state(position + velocity * DELAY))
     assert "stream begins" in arm.around.lines[-1]
-    late = Arm(shipped)
-    late.play([], 0.5)
-    late.take(state(1.2e-3, stamp=0.4))
-    assert any("stream begins" in line for line in late.around.lines)
 
 
 def test_longer_trajectories_are_none_of_a_stream(arm: Arm) -> None:
     """What ends further ahead than `stream.window` is a trajectory as ever: refused beyond limits, not followed."""
-    arm.loop.receive(trajectory([0.101], [0.5], [0.0]))
-    assert "trajectory rejected: point 0: " in arm.around.lines[-1]
     arm.loop.streaming = StreamOptions(window=0.0)
     arm.loop.receive(trajectory([0.02], [0.5]))
     assert arm.around.lines[-1].startswith("trajectory rejected: point 0: ")
