@@ -113,8 +113,15 @@ class TrajectoryGenerator:
         return np.concatenate([before, self._next.setpoints(tick + head, count - head)])
 
     def corrected(self, tick: int, count: int = 1) -> Array:
-        """Return the set-points, and where a correction is played beneath them its offsets, rad, (count, 4, j)."""
-        setpoints = self.setpoints(tick, count)
+        """Return set-points as the law takes them, and a played correction's offsets beneath, rad, (count, 4, j).
+
+        Their accelerations are those of `FollowedPath.leading`.
+        """
+        waiting = self._next
+        head = count if waiting is None else min(max(waiting.start - tick, 0), count)
+        setpoints = self._current.leading(tick, head)
+        if waiting is not None:
+            setpoints = np.concatenate([setpoints, waiting.leading(tick + head, count - head)])
         if not self._played:
             return setpoints
         ticks = np.arange(tick, tick + count)
