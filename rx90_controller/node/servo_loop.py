@@ -516,12 +516,13 @@ class ServoLoop:
         stream = self._stream
         now = cs7b.position_tick
         if stream is None or stream.interface != points.interface or (stream.named != points.named).any():
-            self._drop("replaced by streamed set-points", wanted=True)
             stream = Stream(points.interface, points.named, cs7b.trajectory.limits, self._period, self.streaming)
-            self._stream = stream
-            self._note(f"stream begins at {now * self._period:.3f} s: {points.interface} set-points from {source}")
         told = len(stream.notes)
         cs7b.trajectory.follow_stream(stream, points, now)
+        if stream is not self._stream:
+            self._drop("replaced by streamed set-points", wanted=True)
+            self._stream = stream
+            self._note(f"stream begins at {now * self._period:.3f} s: {points.interface} set-points from {source}")
         for text in list(stream.notes.values())[told:]:
             self._note(f"stream: {text}", wrong=True)
 

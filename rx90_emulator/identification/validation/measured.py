@@ -456,8 +456,8 @@ def read_setpoints(
 
 
 def setpoint_rows(position: Array, velocity: Array, setup: Setup) -> Array:
-    """Return set-points at the position loop's rate with their accelerations, shape (m, 3, n)."""
-    acceleration = np.gradient(velocity, setup.rates.position_period, axis=0)
+    """Return set-points at the position loop's rate with accelerations that lead to the next, shape (m, 3, n)."""
+    acceleration = np.diff(velocity, axis=0, append=velocity[-1:]) / setup.rates.position_period
     return np.ascontiguousarray(np.stack([position, velocity, acceleration], axis=1))
 
 
