@@ -15,7 +15,7 @@ from typing import Any
 import yaml
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import disturbs_a_line, nearest, plain, question, quoted
+from rx90_common.base.quoting import breaks_a_line, nearest, plain, question, quoted
 
 # What is read in two seconds: letters, and values, as often as aliases repeat them.
 _MAX_BYTES = 3 << 20
@@ -111,7 +111,7 @@ def _construct_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any
     mapping: dict[Any, Any] = {}
     for key_node, value_node in node.value:
         key = loader.construct_object(key_node, deep=True)
-        if not isinstance(key, str) or disturbs_a_line(key):
+        if not isinstance(key, str) or breaks_a_line(key):
             fault = f"the key {quoted(key)} is not a name in one line"
             raise _Fault(None, None, fault, key_node.start_mark)
         if key in mapping:

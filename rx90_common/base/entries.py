@@ -141,7 +141,7 @@ PER_JOINT: Final = 0
 
 
 def _count_text(count: int) -> str:
-    return "one number per joint" if count == PER_JOINT else counted(count, "number")
+    return f"one number per joint, up to {MAX_JOINTS}" if count == PER_JOINT else counted(count, "number")
 
 
 def _fits(count: int, value: Sequence[Any]) -> bool:

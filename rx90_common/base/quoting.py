@@ -12,7 +12,7 @@ import reprlib
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from typing import Any, Final
-from unicodedata import bidirectional, category
+from unicodedata import category
 
 LIMIT: Final = 120
 """Characters of a quoted value, as far as the caller gives no other limit."""
@@ -21,7 +21,6 @@ LINE_LIMIT: Final = 2000
 
 _ELLIPSIS = "…"
 _MAX_NAMES = 20
-_TURNS = ("LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI")
 _LONGEST_INTEGER = 400  # decimal digits; Python itself refuses to write more than 4300
 
 
@@ -116,6 +115,6 @@ class _Repr(reprlib.Repr):
         return quoted(x, self.maxstring)
 
 
-def disturbs_a_line(text: str) -> bool:
-    """Return whether a name from a file holds a control character, a line break, or one that turns the text around."""
-    return any(category(c) in ("Cc", "Zl", "Zp") or bidirectional(c) in _TURNS for c in text)
+def breaks_a_line(text: str) -> bool:
+    """Return whether a text holds a control character, a line break among them."""
+    return any(category(character) in ("Cc", "Zl", "Zp") for character in text)

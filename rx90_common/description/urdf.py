@@ -16,7 +16,7 @@ import numpy as np
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import MAX_JOINTS
-from rx90_common.base.quoting import disturbs_a_line, plain, quoted
+from rx90_common.base.quoting import plain, quoted
 
 _INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # A thin body may miss the triangle inequality by the rounding of its printed digits.
@@ -139,10 +139,8 @@ class UrdfFile:
             self.refuse("an element", "xacro", "a plain URDF (expand it with xacro first)")
         for element in root.iter():
             name = element.get("name", "")
-            if disturbs_a_line(name):
-                self.refuse(
-                    f"the name of an element {quoted(element.tag)}", name, "one line without control characters"
-                )
+            if not name.isprintable():
+                self.refuse(f"the name of an element {quoted(element.tag)}", name, "one line of printable characters")
         return root
 
     def _named(self, tag: str) -> dict[str, ET.Element]:
