@@ -30,16 +30,9 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.batch import Int64Array, series_encoder
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.limits import DamagedError, check_arrays, library_errors, load_arrays
 from rx90_common.bags.mapping import ARRAYS, DELIMITERS, SECONDS, UNITS, Column, LogMapping, mapping_of
-from rx90_common.bags.storage_files import (
-    BagTopic,
-    DamagedError,
-    LoggedMessage,
-    StorageFile,
-    check_arrays,
-    library_errors,
-    load_arrays,
-)
+from rx90_common.bags.storage_files import BagTopic, LoggedMessage, StorageFile
 from rx90_common.bags.topics import JOINT_STATE, absolute
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.arrays import Array

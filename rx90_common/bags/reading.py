@@ -21,8 +21,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from rx90_common.bags.decoding import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.limits import DamagedError
 from rx90_common.bags.mapping import LogMapping, is_table
-from rx90_common.bags.storage_files import ACCEPTED, BagTopic, DamagedError, StorageFile, full_type, open_storage
+from rx90_common.bags.storage_files import ACCEPTED, BagTopic, StorageFile, full_type, open_storage
 from rx90_common.bags.topics import EFFORT_UNIT, FIELDS, absolute
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import Integer, Text, Texts

@@ -5,20 +5,18 @@ A loop over messages in Python takes some 3 us for each, so compiled code finds 
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
 import struct
-import zipfile
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from io import BytesIO
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final, TypeAlias
+from typing import Final, TypeAlias
 from zlib import crc32
 
 import lz4.frame
@@ -29,12 +27,21 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Schema, Statistics
 from mcap.summary import Summary
 from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
-from numpy.typing import NDArray
 from rosbags.rosbag1 import Reader as Ros1Reader
 
 from rx90_common.bags.batch import Int64Array
+from rx90_common.bags.limits import (
+    MAX_CHUNK_BYTES,
+    MAX_MESSAGE_BYTES,
+    ROS1_MAGIC,
+    DamagedError,
+    check_length,
+    check_ros1_chunks,
+    library_errors,
+    unpack_file,
+)
 from rx90_common.bags.topics import JOINT_STATE
-from rx90_common.base.errors import BagError, write_error
+from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.kernels.compiled import c_function
@@ -44,11 +51,6 @@ ACCEPTED: Final = (
 )
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"  # with which no CDR message begins
-_MAX_MESSAGE_BYTES = 16 << 20
-_MAX_CHUNK_BYTES = 32 << 20
-_MAX_ARRAYS_BYTES = 256 << 20  # of all in a file, or
-_MAX_ARRAYS_FACTOR = 50  # times its size
-_COPY_BYTES = 1 << 20
 _RECORD = struct.Struct("<BQ")  # op code and length
 _RECORD_HEAD: Final = 9
 _CHUNK = struct.Struct("<QQQII")  # first and last log time, bytes uncompressed, their checksum, bytes of a name
@@ -69,10 +71,6 @@ _CHECKS = (
 
 LoggedMessage: TypeAlias = tuple[int, int, bytes]
 """Key of the topic, log time in ns, message."""
-
-
-class DamagedError(Exception):
-    """A storage file contradicts itself; the text names the place, and the reader of the bag prefixes the file."""
 
 
 @dataclass(frozen=True)
@@ -136,51 +134,15 @@ def full_type(msgtype: str) -> str:
     return f"{package}/msg/{name}" if slash and "/" not in name else msgtype
 
 
-@contextmanager
-def library_errors(where: str = "") -> Iterator[None]:
-    """Make one DamagedError of whatever a library raises for bytes that it cannot read."""
-    try:
-        yield
-    except (DamagedError, BagError):
-        raise
-    except Exception as error:  # the libraries have no common error
-        text = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
-        raise DamagedError(plain(where + text, 300)) from error
-
-
-def check_length(noun: str, length: int, most: int) -> None:
-    """Refuse what would unpack to more bytes than that, before it is unpacked."""
-    if length > most:
-        raise DamagedError(f"{noun}: {length:,} bytes unpacked; accepted: up to {most:,}")
-
-
-def check_arrays(path: Path, length: int) -> None:
-    """Refuse a file whose arrays would unpack to far more than its size."""
-    check_length("its arrays together", length, max(_MAX_ARRAYS_BYTES, _MAX_ARRAYS_FACTOR * path.stat().st_size))
-
-
-def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an NPZ file.
-
-    Raises:
-        DamagedError: if it is none, or its arrays would unpack to far more than its size.
-    """
-    with library_errors():
-        with zipfile.ZipFile(path) as archive:
-            check_arrays(path, sum(member.file_size for member in archive.infolist()))
-        with np.load(path, allow_pickle=False) as arrays:
-            return dict(arrays)
-
-
 def _decompressed(content: bytes) -> bytes:
     """Return a message; one that is compressed begins as no CDR message does."""
     if not content.startswith(_ZSTD_MAGIC):
         return content
     frame = zstd.ZstdDecompressor()
     with library_errors("a compressed message: "):
-        data = frame.decompress(content, _MAX_MESSAGE_BYTES)
+        data = frame.decompress(content, MAX_MESSAGE_BYTES)
     if not frame.eof:
-        raise DamagedError(f"a compressed message is cut off, or longer than {_MAX_MESSAGE_BYTES:,} bytes")
+        raise DamagedError(f"a compressed message is cut off, or longer than {MAX_MESSAGE_BYTES:,} bytes")
     return data
 
 
@@ -205,14 +167,7 @@ def open_storage(path: Path, stack: ExitStack) -> StorageFile:
         beginning = stream.read(max(map(len, _BEGINNINGS)))
         if beginning.startswith(_ZSTD_MAGIC):
             target = Path(stack.enter_context(TemporaryDirectory(prefix="rx90_bag_"))) / path.stem
-            stream.seek(0)
-            try:
-                with zstd.open(stream, "rb") as content, target.open("wb") as whole:
-                    shutil.copyfileobj(content, whole, _COPY_BYTES)
-            except (zstd.ZstdError, EOFError) as error:
-                raise DamagedError(f"{error}") from error
-            except OSError as error:
-                raise write_error(target, error) from error
+            unpack_file(path, target)
             inner = open_storage(target, stack)
             inner.compression = "zstd files"
             return inner
@@ -337,7 +292,7 @@ class _McapFile(StorageFile):
     def _content(self, chunk: ChunkIndex) -> bytes:
         """Return the content of a chunk, checked against its checksum; no more is decompressed than its head states."""
         size = chunk.uncompressed_size
-        check_length("a chunk", size, _MAX_CHUNK_BYTES)
+        check_length("a chunk", size, MAX_CHUNK_BYTES)
         end = chunk.chunk_start_offset + chunk.chunk_length
         crc = _CHUNK.unpack_from(self._data, chunk.chunk_start_offset + _RECORD_HEAD)[3]
         data = self._data[end - chunk.compressed_size : end].tobytes()
@@ -377,7 +332,7 @@ class _McapFile(StorageFile):
         """Return the messages of these channels, compressed ones as they are."""
         rows = rows[np.isin(rows[:, 1], list(keys))]
         if len(rows):
-            check_length("a message", int((rows[:, 4] - rows[:, 3]).max()) - _MESSAGE_HEAD, _MAX_MESSAGE_BYTES)
+            check_length("a message", int((rows[:, 4] - rows[:, 3]).max()) - _MESSAGE_HEAD, MAX_MESSAGE_BYTES)
         messages = [(key, ns, bytes(content[begin + _MESSAGE_HEAD : end])) for _, key, ns, begin, end in rows.tolist()]
         if any(data.startswith(_ZSTD_MAGIC) for _, _, data in messages):
             self.compression = "zstd messages"
@@ -495,7 +450,7 @@ class _SqliteFile(StorageFile):
             places = ", ".join("?" for _ in keys)
             longest = f"SELECT max(length(data)) FROM messages WHERE topic_id IN ({places})"
             (size,) = self._database.execute(longest, list(keys)).fetchone()
-            check_length("a message", size or 0, _MAX_MESSAGE_BYTES)
+            check_length("a message", size or 0, MAX_MESSAGE_BYTES)
             chosen = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({places})"
             for key, log_ns, data in self._database.execute(f"{chosen} ORDER BY timestamp, id", list(keys)):
                 if data.startswith(_ZSTD_MAGIC):
@@ -522,6 +477,7 @@ class _Ros1File(StorageFile):
     kind = "bag"
 
     def __init__(self, path: Path) -> None:
+        check_ros1_chunks(path)
         self._reader = Ros1Reader(path)
         with library_errors():
             self._reader.open()
@@ -541,5 +497,5 @@ class _Ros1File(StorageFile):
 _BEGINNINGS: Final[dict[bytes, Callable[[Path], StorageFile]]] = {
     MCAP_MAGIC: _McapFile,
     b"SQLite format 3\0": _SqliteFile,
-    b"#ROSBAG V2.0\n": _Ros1File,
+    ROS1_MAGIC: _Ros1File,
 }

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.bags.storage_files import DamagedError, load_arrays
+from rx90_common.bags.limits import DamagedError, load_arrays
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml, yaml_text
 from rx90_common.base.entries import PER_JOINT, ListOf, Number, Numbers, Text
