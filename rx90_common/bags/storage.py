@@ -7,7 +7,6 @@ chunk of mcap are found here: the library takes some 15 us for each.
 from __future__ import annotations
 
 import os
-import shutil
 import sqlite3
 import struct
 from bisect import bisect_left
@@ -22,7 +21,6 @@ from tempfile import TemporaryDirectory
 from typing import BinaryIO, Final, TypeAlias
 from zlib import crc32
 
-from backports import zstd
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, Schema, Statistics
@@ -33,15 +31,18 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rx90_common.bags.limits import (
     MAX_MESSAGE_BYTES,
     MAX_RECORD_BYTES,
+    ROS1_MAGIC,
     ZSTD_MAGIC,
     DamagedError,
     check_length,
+    check_ros1_chunks,
     library_errors,
     unpack_chunk,
+    unpack_file,
     unpack_message,
 )
 from rx90_common.bags.topics import JOINT_STATE
-from rx90_common.base.errors import BagError, write_error
+from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 
@@ -158,14 +159,7 @@ def open_storage(path: Path, stack: ExitStack) -> StorageFile:
         beginning = stream.read(max(map(len, _BEGINNINGS)))
         if beginning.startswith(ZSTD_MAGIC):
             target = Path(stack.enter_context(TemporaryDirectory(prefix="rx90_bag_"))) / path.stem
-            stream.seek(0)
-            try:
-                with zstd.open(stream, "rb") as content, target.open("wb") as whole:
-                    shutil.copyfileobj(content, whole, _COPY_BYTES)
-            except (zstd.ZstdError, EOFError) as error:
-                raise DamagedError(f"{error}") from error
-            except OSError as error:
-                raise write_error(target, error) from error
+            unpack_file(path, target)
             inner = open_storage(target, stack)
             inner.compression = "zstd files"
             return inner
@@ -385,6 +379,7 @@ class _Ros1File(StorageFile):
     kind = "bag"
 
     def __init__(self, path: Path) -> None:
+        check_ros1_chunks(path)
         self._reader = Ros1Reader(path)
         self._reader.open()
         self.topics = {
@@ -405,5 +400,5 @@ class _Ros1File(StorageFile):
 _BEGINNINGS: Final[dict[bytes, Callable[[Path], StorageFile]]] = {
     MCAP_MAGIC: _McapFile,
     b"SQLite format 3\0": _SqliteFile,
-    b"#ROSBAG V2.0\n": _Ros1File,
+    ROS1_MAGIC: _Ros1File,
 }

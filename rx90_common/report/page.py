@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from bokeh.embed import json_item
 from bokeh.layouts import gridplot
-from bokeh.models import FixedTicker, HoverTool, Range1d
+from bokeh.models import FixedTicker, HoverTool, PlainText, Range1d
 from bokeh.models.annotations import Title
 from bokeh.palettes import RdBu11, interp_palette
 from bokeh.plotting import ColumnDataSource, figure
@@ -148,9 +148,8 @@ def _figure(title: str, **options: Any) -> Any:
         sizing_mode="stretch_width", outline_line_color=None, **options,
     )  # fmt: skip
     font = "system-ui, sans-serif"
-    shown.title = Title(
-        text=title, visible=bool(title), text_font=font, text_font_size="13px", text_font_style="normal"
-    )
+    text = PlainText(text=title)  # dollars in a name from outside make no formula
+    shown.title = Title(text=text, visible=bool(title), text_font=font, text_font_size="13px", text_font_style="normal")
     for axis in shown.axis:
         axis.update(
             axis_label_text_font=font, axis_label_text_font_size="13px", axis_label_text_font_style="normal",
@@ -166,7 +165,7 @@ def _panel(panel: Panel, height: int, share: Range1d | None) -> Any:
     ends = np.array(panel.x_range)
     shown = _figure(
         height=height + 16 * bool(panel.title) + 16 * bool(panel.x_label),
-        title=panel.title, x_axis_label=panel.x_label, y_axis_label=panel.y_label,
+        title=panel.title, x_axis_label=PlainText(text=panel.x_label), y_axis_label=PlainText(text=panel.y_label),
         x_axis_type="linear" if is_symlog else panel.x_scale, y_axis_type=panel.y_scale,
         x_range=share or _range(symlog(ends, panel.smallest) if is_symlog else ends), y_range=_range(panel.y_range),
     )  # fmt: skip
@@ -230,6 +229,7 @@ def _heat(heat: Heat) -> Any:
     data = {"x": names[column].tolist(), "y": names[row].tolist(), "value": heat.values[row, column]}
     shown.rect("x", "y", 1, 1, source=ColumnDataSource(data), line_color=None,
                fill_color=linear_cmap("value", interp_palette(RdBu11, 256), -1.0, 1.0))  # fmt: skip
+    shown.axis.major_label_overrides = {name: PlainText(text=name) for name in heat.names}
     shown.axis.major_label_text_font_size = f"{6 if count > 30 else 8 if count > 12 else 11}px"
     shown.xaxis.major_label_orientation = np.pi / 2.0
     shown.grid.grid_line_color = None

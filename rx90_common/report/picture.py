@@ -68,9 +68,10 @@ _STYLE: Any = {
 
 @contextmanager
 def _styled() -> Iterator[None]:
-    """Draw in the style of all plots; a letter of a name that the font does not have is drawn as a box, silently."""
+    """Draw in the style of all plots; letters that the font does not have, and names without room, make no warning."""
     with mpl.rc_context(_STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from")
+        warnings.filterwarnings("ignore", "constrained_layout not applied")
         yield
 
 

@@ -60,11 +60,6 @@ def test_equal_plots_are_equal_bytes(tmp_path: Path) -> None:
         assert first == second
 
 
-def test_names_are_written_as_they_are() -> None:
-    """Dollar signs in a name from outside do not make it a formula, which could even be a wrong one."""
-    assert "a$\\frac$b" in as_svg(Plot([panel(Curve(TIME[:2], NOISE[:2], r"a$\frac$b"))]))
-
-
 TEMPLATES = {
     path.name: path
     for package in PACKAGES

@@ -67,6 +67,7 @@ REFUSED = {
     "two units": ("p.csv", "x [mm],y [mm],z [mm]\n1,2,3\n4,5,6\n", {"unit": "m"}, "is in mm, unit is m"),
     "a gap": ("p.csv", "x [m],y [m],z [m]\n1,2,3\n4,,6\n", {}, "line 3 is '4, , 6'; accepted: finite numbers, x, y, z"),
     "not a number": ("p.csv", "1 2 nan\n", {"unit": "m"}, "line 1 is '1, 2, nan'"),
+    "a stray quotation mark": ("p.csv", 'x,y,z\n"1,2,3' + "\n1,2,3" * 30_000, {"unit": "m"}, "field larger than field"),
     "twice": ("p.csv", "1 2 3\n1 2 3\n", {"unit": "m"}, r"points 1 and 2 are both \(1.0, 2.0, 3.0\)"),
     "one point": ("p.csv", "1 2 3\n", {"unit": "m"}, "holds 1 point; accepted: two or more"),
     "another kind": ("p.svg", "", {}, "ends with '.svg'; accepted: .csv, .dxf"),
