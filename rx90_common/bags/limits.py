@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from rx90_common.base.errors import BagError, write_error
 from rx90_common.base.quoting import plain
 
+MAX_CHUNK_BYTES: Final = 32 << 20
+MAX_MESSAGE_BYTES: Final = 16 << 20
+ROS1_MAGIC: Final = b"#ROSBAG V2.0\n"
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 """With which no CDR message begins."""
-ROS1_MAGIC: Final = b"#ROSBAG V2.0\n"
-MAX_RECORD_BYTES: Final = 32 << 20
-MAX_MESSAGE_BYTES: Final = 16 << 20
 _MAX_ARRAYS_BYTES = 256 << 20  # of all in a file, also of a bag that is compressed as a whole, or
 _MAX_ARRAYS_FACTOR = 50  # times its size
 _COPY_BYTES = 1 << 20
@@ -71,35 +71,6 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
             check_arrays(path, sum(member.file_size for member in archive.infolist()))
         with np.load(path, allow_pickle=False) as arrays:
             return dict(arrays)
-
-
-def unpack_chunk(chunk: Chunk) -> bytes:
-    """Return the content of a chunk of mcap that has the length and the checksum that its head states."""
-    size = chunk.uncompressed_size
-    check_length("a chunk", size, MAX_RECORD_BYTES)
-    content = chunk.data
-    if chunk.compression == "zstd":
-        content = zstd.ZstdDecompressor().decompress(content, size + 1)
-    elif chunk.compression == "lz4":
-        content = lz4.frame.LZ4FrameDecompressor().decompress(content, size + 1)
-    elif chunk.compression:
-        raise DamagedError(f"a chunk is compressed by {plain(chunk.compression)}; accepted: zstd, lz4")
-    if len(content) != size:
-        how = "longer" if len(content) > size else "shorter"
-        raise DamagedError(f"a chunk is {how} than {size:,} bytes, which its head says")
-    if chunk.uncompressed_crc not in (0, crc32(content)):
-        raise DamagedError("the checksum of a chunk does not match")
-    return content
-
-
-def unpack_message(content: bytes) -> bytes:
-    """Return a message that is compressed."""
-    frame = zstd.ZstdDecompressor()
-    with library_errors("a compressed message: "):
-        data = frame.decompress(content, MAX_MESSAGE_BYTES)
-    if not frame.eof:
-        raise DamagedError(f"a compressed message is cut off, or longer than {MAX_MESSAGE_BYTES:,} bytes")
-    return data
 
 
 def unpack_file(source: Path, target: Path) -> None:
@@ -161,7 +132,36 @@ def _ros1_fields(part: memoryview) -> dict[str, bytes]:
 
 def _check_ros1_chunk(values: dict[str, bytes], content: memoryview) -> None:
     size = int.from_bytes(values.get("size", b""), "little")
-    check_length("its content", max(size, len(content)), MAX_RECORD_BYTES)
+    check_length("its content", max(size, len(content)), MAX_CHUNK_BYTES)
     kind: Any = _ROS1_COMPRESSIONS.get(values.get("compression", b""))
     if len(content if kind is None else kind().decompress(content.tobytes(), size + 1)) != size:
         raise DamagedError(f"unpacks to another length than {size:,} bytes, which its head says")
+
+
+def unpack_chunk(chunk: Chunk) -> bytes:
+    """Return the content of a chunk of mcap that has the length and the checksum that its head states."""
+    size = chunk.uncompressed_size
+    check_length("a chunk", size, MAX_CHUNK_BYTES)
+    content = chunk.data
+    if chunk.compression == "zstd":
+        content = zstd.ZstdDecompressor().decompress(content, size + 1)
+    elif chunk.compression == "lz4":
+        content = lz4.frame.LZ4FrameDecompressor().decompress(content, size + 1)
+    elif chunk.compression:
+        raise DamagedError(f"a chunk is compressed by {plain(chunk.compression)}; accepted: zstd, lz4")
+    if len(content) != size:
+        how = "longer" if len(content) > size else "shorter"
+        raise DamagedError(f"a chunk is {how} than {size:,} bytes, which its head says")
+    if chunk.uncompressed_crc not in (0, crc32(content)):
+        raise DamagedError("the checksum of a chunk does not match")
+    return content
+
+
+def unpack_message(content: bytes) -> bytes:
+    """Return a message that is compressed."""
+    frame = zstd.ZstdDecompressor()
+    with library_errors("a compressed message: "):
+        data = frame.decompress(content, MAX_MESSAGE_BYTES)
+    if not frame.eof:
+        raise DamagedError(f"a compressed message is cut off, or longer than {MAX_MESSAGE_BYTES:,} bytes")
+    return data

@@ -29,8 +29,8 @@ from mcap.summary import Summary
 from rosbags.rosbag1 import Reader as Ros1Reader
 
 from rx90_common.bags.limits import (
+    MAX_CHUNK_BYTES,
     MAX_MESSAGE_BYTES,
-    MAX_RECORD_BYTES,
     ROS1_MAGIC,
     ZSTD_MAGIC,
     DamagedError,
@@ -51,7 +51,6 @@ ACCEPTED: Final = (
 )
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 _MAX_SUMMARY_BYTES = 256 << 20
-_COPY_BYTES = 1 << 20
 _LAST_NS = 2**64
 _RECORD = struct.Struct("<BQ")  # op code and length
 _MESSAGE = struct.Struct("<BQHIQQ")  # the same, channel, sequence number, log time, time of publication
@@ -186,6 +185,8 @@ class _McapFile(StorageFile):
                 raise self._cut_off()
             summary = _summary(stream)
         self._chunks = sorted(summary.chunk_indexes, key=attrgetter("message_start_time"))
+        if sum(index.chunk_length for index in self._chunks) > size:
+            raise DamagedError("its index has more chunks than it can hold")
         counts: dict[int, int] = Counter()
         if summary.statistics is not None and summary.channels:
             counts = summary.statistics.channel_message_counts
@@ -234,8 +235,9 @@ class _McapFile(StorageFile):
                 with library_errors(f"the chunk at byte {index.chunk_start_offset}: "):
                     stream.seek(index.chunk_start_offset)
                     code, length = _RECORD.unpack(stream.read(_RECORD.size))
-                    if code != Opcode.CHUNK or length > MAX_RECORD_BYTES:
-                        raise DamagedError(f"a record of kind {code} with {length:,} bytes, which is no chunk")
+                    if code != Opcode.CHUNK or length + _RECORD.size != index.chunk_length:
+                        raise DamagedError("its index leads to no chunk")
+                    check_length("a chunk", length, MAX_CHUNK_BYTES)
                     chunk = Chunk.read(ReadDataStream(stream))
                     part = _messages_in(self._content(chunk), keys)
                     if not all(chunk.message_start_time <= log_ns <= chunk.message_end_time for _, log_ns, _ in part):
@@ -250,7 +252,7 @@ class _McapFile(StorageFile):
     def _records(self) -> Iterator[McapRecord]:
         """Yield the records of the file, and those in its chunks, as they stand in it."""
         with self._path.open("rb") as stream:
-            reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+            reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_CHUNK_BYTES)
             for record in reader.records:
                 if isinstance(record, Chunk):
                     yield from breakup_chunk(replace(record, data=self._content(record), compression=""))
@@ -316,8 +318,10 @@ def _messages_in(content: bytes, keys: Collection[int]) -> list[LoggedMessage]:
             end += length
             if channel in keys:
                 messages.append((channel, log_ns, content[at + _MESSAGE.size : end]))
-        else:
+        elif content[at]:  # schemas and channels
             end += _RECORD.unpack_from(content, at)[1]
+        else:
+            break
         at = end
     if at != size:
         raise DamagedError("its records do not fill it")
