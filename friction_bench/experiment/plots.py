@@ -14,7 +14,7 @@ from friction_bench.experiment.identification import (
     RampIdentification,
     slopes_of,
 )
-from rx90_common.report.charts import chart
+from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.style import COLOURS, GREY, INK
 
 _DASHES: Final = ("solid", "dashed", "dotted", "dashdot")
@@ -62,7 +62,8 @@ def loads(parts: Mapping[str, RampIdentification]) -> figure:
 def four_ways(comparison: FourWay) -> list[figure]:
     """Show the four velocities and their differences from the closed form (figures 7 and 8)."""
     above = chart("", "", "motor velocity, rad/s")
-    below = chart("", _TIME, "less closed form, %", x_range=above.x_range)
+    below = chart("", "", "less closed form, %")
+    over_one_x([above, below], _TIME)
     *_, closed = comparison.velocities.values()
     for k, (name, velocity) in enumerate(comparison.velocities.items()):
         width = 1.0 if name == EXPERIMENT else 1.8

@@ -8,7 +8,7 @@ from pathlib import Path
 from bokeh.plotting import figure
 
 from rx90_common.bags.plotting import TopicPlot
-from rx90_common.report.charts import chart, inert
+from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.page import render_page
 from rx90_common.report.style import INK
 
@@ -39,8 +39,7 @@ def topic_figures(plot: TopicPlot) -> list[figure]:
     """Show each field of a topic over the time, with its differences below."""
     figures: list[figure] = []
     for field in plot.fields:
-        time = {"x_range": figures[0].x_range} if figures else {}
-        shown = chart("" if figures else plot.topic, "", plot.label(field), height=_HEIGHT, **time)
+        shown = chart("" if figures else plot.topic, "", plot.label(field), height=_HEIGHT)
         figures.append(shown)
         for line in plot.lines(field):
             shown.line(
@@ -53,10 +52,10 @@ def topic_figures(plot: TopicPlot) -> list[figure]:
             )
         if plot.less is not None:
             title = f"{plot.names[1]} less {plot.names[0]}"
-            shown = chart(title, "", plot.label(field), height=_HEIGHT, x_range=figures[0].x_range)
+            shown = chart(title, "", plot.label(field), height=_HEIGHT)
             figures.append(shown)
             shown.hspan([0.0], line_color=INK)
             for line in plot.lines_less(field):
                 shown.line(line.time, line.values, name=line.name, color=line.colour)
-    figures[-1].xaxis.axis_label = inert(plot.time_label)
+    over_one_x(figures, plot.time_label)
     return figures

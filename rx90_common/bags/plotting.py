@@ -20,8 +20,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.process.files import write_text
-from rx90_common.report.style import COLOURS, INK, PICTURES
+from rx90_common.report.style import COLOURS, INK
 
 USUAL = ("/joint_states", "/friction_states", "/rx90_controller/tracking_error")
 """What is drawn unless topics are chosen."""
@@ -174,32 +173,6 @@ def plot_bags(
     robots = tuple(name for name in map(robot_of, paths) if name is not None) if len(bags) > 1 else ()
     robots = robots if len(set(robots)) > 1 else ()
     return [_topic_plot(_names(paths), series, robots) for series in chosen]
-
-
-def write_plots(paths: Sequence[Path], plots: Sequence[TopicPlot], output: Path) -> str:
-    """Write the plots of bags to a page or picture, by its suffix; return the remark on different robots."""
-    names = _names(paths)
-    robots = next((one.robots for one in plots if one.robots), ())
-    each = " and ".join(f"{plain(name)} of {plain(robot)}" for name, robot in zip(names, robots, strict=False))
-    note = f"two robots, {each}: drawn over each other, without a difference" if robots else ""
-    if is_page(output):
-        from rx90_common.bags.charts import topic_page
-
-        write_text(output, topic_page(paths, names, plots, note))
-    else:
-        from rx90_common.bags.pictures import draw_topics
-
-        title = note or f"{' against '.join(reversed(names))}: {listed(one.topic for one in plots)}"
-        draw_topics(plots, title, output)
-    return note
-
-
-def is_page(path: Path) -> bool:
-    """Return whether a file is a page, and not a picture, by its suffix."""
-    kinds = (".html", *PICTURES)
-    if path.suffix.lower() not in kinds:
-        raise BagError(f"{plain(path)}: the suffix says what it is; accepted: {', '.join(kinds)}")
-    return path.suffix.lower() == ".html"
 
 
 def _names(paths: Sequence[Path]) -> list[str]:

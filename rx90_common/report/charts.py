@@ -64,7 +64,7 @@ def inert(text: str) -> PlainText:
     return PlainText(text=text)
 
 
-def chart(title: str = "", x_label: str = "", y_label: str = "", *, height: int = 180, **options: Any) -> figure:
+def chart(title: str = "", x_label: str = "", y_label: str = "", *, height: int | None = 180, **options: Any) -> figure:
     """Return an empty figure.
 
     What is drawn in it with a `name` has an entry in the legend; lines and dots show their values below the pointer.
@@ -73,7 +73,7 @@ def chart(title: str = "", x_label: str = "", y_label: str = "", *, height: int 
         title: one line; "" for none.
         x_label: of the axis, with unit.
         y_label: of the axis, with unit.
-        height: of the frame, pixels.
+        height: of the frame, pixels; None where options have another size.
         options: Bokeh's own.
     """
     empty = figure(
@@ -87,8 +87,18 @@ def chart(title: str = "", x_label: str = "", y_label: str = "", *, height: int 
         **options,
     )
     labels = [("", "$name"), (x_label or "x", "@x{%.6g}"), (y_label or "y", "@y{%.6g}")]
-    empty.add_tools(HoverTool(tooltips=labels, formatters={"@x": "printf", "@y": "printf"}, renderers=[]))
+    empty.add_tools(
+        HoverTool(tooltips=labels, formatters={"@x": "printf", "@y": "printf"}, renderers=[], visible=False)
+    )
     return empty
+
+
+def over_one_x(figures: Sequence[figure], x_label: str, across: int = 1) -> None:
+    """Let figures show the same range of the x axis, with its label below the last, so many side by side."""
+    for shown in figures[1:]:
+        shown.x_range = figures[0].x_range
+    for shown in figures[-across:]:
+        shown.xaxis.axis_label = inert(x_label)
 
 
 def _glyphs(shown: figure) -> list[GlyphRenderer[Any]]:

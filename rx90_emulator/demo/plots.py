@@ -7,7 +7,7 @@ from bokeh.plotting import figure
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
-from rx90_common.report.charts import chart
+from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.style import COLOURS, INK
 from rx90_emulator.loop.line import PathAccuracy
 
@@ -24,7 +24,8 @@ def path_error(recorded: PathAccuracy, without: PathAccuracy, name: str, limit: 
 def tracking(joints: JointSeries, error: JointSeries) -> list[figure]:
     """Show the velocities of the joints, and their position errors."""
     velocities = chart("", "", "joint velocity, rad/s")
-    errors = chart("", "time, s", "position error, mrad", x_range=velocities.x_range)
+    errors = chart("", "", "position error, mrad")
+    over_one_x([velocities, errors], "time, s")
     _draw(velocities, joints.time, joints.fields["velocity"], joints.names)
     _draw(errors, error.time, error.fields["position"] * 1e3, joints.names)
     return [velocities, errors]

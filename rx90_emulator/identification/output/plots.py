@@ -13,7 +13,7 @@ from bokeh.transform import linear_cmap
 from scipy.signal import welch
 
 from rx90_common.base.arrays import Array
-from rx90_common.report.charts import chart, inert
+from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.style import COLOURS, GREY, INK
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.identify import FrictionIdentification
@@ -43,18 +43,17 @@ def _compared(shown: figure, time: Array, recorded: tuple[str, Array], predicted
 def validation(check: Validation) -> list[figure]:
     """Show the torques of a validation, and the distance of the tips if there is one."""
     torque = check.torque
-    figures: list[figure] = []
+    figures = []
     for k, name in enumerate(check.names):
-        time = {"x_range": figures[0].x_range} if figures else {}
-        shown = chart(name, "", check.unit, height=120, **time)
+        shown = chart(name, "", check.unit, height=120)
         _compared(shown, torque.time, ("recorded", torque.recorded[:, k]), ("predicted", torque.predicted[:, k]))
         shown.line(torque.time, torque.difference[:, k], name="difference", color=_DIFFERENCE)
         figures.append(shown)
     if len(check.tip_distance):
-        shown = chart("tips", "", "distance, µm", height=120, x_range=figures[0].x_range)
+        shown = chart("tips", "", "distance, µm", height=120)
         shown.line(check.tip_time, check.tip_distance * 1e6, color=COLOURS[0])
         figures.append(shown)
-    figures[-1].xaxis.axis_label = inert("time, s")
+    over_one_x(figures, "time, s")
     return figures
 
 
@@ -63,14 +62,13 @@ def measured_torques(result: MeasuredComparison) -> list[figure]:
     torque = result.agreement
     time = result.time - result.time[0]
     rows = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
-    figures: list[figure] = []
+    figures = []
     for k, name in enumerate(result.names):
-        shared = {"x_range": figures[0].x_range} if figures else {}
-        shown = chart(name, "", "Nm", height=120, **shared)
+        shown = chart(name, "", "Nm", height=120)
         _compared(shown, time[rows], ("measured", torque.recorded[rows, k]), ("simulated", torque.predicted[rows, k]))
         shown.line(time[rows], torque.difference[rows, k], name="difference", color=_DIFFERENCE)
         figures.append(shown)
-    figures[-1].xaxis.axis_label = inert("time since the comparison began, s")
+    over_one_x(figures, "time since the comparison began, s")
     return figures
 
 
@@ -78,18 +76,16 @@ def measured_positions(result: MeasuredComparison) -> list[figure]:
     """Show measured and simulated positions, each beside their difference."""
     time = result.time - result.time[0]
     rows = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
-    figures: list[figure] = []
+    figures = []
     for k, name in enumerate(result.names):
         measured = result.position[rows, k]
         simulated = result.simulated_position[rows, k]
-        shared = {"x_range": figures[0].x_range} if figures else {}
-        positions = chart(name, "", "rad", height=120, **shared)
+        positions = chart(name, "", "rad", height=120)
         _compared(positions, time[rows], ("measured", measured), ("simulated", simulated))
-        difference = chart(name, "", "mrad", height=120, x_range=positions.x_range)
+        difference = chart(name, "", "mrad", height=120)
         difference.line(time[rows], 1e3 * (simulated - measured), name="simulated - measured", color=_DIFFERENCE)
         figures += [positions, difference]
-    for shown in figures[-2:]:
-        shown.xaxis.axis_label = inert("time since the comparison began, s")
+    over_one_x(figures, "time since the comparison began, s", across=2)
     return figures
 
 
@@ -100,8 +96,8 @@ def sliding_curve(name: str, curve: CurvePoints) -> list[figure]:
     """
     smallest = float(np.abs(curve.velocity).min())
     above = chart(name, "", "friction torque, Nm")
-    label = "velocity of the element, rad/s (logarithmic on either side)"
-    below = chart("", label, "residual, Nm", x_range=above.x_range)
+    below = chart("", "", "residual, Nm")
+    over_one_x([above, below], f"{_SPEED} (logarithmic on either side)")
     largest = float(np.abs(np.append(curve.line[0], curve.velocity)).max())
     decades = 10.0 ** np.arange(np.ceil(np.log10(smallest)), np.floor(np.log10(largest)) + 1.0)
     ticks = np.concatenate([-decades[::-1], [0.0], decades])
@@ -180,7 +176,12 @@ def correlation(names: Sequence[str], values: Array, title: str = "") -> figure:
     row, column = np.nonzero(np.isfinite(values))
     known = np.array(names)
     shown = chart(
-        title, x_range=list(names), y_range=list(names[::-1]), aspect_ratio=1, max_width=900 if count > 12 else 420
+        title,
+        height=None,
+        aspect_ratio=1,
+        max_width=900 if count > 12 else 420,
+        x_range=list(names),
+        y_range=list(names[::-1]),
     )
     source = ColumnDataSource({"x": known[column].tolist(), "y": known[row].tolist(), "value": values[row, column]})
     colour = linear_cmap("value", interp_palette(RdBu11, 256), -1.0, 1.0)
@@ -201,7 +202,7 @@ def _start(run: RunTorques) -> float:
 
 def excitation_run(run: RunTorques, unit: str) -> list[figure]:
     """Show the torques of the first part of a run, with gaps where a joint stands still."""
-    figures: list[figure] = []
+    figures = []
     for name, joint in zip(run.names, run.joints, strict=True):
         count = max(1, int(np.searchsorted(joint.time, _start(run) + _DRAWN_S)))
         time, _, recorded, predicted = (values[:count] for values in joint)
@@ -209,12 +210,11 @@ def excitation_run(run: RunTorques, unit: str) -> list[figure]:
         gaps = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1 if len(steps) else np.empty(0, dtype=np.intp)
         rows = (time - _start(run), recorded, predicted, recorded - predicted)
         time, recorded, predicted, residual = (np.insert(values, gaps, np.nan) for values in rows)
-        shared = {"x_range": figures[0].x_range} if figures else {}
-        shown = chart(name, "", unit, height=120, **shared)
+        shown = chart(name, "", unit, height=120)
         _compared(shown, time, ("measured", recorded), ("predicted", predicted))
         shown.line(time, residual, name="difference", color=_DIFFERENCE)
         figures.append(shown)
-    figures[-1].xaxis.axis_label = inert(_TIME)
+    over_one_x(figures, _TIME)
     return figures
 
 
