@@ -27,8 +27,8 @@ from benchmarks.report import PLOT, arguments, merge, print_table
 from rx90_common.base.arrays import Array
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionSet
-from rx90_common.report.picture import write_picture
-from rx90_common.report.plot import COLOURS, INK, Band, Curve, Panel, Plot
+from rx90_common.report.picture import WIDTH, picture, plain_decades
+from rx90_common.report.style import COLOURS, GREY, INK
 from rx90_emulator.loop.setup import Setup
 
 SUBSTEPS = (1, 2, 4, 8, 16)
@@ -231,26 +231,27 @@ def draw(found: Convergence, file: Path) -> None:
         np.array(values) * 1e6
         for values in zip(*((m.tip, m.joints.max(), m.bristles.max()) for m in exact), strict=True)
     )
-    limits = np.percentile(spread, [0, 100])[:, None] * np.ones(2)
     ends = steps[[0, -1]]
-    tip = [
-        Band(ends, *limits, "encoders as shipped: solver against itself"),
-        Curve(ends, np.full(2, float(np.median(spread))), "encoders as shipped: solver against itself", COLOURS[6]),
-        Band(steps, shipped.min(axis=1), shipped.max(axis=1), "encoders as shipped: plant step", COLOURS[1]),
-        Curve(steps, np.median(shipped, axis=1), "encoders as shipped: plant step", COLOURS[1], dots=True),
-        Curve(steps, tips, "without rounding: plant step", COLOURS[0], dots=True),
-        Curve(steps, 2.0 * tips[0] / steps**2.0, "order 2", INK, 1.0, "dotted"),
-    ]
-    states = [
-        Curve(steps, joints, "joint positions", COLOURS[0], dots=True),
-        Curve(steps, bristles, "bristle deflections", COLOURS[2], dots=True),
-        Curve(steps, 2.0 * joints[0] / steps**2.0, "order 2", INK, 1.0, "dotted"),
-    ]
-    panels = [
-        Panel(tip, "", "", "worst tip difference, µm", "log", "log"),
-        Panel(states, "", "plant steps in a tick of 250 µs", "worst difference, µrad", "log", "log"),
-    ]
-    write_picture(Plot(panels, height=3.2), file)
+    slope = 2.0 / steps**2.0
+    with picture(file) as figure:
+        figure.set_size_inches(WIDTH, 6.4)
+        tip, states = figure.subplots(2)
+        tip.fill_between(ends, *np.percentile(spread, [0, 100]), color=GREY, alpha=0.35, linewidth=0.0)
+        tip.loglog(
+            ends, np.full(2, np.median(spread)), color=COLOURS[6], label="encoders as shipped: solver against itself"
+        )
+        tip.fill_between(steps, shipped.min(axis=1), shipped.max(axis=1), color=COLOURS[1], alpha=0.35, linewidth=0.0)
+        tip.loglog(steps, np.median(shipped, axis=1), ".-", color=COLOURS[1], label="encoders as shipped: plant step")
+        tip.loglog(steps, tips, ".-", color=COLOURS[0], label="without rounding: plant step")
+        tip.loglog(steps, tips[0] * slope, ":", color=INK, label="order 2")
+        tip.set_ylabel("worst tip difference, µm")
+        states.loglog(steps, joints, ".-", color=COLOURS[0], label="joint positions")
+        states.loglog(steps, bristles, ".-", color=COLOURS[2], label="bristle deflections")
+        states.loglog(steps, joints[0] * slope, ":", color=INK, label="order 2")
+        states.set(xlabel="plant steps in a tick of 250 µs", ylabel="worst difference, µrad")
+        for panel in (tip, states):
+            plain_decades(panel)
+            panel.legend()
 
 
 def _exact_table(found: Convergence) -> None:

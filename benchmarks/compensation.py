@@ -40,8 +40,8 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
-from rx90_common.report.picture import write_picture
-from rx90_common.report.plot import COLOURS, Curve, Level, Panel, Plot
+from rx90_common.report.picture import WIDTH, picture
+from rx90_common.report.style import COLOURS, INK
 from rx90_controller.law.cs7b import position_loop, velocity_loop
 from rx90_controller.law.model import ModelFiles
 from rx90_controller.lines.task import LineTask, load_task
@@ -372,20 +372,23 @@ def speed(setup: Setup, task: LineTask) -> dict[str, float]:
 
 def draw(runs: Mapping[str, Mapping[str, LineRun]], file: Path) -> None:
     """Draw the path error along the line for the right model and those that are off."""
-    panels = []
     shown = {RIGHT: list(LAWS), **{name: [OWN, BOTH] for name in (*OFF, COLD, HOT)}}
-    for condition, laws in shown.items():
-        marks: list[Curve | Level] = [Level(TARGET, "0.03 mm", dash="dotted")]
-        curves = [(law, runs[condition][law], COLOURS[list(LAWS).index(law)]) for law in laws]
-        if condition in (COLD, HOT):
-            curves.append((BOTH + KNOWN, runs[condition + KNOWN][BOTH], COLOURS[len(LAWS)]))
-        for name, run, colour in curves:
-            path = run.path_accuracy
-            marks.append(Curve(path.along * 1e3, path.perpendicular * 1e3, name, colour))
-        title = condition.capitalize()
-        x_label = "along the line, mm" if condition == list(shown)[-1] else ""
-        panels.append(Panel(marks, title, x_label, "path error, mm", from_zero=True))
-    write_picture(Plot(panels, height=2.3), file)
+    with picture(file) as figure:
+        figure.set_size_inches(WIDTH, 2.3 * len(shown))
+        panels = figure.subplots(len(shown))
+        for panel, (condition, laws) in zip(panels, shown.items(), strict=True):
+            panel.axhline(TARGET, color=INK, linewidth=0.7, linestyle="dotted", label="0.03 mm")
+            for law in laws:
+                path = runs[condition][law].path_accuracy
+                colour = COLOURS[list(LAWS).index(law)]
+                panel.plot(path.along * 1e3, path.perpendicular * 1e3, color=colour, label=law)
+            if condition in (COLD, HOT):
+                path = runs[condition + KNOWN][BOTH].path_accuracy
+                name = BOTH + KNOWN
+                panel.plot(path.along * 1e3, path.perpendicular * 1e3, color=COLOURS[len(LAWS)], label=name)
+            panel.set(title=condition.capitalize(), ylabel="path error, mm", ylim=(0.0, None))
+            panel.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5)
+        panels[-1].set_xlabel("along the line, mm")
 
 
 def main() -> int:

@@ -240,7 +240,8 @@ def _plot(args: argparse.Namespace) -> None:
     The suffix of --output says which: .html, .png, .svg or .pdf. Without options a page shows joint states, friction
     and tracking error, as far as the bag has them.
     """
-    from rx90_common.bags.plotting import is_page, plot_bags, write_plots
+    from rx90_common.bags.plot_files import is_page, write_plots
+    from rx90_common.bags.plotting import plot_bags
     from rx90_emulator.cli.options import progress_bar
 
     if args.align is not None and args.second is None:
