@@ -231,10 +231,12 @@ class BagReader:
         if not files:
             raise BagError(f"{where}: not a bag, or an emptied one: no .mcap or .db3 file in it; accepted: {ACCEPTED}")
         if len(files) > 1:
-            parts = sorted((part[1], part[3], int(part[2]), file)
-                           for file in files if (part := _PART.fullmatch(file.name)))  # fmt: skip
-            expected = [(*parts[0][:2], parts[0][2] + k) for k in range(len(files))] if parts else []
-            if not parts or [part[:3] for part in parts] != expected:
+            parts = sorted(
+                (part[1], part[3], int(part[2]), file) for file in files if (part := _PART.fullmatch(file.name))
+            )
+            if not parts or [part[:3] for part in parts] != [
+                (*parts[0][:2], parts[0][2] + k) for k in range(len(files))
+            ]:
                 raise BagError(
                     f"{where}: {FILE} is missing, and {listed(file.name for file in files)} are not the "
                     "parts of one recording; accepted: NAME_0.mcap, NAME_1.mcap and so on without a gap, or each file "

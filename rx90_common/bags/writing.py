@@ -56,10 +56,12 @@ _VALUE_ARRAYS = {"byte": np.uint8, "bool": np.bool_, "integer": np.int64, "doubl
 _MESSAGE = 0x05
 _CHUNK_BYTES: Final = 1 << 20  # a chunk that is larger is closed, as rosbags does
 _RECORD_HEAD: Final = 9  # op code and length
-_MESSAGE_HEAD: Final = np.dtype([
-    ("code", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"),
-    ("published_ns", "<u8"),
-])  # fmt: skip
+_MESSAGE_HEAD: Final = np.dtype(
+    {
+        "names": ["code", "length", "channel", "sequence", "log_ns", "published_ns"],
+        "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8"],
+    }
+)
 # at the end of a file; a checksum of 4 bytes ends the footer
 _FOOTER_BYTES = 20
 _MAGIC_BYTES = 8
