@@ -13,7 +13,7 @@ accepted. What is accepted comes from the field's JSON schema, or from `accepted
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias, TypeVar
@@ -58,7 +58,7 @@ class Model(BaseModel):
         frozen=True, strict=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants"
     )
 
-    def __iter__(self) -> Iterator[tuple[str, Any]]:  # type: ignore[override] - of pydantic, a generator
+    def __iter__(self) -> Generator[tuple[str, Any], None, None]:
         """Yield names and values of the fields, and not what has been computed of them."""
         fields = type(self).model_fields
         yield from ((name, value) for name, value in self.__dict__.items() if name in fields)
