@@ -13,13 +13,14 @@ accepted. What is accepted comes from the field's JSON schema, or from `accepted
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -44,6 +45,7 @@ MAX_JOINTS: Final = 7
 """Joints that an arm may have."""
 
 _REFUSED: Final = "refused"
+_UNKNOWN_KEY: Final = "extra_forbidden"
 _TYPING_ERROR: Final = 0.8
 """Likeness of a misspelt key to the missing one that is meant, where other keys are accepted, too."""
 _BRANCH_FAULTS: Final = {"union_tag_invalid", "union_tag_not_found"}
@@ -56,7 +58,7 @@ class Model(BaseModel):
         frozen=True, strict=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants"
     )
 
-    def __iter__(self) -> Iterator[tuple[str, Any]]:  # type: ignore[override] - of pydantic, a generator
+    def __iter__(self) -> Generator[tuple[str, Any], None, None]:
         """Yield names and values of the fields, and not what has been computed of them."""
         fields = type(self).model_fields
         yield from ((name, value) for name, value in self.__dict__.items() if name in fields)
@@ -117,6 +119,18 @@ class Named(FileModel, Generic[Item]):
         return self.__pydantic_extra__
 
 
+class Some(Named[Item], Generic[Item]):
+    """A mapping from free names to values of one kind, at least one."""
+
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1, "accepted": "a mapping with one entry or more"})
+
+    @model_validator(mode="after")
+    def _check_some(self: AnyModel) -> AnyModel:
+        if not self.__pydantic_extra__:
+            raise not_accepted()
+        return self
+
+
 class OneOf(FileModel):
     """A mapping that has exactly one of some keys."""
 
@@ -167,12 +181,28 @@ def quantity(
     return Field(description=description, gt=gt, ge=ge, le=le, json_schema_extra=extra)
 
 
+def not_accepted() -> PydanticCustomError:
+    """Return what a validator of a field raises for a value that is not accepted; `accepted` says in words what is."""
+    return PydanticCustomError("not_accepted", "not accepted")
+
+
+def _not_zero(value: float) -> float:
+    if value == 0.0:
+        raise not_accepted()
+    return value
+
+
 def _plain_list(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
 Row: TypeAlias = Annotated[tuple[float, ...], Field(strict=False)]
 """Numbers, of a list in a file."""
+NotZero: TypeAlias = Annotated[
+    float,
+    AfterValidator(_not_zero),
+    Field(json_schema_extra={"not": {"const": 0}, "accepted": "a finite number other than 0"}),
+]
 Triple: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=3, max_length=3)]
 """Three numbers, such as those of a place."""
 PerJoint: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=MAX_JOINTS)]
@@ -294,21 +324,20 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
         where: what contains the values, such as a file.
         content: that was validated, if it came from a file.
     """
-    schema = model.model_json_schema(by_alias=True)
-    faults = error.errors(include_url=False)
-    unknown = [fault for fault in faults if fault["type"] == "extra_forbidden"]
-    known = [fault for fault in faults if fault["type"] != "extra_forbidden"]
+    schema = model.model_json_schema()
+    faults = [(fault, _place_of(fault, content)) for fault in error.errors(include_url=False)]
+    places = [place for _, place in faults]
     lines: list[str] = []
     meant: set[Place] = set()
-    for fault in unknown:
-        *around, key = fault["loc"]
-        place = _place_in_file(tuple(around), content)
-        node = schema_at(schema, place, content)
-        near = nearest(str(key), _missing(node, value_at(content, place)))
-        meant.add((*place, near))
-        lines.append(_unknown_key(where, (*place, key), near, node))
-    for fault in known:
-        place = _place_of(fault, content)
+    for fault, place in faults:
+        if fault["type"] == _UNKNOWN_KEY:
+            node = schema_at(schema, place[:-1], content)
+            near = nearest(str(place[-1]), _missing(node, value_at(content, place[:-1])))
+            meant.add((*place[:-1], near))
+            lines.append(_unknown_key(where, place, near, node))
+    for fault, place in faults:
+        if fault["type"] == _UNKNOWN_KEY or any(inner != place and inner[: len(place)] == place for inner in places):
+            continue  # of several kinds of value, another one is meant
         if fault["type"] == "missing":
             if place in meant:
                 continue  # one mistake would be told twice

@@ -19,7 +19,7 @@ from config_samples import EVERY_KIND, OWN, shipped, written
 from jsonschema import Draft202012Validator
 from schema_faults import schema_faults, validator
 
-from rx90_common.base.config import ABOUT, Section, load_yaml, yaml_text
+from rx90_common.base.config import ABOUT, Section, read_yaml, yaml_text
 from rx90_common.base.declared import Declared, declarations
 from rx90_common.base.entries import (
     MAX_JOINTS,
@@ -136,7 +136,7 @@ def test_schema_and_reader_refuse_the_same(kind: str, samples: list[tuple[str, P
     both, alone = 0, []
     for _ in range(MUTATIONS):
         file = random_.choice(of_kind)
-        what, data = changed(load_yaml(file).content, random_)
+        what, data = changed(read_yaml(file), random_)
         by_reader = refused(kind, tmp_path / file.name, data)
         by_schema = not check.is_valid(data)
         assert by_reader or not by_schema, f"{file.name}: {what}"
@@ -259,7 +259,7 @@ def contents(samples: list[tuple[str, Path]]) -> dict[str, list[Any]]:
     found: dict[str, list[Any]] = {kind.name: [] for kind in KINDS}
     for kind, path in samples:
         if kind in found:
-            data = load_yaml(path, first=True).content
+            data = read_yaml(path, first=True)
             found[kind].append(data)
     return found
 
@@ -365,7 +365,7 @@ def test_each_field_is_refused_in_python_as_in_a_file(index: int, shipped: Setup
 def test_the_shipped_values_say_that_they_are_assumed(shipped_files: RobotFiles) -> None:
     """Each block of the RX90B's controller and drives carries its provenance; the controller's are assumed."""
     said = {
-        role: [block["provenance"] for block in load_yaml(getattr(shipped_files, role)).content.values()]
+        role: [block["provenance"] for block in read_yaml(getattr(shipped_files, role)).values()]
         for role in ("controller", "drives")
     }
     assert set(said["controller"]) == {"assumed"}
