@@ -354,10 +354,6 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
     return lines
 
 
-def _is_inside(place: Place, around: Place) -> bool:
-    return len(place) > len(around) and place[: len(around)] == around
-
-
 def _unknown_key(where: str, place: Place, near: str, node: JsonSchema) -> str:
     keys = ", ".join(name for name in node.get("properties", {}) if name not in FileModel.about_keys)
     return f"{_where(where, place)} is not a known key{question(near)}; accepted: {keys}"
