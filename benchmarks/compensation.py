@@ -230,7 +230,7 @@ class Models:
         """Return the setup with a controller that knows all friction by a factor wrong."""
         path = self._folder / f"friction_{factor}.yaml"
         elements = dict(zip(self._setup.friction.names, scaled(self._setup.friction, factor).elements, strict=True))
-        path.write_text(FrictionFile(elements).text(), encoding="utf-8")
+        path.write_text(FrictionFile(elements=elements).text(), encoding="utf-8")
         setup = self._with(dataclasses.replace(self._files, friction=path))
         own = setup.controller
         wrong = dataclasses.replace(own, coulomb=factor * own.coulomb, viscous=factor * own.viscous)
@@ -258,7 +258,7 @@ class Models:
             return there
         path = self._folder / f"friction_{hall:g}_{believed.sum():.6f}.yaml"
         known = dict(zip(warm.names, _warm(warm, hall, believed), strict=True))
-        path.write_text(FrictionFile(known).text(), encoding="utf-8")
+        path.write_text(FrictionFile(elements=known).text(), encoding="utf-8")
         model = dataclasses.replace(self._files, friction=path)
         return dataclasses.replace(there, controller=dataclasses.replace(there.controller, model=model))
 
@@ -266,11 +266,10 @@ class Models:
 def _warm(friction: FrictionSet, hall: float, start: Array) -> tuple[FrictionElement, ...]:
     """Return elements that begin at temperatures, degrees Celsius, shape (7,)."""
     return tuple(
-        dataclasses.replace(
-            element,
-            temperature=dataclasses.replace(
-                WARMTH, start=float(begin), ambient=hall, resistance=resistance, capacity=TIME_CONSTANT / resistance
-            ),
+        element.replaced(
+            temperature=WARMTH.replaced(
+                start=float(begin), ambient=hall, resistance=resistance, capacity=TIME_CONSTANT / resistance
+            )
         )
         for element, begin, resistance in zip(friction.elements, start, RESISTANCES, strict=True)
     )
@@ -313,7 +312,7 @@ def own_budget(setup: Setup, task: LineTask) -> list[tuple[str, float, float]]:
     # A ramp that is over within rounding of zero: the sign function as written.
     plain = with_parameters(known, {"controller.coulomb_velocity": 1e-12})
     coulomb = tuple(
-        dataclasses.replace(e, tau_s_positive=e.tau_c_positive, tau_s_negative=e.tau_c_negative, c0=_STIFF * e.c0)
+        e.replaced(tau_s={"positive": e.tau_c.positive, "negative": e.tau_c.negative}, c0=_STIFF * e.c0)
         for e in setup.friction.elements
     )
     without = with_parameters(plain, {"controller.coulomb[5]": 0.0, "controller.viscous[5]": 0.0})

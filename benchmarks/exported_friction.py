@@ -31,8 +31,8 @@ def exports(friction: FrictionFile, name: str) -> list[Export]:
     element = friction.elements[name]
     harder = dataclasses.replace(
         element,
-        tau_c_negative=SIGNS_APART * element.tau_c_positive,
-        tau_s_negative=SIGNS_APART * element.tau_s_positive,
+        tau_c_negative=SIGNS_APART * element.tau_c.positive,
+        tau_s_negative=SIGNS_APART * element.tau_s.positive,
         alpha=EXPONENT,
     )
     changed = dataclasses.replace(friction, elements={**friction.elements, name: harder})

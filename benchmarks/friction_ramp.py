@@ -192,7 +192,11 @@ class QuickRig:
         noise = plant.torque_noise * self._rng.standard_normal((ticks.size, SLICES))
         joint = plant.joint
         gain, shaft = self._drawn(loaded)
-        element = joint if isinstance(joint, FrictionElement) else FrictionElement(1, 1, 1, 1, 1, 1, 1, 0, 0)
+        element = (
+            joint
+            if isinstance(joint, FrictionElement)
+            else FrictionElement(tau_c=1, tau_s=1, omega_s=1, delta=1, c0=1, c1=0, c2=0)
+        )
         angle, motor = _ramp(
             gain * command,
             noise,
@@ -284,7 +288,7 @@ def truth_of(rig: Rig, loaded: bool) -> Array:
     if loaded and isinstance(rig.plant.joint, FrictionElement):
         torque = rig.gear_ratio * rig.gear_efficiency
         joint = rig.plant.joint
-        values += joint.tau_c_positive / torque, joint.c2 / (torque * rig.gear_ratio), 0.0
+        values += joint.tau_c.positive / torque, joint.c2 / (torque * rig.gear_ratio), 0.0
     return values
 
 

@@ -23,11 +23,12 @@ from numpy.typing import NDArray
 from rx90_common.base.declared import Declared, declarations
 from rx90_common.base.entries import Integer, ListOf, Number, Other, Rows, Switch
 from rx90_common.base.errors import ConfigError, check_type, located
+from rx90_common.base.models import FileModel, Model, unit_of
 from rx90_common.base.quoting import nearest, question, quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
-from rx90_common.friction.element import FRICTION_PARAMETERS
 from rx90_common.friction.parts.scatter import LARGEST_SEED
+from rx90_common.friction.signs import SIGNS, BySign
 from rx90_controller.lines.task import LineTask
 from rx90_controller.paths.path import Path
 from rx90_emulator.loop.setup import Setup
@@ -103,26 +104,43 @@ class Catalogue:
 
     def __init__(self, setup: Setup, task: LineTask | Path | None = None) -> None:
         check_type(setup=(setup, Setup))
-        self._units: dict[Key, str] = {("arm", "seed"): "1"}
-        self._values: dict[Key, Any] = {("arm", "seed"): setup.seed}
+        self._units: dict[Key, str] = {}
+        self._values: dict[Key, Any] = {}
+        self._leaves: dict[Key, tuple[Key, ...]] = {}  # what a path names, each by its place in the models
+        self._add(("arm", "seed"), setup.seed, "1")
         self._add_declared(("drives",), setup.drives)
         self._add_declared(("controller",), setup.controller)
         for field, unit in TASK_UNITS.items():
             if hasattr(task, field):
-                self._units["task", field] = unit
-                self._values["task", field] = getattr(task, field)
+                self._add(("task", field), getattr(task, field), unit)
         for name, element in zip(setup.friction.names, setup.friction.elements, strict=True):
-            self._add_declared(("friction", name), element)
-            for part_name, part in element.parts.items():
-                self._add_declared(("friction", name, part_name), part)
+            self._add_model(("friction", name), element)
         for i, (field, unit) in itertools.product(range(len(setup.robot.joint_names)), ARM_UNITS.items()):
-            key = ("arm", f"link_{i + 1}", field)
-            self._units[key] = unit
-            self._values[key] = getattr(setup.robot.chain, field)[i]
-        self._names: dict[Key, tuple[Key, ...]] = {key: (key,) for key in self._units}
-        for name, parameter in itertools.product(setup.friction.names, FRICTION_PARAMETERS):
-            keys = tuple(("friction", name, field) for field in parameter.attributes)
-            self._names["friction", name, parameter.name] = keys
+            self._add(("arm", f"link_{i + 1}", field), getattr(setup.robot.chain, field)[i], unit)
+
+    def _add(self, key: Key, value: Any, unit: str, path: Key | None = None) -> None:
+        self._units[key] = unit
+        self._values[key] = value
+        self._leaves[path or key] = (key,)
+
+    def _add_model(self, prefix: Key, model: Model) -> None:
+        """Add all numbers and switches of a model, and of the models in it."""
+        for name, value in model:
+            key = (*prefix, name)
+            if name in FileModel.about_keys:
+                continue
+            if isinstance(value, BySign) and isinstance(value.positive, float):
+                unit = unit_of(type(model), name) or "1"
+                for sign, number in value:
+                    if sign in SIGNS:
+                        self._add((*key, sign), number, unit, (*prefix, f"{name}_{sign}"))
+                self._leaves[key] = tuple((*key, sign) for sign in SIGNS)
+            elif isinstance(value, Model):
+                self._add_model(key, value)
+            elif isinstance(value, bool):
+                self._add(key, value, SWITCH)
+            elif isinstance(value, int | float) or (isinstance(value, tuple) and value):
+                self._add(key, value, unit_of(type(model), name) or "1")
 
     def _add_declared(self, prefix: Key, holder: Declared) -> None:
         """Add all numbers and switches that a declared object holds, and what it holds of others."""
@@ -132,11 +150,9 @@ class Catalogue:
             if isinstance(value, Declared):
                 self._add_declared(key, value)
             elif isinstance(one.entry, Switch):
-                self._units[key] = SWITCH
-                self._values[key] = value
+                self._add(key, value, SWITCH)
             elif isinstance(one.entry, Number | Integer | Rows | ListOf | Other) and np.size(value):
-                self._units[key] = one.entry.unit or "1"
-                self._values[key] = value
+                self._add(key, value, one.entry.unit or "1")
 
     def value(self, leaf: Leaf) -> Value:
         """Return a value as the files have it."""
@@ -147,8 +163,9 @@ class Catalogue:
 
     def all(self) -> list[Place]:
         """Return a place for each value."""
-        every = {key: ("*",) * np.ndim(value) for key, value in self._values.items()}
-        return [place for key, indices in every.items() for place in self._indexed(".".join(key), key, indices)]
+        single = {path: keys[0] for path, keys in self._leaves.items() if len(keys) == 1}
+        every = {path: ("*",) * np.ndim(self._values[key]) for path, key in single.items()}
+        return [place for path, indices in every.items() for place in self._indexed(".".join(path), path, indices)]
 
     def places(self, path: str) -> tuple[Place, ...]:
         """Return what a path names, one place for each combination that its `*` stand for."""
@@ -157,7 +174,7 @@ class Catalogue:
         if match is None:
             raise ConfigError(f"{quoted(path)} is not a path; accepted: such as friction.joint_2.c0 or drives.gear[1]")
         wanted = match["names"].split(".")
-        keys = [key for key in self._names if _matches(key, wanted)]
+        keys = [key for key in self._leaves if _matches(key, wanted)]
         if not keys:
             raise ConfigError(self._unknown(path, wanted))
         indices = match["indices"][1:-1].split("][") if match["indices"] else []
@@ -169,8 +186,8 @@ class Catalogue:
         return tuple(places)
 
     def _indexed(self, path: str, key: Key, indices: Sequence[str]) -> list[Place]:
-        keys = self._names[key]
-        shape = np.shape(self._values[self._names[key][0]])
+        keys = self._leaves[key]
+        shape = np.shape(self._values[self._leaves[key][0]])
         if len(indices) != len(shape) or any(i != "*" and int(i) >= n for i, n in zip(indices, shape, strict=True)):
             raise ConfigError(f"{quoted(path)}: {_accepted_indices('.'.join(key), shape)}")
         chosen = (range(n) if i == "*" else (int(i),) for i, n in zip(indices, shape, strict=True))
@@ -182,7 +199,7 @@ class Catalogue:
     def _unknown(self, path: str, wanted: Sequence[str]) -> str:
         """Say at which name a path goes astray, and which names there are in that place."""
         for depth in range(len(wanted) + 1):
-            known = [key for key in self._names if _matches(key[:depth], wanted[:depth])]
+            known = [key for key in self._leaves if _matches(key[:depth], wanted[:depth])]
             below = sorted({key[depth] for key in known if len(key) > depth})
             if depth == len(wanted):
                 return f"{quoted(path)} is a group of values; accepted: {path} and one of .{', .'.join(below)}"
@@ -271,8 +288,9 @@ def _replaced(where: str, holder: Any, tree: Mapping[str, Any]) -> Any:
     """Return a dataclass with changed values of its own, and of the dataclasses in it, such as parts of an element."""
     if not tree:
         return holder
+    changes = _fields(holder, tree, where)
     with located(where):
-        return replace(holder, **_fields(holder, tree, where))
+        return holder.replaced(**changes) if isinstance(holder, Model) else replace(holder, **changes)
 
 
 def _fields(holder: object, tree: Mapping[str, Any], where: str = "") -> dict[str, Any]:
@@ -283,7 +301,7 @@ def _fields(holder: object, tree: Mapping[str, Any], where: str = "") -> dict[st
         if () in entries:
             fields[name] = entries[()]
         elif isinstance(next(iter(entries)), str):
-            fields[name] = _replaced(where, old, entries)
+            fields[name] = _replaced(f"{where}.{name}" if isinstance(old, Model) else where, old, entries)
         else:
             numbers = np.array(old, dtype=np.float64)
             for index, value in entries.items():

@@ -43,9 +43,9 @@ def test_friction_parameters_reach_mujoco(shipped: Setup) -> None:
     data = mujoco.MjData(model)
     last = alone[6]
     data.qvel[4:] = 5.0, 3.0  # so fast that nothing of the Stribeck effect is left
-    data.act[6] = last.tau_c_positive / last.c0
+    data.act[6] = last.tau_c.positive / last.c0
     mujoco.mj_forward(model, data)
-    assert data.qfrc_actuator[4:] == pytest.approx(-last.tau_c_positive, rel=1e-6)
+    assert data.qfrc_actuator[4:] == pytest.approx(-last.tau_c.positive, rel=1e-6)
     assert data.qfrc_damper[4:] == pytest.approx(-last.c2 * 8.0, rel=1e-9)
 
 

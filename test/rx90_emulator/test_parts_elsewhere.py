@@ -20,9 +20,19 @@ from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.loop.setup import Setup
 
 PARTS = {
-    "load": rx.LoadPart(0.05, 0.1),
-    "temperature": rx.TemperaturePart(40.0, 20.0, 90.0, 30.0, 25.0, 9000.0, 0.4, 20.7, 0.3),
-    "scatter": rx.ScatterPart(0.05, 0.2),
+    "load": rx.LoadPart(driving=0.05, driven=0.1),
+    "temperature": rx.TemperaturePart(
+        reference=40.0,
+        lowest=20.0,
+        highest=90.0,
+        start=30.0,
+        ambient=25.0,
+        capacity=9000.0,
+        resistance=0.4,
+        viscous_scale=20.7,
+        viscous_floor=0.3,
+    ),
+    "scatter": rx.ScatterPart(deviation=0.05, correlation_time=0.2),
 }
 
 

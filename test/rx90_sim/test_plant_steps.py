@@ -168,12 +168,21 @@ def test_directions_that_are_far_apart_are_refused(shipped: Setup, weaker: str) 
 
 def test_parts_count_where_they_stiffen(shipped: Setup) -> None:
     """Elasto-plastic bristles stick as LuGre's; a joint that starts cold has the viscous friction of its cold."""
-    for part in (None, ElastoPlastic(0.7)):
-        elements = tuple(dataclasses.replace(e, c0=50.0 * e.c0, bristles=part) for e in shipped.friction.elements)
+    for part in (None, ElastoPlastic(break_away=0.7)):
+        elements = tuple(e.replaced(c0=50.0 * e.c0, bristles=part) for e in shipped.friction.elements)
         setup = dataclasses.replace(shipped, friction=FrictionSet(shipped.friction.names, elements))
         assert setup.plant().substeps == scaled(shipped, c0=50.0).plant().substeps
-    cold = TemperaturePart(60.0, -20.0, 80.0, -20.0, 20.0, 9000.0, 0.4, 10.0)
-    elements = tuple(dataclasses.replace(e, temperature=cold) for e in shipped.friction.elements)
+    cold = TemperaturePart(
+        reference=60.0,
+        lowest=-20.0,
+        highest=80.0,
+        start=-20.0,
+        ambient=20.0,
+        capacity=9000.0,
+        resistance=0.4,
+        viscous_scale=10.0,
+    )
+    elements = tuple(e.replaced(temperature=cold) for e in shipped.friction.elements)
     with pytest.raises(ConfigError, match=r"c2 is .* at its steepest"):
         dataclasses.replace(shipped, friction=FrictionSet(shipped.friction.names, elements)).plant(1)
 

@@ -38,7 +38,7 @@ class ElastoPlasticOracle:
 
     def limits(self, v: float) -> tuple[float, float]:
         """Return the break-away deflection and the steady one, rad, without a sign."""
-        coulomb = self.element.tau_c_positive if v >= 0.0 else self.element.tau_c_negative
+        coulomb = self.element.tau_c.positive if v >= 0.0 else self.element.tau_c.negative
         c0 = self.element.c0
         return self.break_away * coulomb / c0, float(self.element.sliding_torque(v)) / c0
 

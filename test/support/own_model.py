@@ -22,7 +22,7 @@ def by_model(setup: Setup, *, inverse_dynamics: bool = True, friction_model: boo
 def with_friction(setup: Setup, elements: Sequence[FrictionElement], path: Path) -> Setup:
     """Return the setup with a controller whose model has other friction, written to a file."""
     names = setup.friction.names
-    path.write_text(FrictionFile(dict(zip(names, elements, strict=True))).text(), encoding="utf-8")
+    path.write_text(FrictionFile(elements=dict(zip(names, elements, strict=True))).text(), encoding="utf-8")
     model = setup.controller.model
     assert isinstance(model, ModelFiles)
     other = dataclasses.replace(model, friction=path)

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.compiled_elements import element_arrays
-from rx90_common.friction.parts.load import advance_load
-from rx90_common.friction.parts.scatter import advance_scatter
 from rx90_common.friction.parts.step import (
+    advance_parts,
     fill_parts,
     parts_dtype,
     parts_energy,
     parts_state_dtype,
     parts_step,
     reset_parts,
+    tick_parts,
 )
 from rx90_common.friction.parts.temperature import add_work, advance_temperatures
 from rx90_common.kernels.compiled import kernel
@@ -81,8 +81,8 @@ def follow(seven: Seven, motion: Array, step: float, torque: Array, stored: Arra
         if parts.temperature.used:
             add_work(state.temperature, mean, load(motion[k, 1], 7), step, 7)
             advance_temperatures(parts.temperature, state.temperature, energy, 0.0 * energy, step, 7)
-        advance_load(parts.load, state, load(motion[k, 2], 7), step, 7)
-        advance_scatter(parts.scatter, state)
+        advance_parts(parts, state, load(motion[k, 2], 7), step, 7)
+        tick_parts(parts, state, load(motion[k, 2], 7), step, 7)
 
 
 def along(seven: Seven, motion: Array, step: float) -> tuple[Array, Array]:

@@ -46,8 +46,8 @@ def test_each_sign_gets_its_own_torques(shipped_files: RobotFiles, edited_yaml: 
     """A pair {positive, negative} reaches the element of each sign; a single value reaches both."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_4", "tau_c"), {"positive": 6.0, "negative": 7.0})
     element = load_friction(path, RX_WRIST.element_names(NAMES)).elements[3]
-    assert (element.tau_c_positive, element.tau_c_negative) == (6.0, 7.0)
-    assert (element.tau_s_positive, element.tau_s_negative) == (7.5, 7.5)
+    assert (element.tau_c.positive, element.tau_c.negative) == (6.0, 7.0)
+    assert (element.tau_s.positive, element.tau_s.negative) == (7.5, 7.5)
 
 
 def test_the_shipped_file_says_that_it_is_assumed_and_is_passive(shipped: Setup, shipped_files: RobotFiles) -> None:
@@ -70,7 +70,7 @@ def test_a_damping_that_is_not_passive_is_warned_of(
     # At full speed the Stribeck part is gone: c1 < 4 tau_c / v.
     accepted = 4 * 25.0 / speeds[0]
     assert f"accepted: below {accepted:.3g} " in line
-    better = dataclasses.replace(friction.elements[0], c1=0.99 * accepted)
+    better = friction.elements[0].replaced(c1=0.99 * accepted)
     assert math.isinf(better.passivity_limit(speeds[0]))
 
 
@@ -141,7 +141,18 @@ def elements(draw: st.DrawFn) -> FrictionElement:
     c1, c2 = (draw(st.floats(min_value=0.0, allow_infinity=False)) for _ in range(2))
     omega_d, alpha = draw(st.floats(1e-9)), draw(st.just(1.0) | st.floats(0.3, 2.0))
     parts = {name: draw(st.none() | part) for name, part in ANY_PART.items()}
-    return FrictionElement(up[0], down[0], up[1], down[1], omega_s, delta, c0, c1, c2, omega_d, alpha, **parts)
+    return FrictionElement(
+        tau_c={"positive": up[0], "negative": down[0]},
+        tau_s={"positive": up[1], "negative": down[1]},
+        omega_s=omega_s,
+        delta=delta,
+        c0=c0,
+        c1=c1,
+        c2=c2,
+        omega_d=omega_d,
+        alpha=alpha,
+        **parts,
+    )
 
 
 WORDS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), min_size=1) | st.sampled_from(
@@ -169,7 +180,7 @@ def test_what_is_written_is_read_back(
     identification: dict[str, Any] | None,
 ) -> None:
     """Any file comes back to the same bits, and a reader of YAML 1.1 sees the same numbers and texts."""
-    file = FrictionFile(content, provenance, source, identification)
+    file = FrictionFile(elements=content, provenance=provenance, source=source, identification=identification)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "friction.yaml"
         path.write_text(file.text("# a remark\n"), encoding="utf-8")
@@ -255,25 +266,38 @@ def test_a_set_has_as_many_elements_as_names(shipped: Setup) -> None:
 def test_a_ripple_may_have_as_many_waves_as_it_says() -> None:
     """Eight waves of each angle are taken."""
     eight = tuple(float(k) for k in range(1, 9))
-    assert RipplePart(eight, (0.05,) * 8, (), eight, (0.05,) * 8).least_factor == pytest.approx(0.2)
+    assert RipplePart(
+        joint_harmonic=eight,
+        joint_amplitude=(0.05,) * 8,
+        joint_phase=(),
+        motor_harmonic=eight,
+        motor_amplitude=(0.05,) * 8,
+    ).least_factor == pytest.approx(0.2)
 
 
 def test_parts_leave_less_to_the_passivity_limit(shipped: Setup) -> None:
     """passive_damping is that of the least sliding torque that ripple and scatter leave; load only adds to it."""
     element, speed = shipped.friction.elements[0], float(shipped.robot.max_velocity[0])
-    ripple, scatter = RipplePart((1.0,), (0.2,), (), (2.0,), (0.1,)), ScatterPart(0.05, 10.0)
+    ripple, scatter = (
+        RipplePart(
+            joint_harmonic=(1.0,), joint_amplitude=(0.2,), joint_phase=(), motor_harmonic=(2.0,), motor_amplitude=(0.1,)
+        ),
+        ScatterPart(deviation=0.05, correlation_time=10.0),
+    )
     whole = element.passive_damping(speed)
-    assert dataclasses.replace(element, load=LoadPart(0.1, 0.2)).passive_damping(speed) == whole
-    parted = dataclasses.replace(element, ripple=ripple, scatter=scatter)
+    assert element.replaced(load=LoadPart(driving=0.1, driven=0.2)).passive_damping(speed) == whole
+    parted = element.replaced(ripple=ripple, scatter=scatter)
     assert parted.passive_damping(speed) == pytest.approx(0.7 * 0.8 * whole, rel=1e-12)
 
 
 def test_velocities_that_can_hardly_be_divided_by() -> None:
     """The load's, too small for 1 / v to be a number, is refused; the least ones that are accepted give no warning."""
-    element = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
+    element = FrictionElement(tau_c=25.0, tau_s=32.0, omega_s=0.05, delta=1.0, c0=1e5, c1=100.0, c2=14.0, omega_d=1.0)
     with pytest.raises(ConfigError, match=r"load: omega_s is .*e-324 rad/s; accepted: 0 .*or a number in \[1e-09"):
-        LoadPart(0.1, 0.1, omega_s=5e-324)
-    least = dataclasses.replace(element, omega_s=1e-9, omega_d=1e-9, delta=50.0, load=LoadPart(0.1, 0.1, omega_s=1e-9))
+        LoadPart(driving=0.1, driven=0.1, omega_s=5e-324)
+    least = element.replaced(
+        omega_s=1e-9, omega_d=1e-9, delta=50.0, load=LoadPart(driving=0.1, driven=0.1, omega_s=1e-9)
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert least.steady_torque([-6.0, 0.0, 6.0]).tolist() == [-109.0, 0.0, 109.0]

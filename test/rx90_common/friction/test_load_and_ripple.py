@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -34,8 +33,8 @@ def expected(element: FrictionElement, load: float, velocity: float) -> tuple[fl
         if lifting
         else (part.driven, part.stribeck_driven, part.quadratic_driven)
     )
-    tau_c = element.tau_c_positive if velocity >= 0 else element.tau_c_negative
-    tau_s = element.tau_s_positive if velocity >= 0 else element.tau_s_negative
+    tau_c = element.tau_c.positive if velocity >= 0 else element.tau_c.negative
+    tau_s = element.tau_s.positive if velocity >= 0 else element.tau_s.negative
     return tau_c + k * abs(load), tau_s + (k + s) * abs(load) + m * load**2
 
 
@@ -47,7 +46,7 @@ def test_steady_sliding_under_constant_load() -> None:
     rng = np.random.default_rng(5)
     for _ in range(-(-SETS // 7)):
         own = 10.0 ** rng.uniform(-2, 0, 7) * [1, 1, 0, 1, 1, 0, 1]
-        parts = [replace(any_load(rng), omega_s=float(speed)) for speed in own]
+        parts = [any_load(rng).replaced(omega_s=float(speed)) for speed in own]
         elements = [any_element(rng, load=part) for part in parts]
         loads = rng.uniform(-200.0, 200.0, 7)
         for velocity in (0.3, -0.3, 0.004, -0.004, 1e-9, -1e-9):
@@ -115,7 +114,10 @@ def test_sliding_torque_along_the_angles() -> None:
     """
     rng = np.random.default_rng(5)
     for _ in range(8):
-        elements = [any_element(rng, ripple=any_ripple(rng), scatter=ScatterPart(0.1, 1.0)) for _ in range(7)]
+        elements = [
+            any_element(rng, ripple=any_ripple(rng), scatter=ScatterPart(deviation=0.1, correlation_time=1.0))
+            for _ in range(7)
+        ]
         seven = Seven.of(elements)
         seven.parts["scatter"]["decay"], seven.parts["scatter"]["kick"] = 1.0, 0.0
         walk = seven.states["scatter_factor"][0]
@@ -140,10 +142,30 @@ def test_sliding_torque_along_the_angles() -> None:
             assert torque[2::3, i] == pytest.approx(want[2::3], rel=1e-9)
 
 
-LOAD = LoadPart(0.2, 0.4, 0.2, 0.1, 0.005, 0.002)
-RIPPLE = RipplePart((1.0, 3.0), (0.3, 0.2), (0.5, 1.0), (2.0,), (0.45,))
-SCATTER = ScatterPart(0.2, 0.05)
-WARM = TemperaturePart(40.0, 20.0, 90.0, 70.0, 20.0, 1e-3, 50.0, 20.0, 0.3, 0.02, -0.015)
+LOAD = LoadPart(
+    driving=0.2, driven=0.4, stribeck_driving=0.2, stribeck_driven=0.1, quadratic_driving=0.005, quadratic_driven=0.002
+)
+RIPPLE = RipplePart(
+    joint_harmonic=(1.0, 3.0),
+    joint_amplitude=(0.3, 0.2),
+    joint_phase=(0.5, 1.0),
+    motor_harmonic=(2.0,),
+    motor_amplitude=(0.45,),
+)
+SCATTER = ScatterPart(deviation=0.2, correlation_time=0.05)
+WARM = TemperaturePart(
+    reference=40.0,
+    lowest=20.0,
+    highest=90.0,
+    start=70.0,
+    ambient=20.0,
+    capacity=1e-3,
+    resistance=50.0,
+    viscous_scale=20.0,
+    viscous_floor=0.3,
+    speed_slope=0.02,
+    static_slope=-0.015,
+)
 CYCLES, STEPS, ROUNDS = 50, 40, 30
 """Times seven elements: 10,500 cycles."""
 
@@ -179,7 +201,7 @@ def test_no_part_creates_energy(parts: tuple[FrictionPart, ...]) -> None:
     rng = np.random.default_rng(8)
     for _ in range(ROUNDS):
         element = any_element(rng, **{part.name: part for part in parts})
-        elements = [replace(element, c1=0.0), *[element] * 6]
+        elements = [element.replaced(c1=0.0), *[element] * 6]
         assert gained(Seven.of(elements, seed=3), rng).max() < 1e-12
 
 

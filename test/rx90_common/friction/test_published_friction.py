@@ -161,16 +161,16 @@ def test_friction_by_load_is_bam_s(name: str) -> None:
         assert load is not None
         slow, fast = 1e-7 * one.omega_s, 40.0 * one.omega_s  # the Stribeck part whole, and gone
         for torque in (0.0, 5.0, 20.0):
-            found = one.tau_s_positive + (load.driving + load.stribeck_driving) * torque
+            found = one.tau_s.positive + (load.driving + load.stribeck_driving) * torque
             found += load.quadratic_driving * torque**2
             expected = bam_friction(model, torque, slow, driving=True)
             assert found == pytest.approx(expected, rel=2 * SIX_DIGITS)
-            found = one.tau_c_positive + load.driving * torque + one.c2 * fast
+            found = one.tau_c.positive + load.driving * torque + one.c2 * fast
             assert found == pytest.approx(bam_friction(model, torque, fast, driving=True), rel=2 * SIX_DIGITS)
         assert (load.driven, load.stribeck_driven, load.quadratic_driven) == pytest.approx(
             fitted_driven(model), rel=2 * SIX_DIGITS
         )
-        assert one.tau_c_negative == one.tau_c_positive
+        assert one.tau_c.negative == one.tau_c.positive
         if element != "m3":
             assert (one.omega_s, one.delta) == pytest.approx(model[-2:], rel=SIX_DIGITS)
 
@@ -202,8 +202,8 @@ def torque_by_load(one: FrictionElement, load: Array, v: Array, *, driving: bool
     assert one.load is not None
     end = "driving" if driving else "driven"
     k, stribeck, square = (getattr(one.load, f"{name}{end}") for name in ("", "stribeck_", "quadratic_"))
-    rise = one.tau_s_positive - one.tau_c_positive + stribeck * load + square * load**2
-    return one.tau_c_positive + k * load + rise * np.exp(-((v / one.omega_s) ** one.delta)) + one.c2 * v
+    rise = one.tau_s.positive - one.tau_c.positive + stribeck * load + square * load**2
+    return one.tau_c.positive + k * load + rise * np.exp(-((v / one.omega_s) ** one.delta)) + one.c2 * v
 
 
 def far_from_reversals(k: float, f_v: float, f_o: float, f_c: float, alpha: float, nu: float) -> Sliding:
@@ -240,10 +240,10 @@ def test_numbers_are_the_sources_converted(name: str) -> None:
     assert [element for element in file.elements if element not in BY_LOAD] == list(expected)
     for element, given in expected.items():
         one = file.elements[element]
-        assert (one.tau_c_positive, one.tau_c_negative) == pytest.approx(given.coulomb, rel=SIX_DIGITS)
+        assert (one.tau_c.positive, one.tau_c.negative) == pytest.approx(given.coulomb, rel=SIX_DIGITS)
         assert one.c2 == pytest.approx(given.viscous, rel=SIX_DIGITS)
         static = given.coulomb if given.static is None else (given.static, given.static)
-        assert (one.tau_s_positive, one.tau_s_negative) == pytest.approx(static, rel=SIX_DIGITS)
+        assert (one.tau_s.positive, one.tau_s.negative) == pytest.approx(static, rel=SIX_DIGITS)
         if given.omega_s is not None:
             assert (one.omega_s, one.delta) == pytest.approx((given.omega_s, given.delta), rel=SIX_DIGITS)
         assert one.alpha == 1.0
@@ -259,7 +259,7 @@ def test_what_is_assumed_is_as_the_file_says(name: str) -> None:
     assert {"tau_c", "c2"} <= set(said["provenance"])
     for k, one in enumerate(file.elements.values()):
         deflection = 0.25e-3 if k < 3 or "erob80" in name else 0.4e-3
-        c0 = max(one.tau_s_positive, one.tau_s_negative) / deflection
+        c0 = max(one.tau_s.positive, one.tau_s.negative) / deflection
         assert one.c0 == pytest.approx(c0, rel=0.05)  # two digits
         assert one.c1 == pytest.approx(1e-3 * one.c0)
         assert math.isinf(one.passivity_limit(100.0))

@@ -98,7 +98,7 @@ def test_friction_that_warms_itself_against_a_solver() -> None:
     rng, duration = np.random.default_rng(4), 60.0
     for _ in range(BATCHES):
         elements = [any_element(rng, temperature=any_warmth(rng), c0=1e12) for _ in range(7)]
-        velocity = np.array([rng.uniform(0.02, 60.0 / e.tau_s_positive) for e in elements]).clip(max=2.0)
+        velocity = np.array([rng.uniform(0.02, 60.0 / e.tau_s.positive) for e in elements]).clip(max=2.0)
         coarse, fine = (_after(elements, velocity, duration, steps) for steps in (3000, 6000))
         start = np.array([e.temperature.start for e in elements if e.temperature])
         want = _solved(elements, velocity, duration)

@@ -355,11 +355,11 @@ def test_a_misspelt_key_is_the_first_thing_named(
 
 ONE = np.full(6, 0.1)
 OBJECTS = (
-    LoadPart(0.1, 0.2), RipplePart((1.0,), (0.05,)), ScatterPart(0.01, 10.0), ElastoPlastic(0.5),
-    MaxwellSlip((0.5, 0.5), (0.4, 0.6), 2.0), CurrentSensor(ONE, ONE, ONE, 800.0), Elasticity(ONE),
+    LoadPart(driving=0.1, driven=0.2), RipplePart(joint_harmonic=(1.0,), joint_amplitude=(0.05,)), ScatterPart(deviation=0.01, correlation_time=10.0), ElastoPlastic(break_away=0.5),
+    MaxwellSlip(stiffness=(0.5, 0.5), share=(0.4, 0.6), attraction=2.0), CurrentSensor(ONE, ONE, ONE, 800.0), Elasticity(ONE),
     Cogging(np.ones(1), np.ones((1, 6)), np.zeros((1, 6))),
     Windings(ONE, ONE, ONE, ambient=25.0, derating=120.0, limit=140.0),
-    TemperaturePart(20.0, 0.0, 60.0, 20.0, 20.0, 1e4, 0.5, 30.0),
+    TemperaturePart(reference=20.0, lowest=0.0, highest=60.0, start=20.0, ambient=20.0, capacity=1e4, resistance=0.5, viscous_scale=30.0),
 )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from rx90_emulator.export.fit import fit_friction, speeds_up_to
 from rx90_emulator.export.targets import TARGETS
 from rx90_emulator.loop.setup import Setup
 
-LUGRE = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 2.0, 1e5, 100.0, 14.0)
+LUGRE = FrictionElement(tau_c=25.0, tau_s=32.0, omega_s=0.05, delta=2.0, c0=1e5, c1=100.0, c2=14.0)
 SPEEDS = speeds_up_to(4.0)
 
 
@@ -46,7 +46,7 @@ def test_two_signs_cost_half_of_their_difference() -> None:
 
 def test_no_law_of_the_target_is_nearer() -> None:
     """A global search over MuJoCo's parameters finds no smaller RMS difference for delta 0.8 and exponent 0.7."""
-    element = dataclasses.replace(LUGRE, delta=0.8, alpha=0.7)
+    element = LUGRE.replaced(delta=0.8, alpha=0.7)
     fit = fit_friction(TARGETS["mujoco"], "joint", [element], SPEEDS)
     torque = element.steady_torque(SPEEDS)
 
@@ -58,7 +58,7 @@ def test_no_law_of_the_target_is_nearer() -> None:
     bounds = [(10, 40), (0, 20), (5e-3, 1.0), (0, 8), (-3, 3), (0, 10)]
     best = differential_evolution(rms, bounds, seed=1, maxiter=120, popsize=8, tol=1e-6)
     assert fit.rms <= 1.02 * best.fun
-    linear = fit_friction(TARGETS["mujoco"], "joint", [dataclasses.replace(LUGRE, delta=0.8)], SPEEDS)
+    linear = fit_friction(TARGETS["mujoco"], "joint", [LUGRE.replaced(delta=0.8)], SPEEDS)
     assert linear.law.viscous[1:] == (0.0, 0.0)
     a, b, c = fit.law.viscous
     fast = np.geomspace(1e-3, 1e3, 200)

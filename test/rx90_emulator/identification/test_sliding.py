@@ -61,7 +61,7 @@ def test_a_coulomb_difference_of_element_seven_moves_to_joints_five_and_six(
     sweeps: Any, arm: RigidArm, shipped: Setup
 ) -> None:
     """A constant torque of element 7 shows in no motion: joints 5 and 6 take it, and nothing else changes."""
-    seventh = dataclasses.replace(shipped.friction.elements[6], tau_c_positive=1.6, tau_c_negative=1.4)
+    seventh = shipped.friction.elements[6].replaced(tau_c={"positive": 1.6, "negative": 1.4})
     friction = FrictionSet(shipped.friction.names, (*shipped.friction.elements[:6], seventh))
     record, _ = sweeps([4, 5], 1, Noise(0.0), friction=friction)
     found = [fit.parameters for fit in identify_sliding([record], arm).estimates[4:]]
@@ -143,7 +143,7 @@ def test_a_poor_record_is_no_obstacle(
 
 def test_no_stribeck_effect_is_reported_as_such(sweeps: Any, arm: RigidArm, shipped: Setup) -> None:
     """Friction without a static rise leaves tau_s, omega_s and delta not identifiable, and the others identifiable."""
-    plain = dataclasses.replace(shipped.friction.elements[2], tau_s_positive=18.0, tau_s_negative=18.0)
+    plain = shipped.friction.elements[2].replaced(tau_s=18.0)
     elements = (*shipped.friction.elements[:2], plain, *shipped.friction.elements[3:])
     record, _ = sweeps([2], 9, friction=FrictionSet(shipped.friction.names, elements))
     found = identify_sliding([record], arm).estimates[2].parameters
@@ -160,8 +160,8 @@ def test_a_viscous_exponent_is_found_where_there_is_one(
 ) -> None:
     """The exponent is within 0.05 and three deviations of the truth, is no Stribeck effect, and stands in the file."""
     base = shipped.friction.elements[joint]
-    static = base.tau_s_positive if rises else base.tau_c_positive
-    bent = dataclasses.replace(base, alpha=alpha, tau_s_positive=static, tau_s_negative=static)
+    static = base.tau_s.positive if rises else base.tau_c.positive
+    bent = base.replaced(alpha=alpha, tau_s=static)
     elements = [bent if e == joint else one for e, one in enumerate(shipped.friction.elements)]
     friction = FrictionSet(shipped.friction.names, tuple(elements))
     record, _ = sweeps([joint], 32, friction=friction, count=16, longest=longest)

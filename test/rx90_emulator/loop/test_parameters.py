@@ -28,10 +28,17 @@ from rx90_emulator.loop.parameters import Catalogue, Leaf, Value, apply, paramet
 from rx90_emulator.loop.setup import Setup
 
 PARTS = {
-    "load": LoadPart(0.05, 0.08),
-    "ripple": RipplePart((1.0,), (0.1,), (0.0,), (2.0, 4.0), (0.1, 0.05), (0.3, 0.0)),
-    "scatter": ScatterPart(0.02, 5.0),
-    "bristles": ElastoPlastic(0.7),
+    "load": LoadPart(driving=0.05, driven=0.08),
+    "ripple": RipplePart(
+        joint_harmonic=(1.0,),
+        joint_amplitude=(0.1,),
+        joint_phase=(0.0,),
+        motor_harmonic=(2.0, 4.0),
+        motor_amplitude=(0.1, 0.05),
+        motor_phase=(0.3, 0.0),
+    ),
+    "scatter": ScatterPart(deviation=0.02, correlation_time=5.0),
+    "bristles": ElastoPlastic(break_away=0.7),
 }
 COGGING = Cogging(np.array([2.0, 6.0]), np.arange(12.0).reshape(2, 6) / 100.0, np.zeros((2, 6)))
 
@@ -253,12 +260,12 @@ def test_numpy_s_scalars_are_numbers(parted: Setup) -> None:
         for name in ("c2", "tau_s_positive"):
             made = replace(parted.friction["joint_2"], **{name: value + type(value)(64)})
             assert (type(getattr(made, name)), getattr(made, name)) == (float, float(value) + 64.0)
-        assert type(LoadPart(value, value).driven) is float
+        assert type(LoadPart(driving=value, driven=value).driven) is float
     off = rx.with_parameters(parted, {"controller.feed_forward.coulomb": np.bool_(False)})
     assert off.controller.feed_forward.coulomb is False
     for value in (np.float32("nan"), np.bool_(True), "0.25"):
         with pytest.raises(ConfigError, match=r"accepted: a (finite )?number"):
-            LoadPart(value, 0.1)  # type: ignore[arg-type]
+            LoadPart(driving=value, driven=0.1)  # type: ignore[arg-type]
 
 
 def test_friction_must_not_follow_the_load_faster_than_the_step(parted: Setup) -> None:

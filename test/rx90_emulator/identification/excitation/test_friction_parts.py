@@ -460,7 +460,7 @@ def test_an_assumed_fading_keeps_elements_passive(told: dict[str, float]) -> Non
     assert {name: getattr(one.element, name) for name in told} == told
     assert one.element.passivity_limit(1e3) == np.inf
     assert one.element.omega_d <= 1.0
-    other = replace(one.element, c1=4.0, omega_d=2.0)  # of a fallback, whose own c1 fades as it does there
+    other = one.element.replaced(c1=4.0, omega_d=2.0)  # of a fallback, whose own c1 fades as it does there
     (beside,) = simulated_elements([ElementEstimate("hinge", known, np.eye(len(known)), ())], [other])
     if "c1" in told:
         assert beside.element.passivity_limit(1e3) == np.inf
