@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, TypeVar
+from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
@@ -27,6 +27,7 @@ from rx90_common.base.quoting import nearest, plain, question, quoted
 
 JsonSchema: TypeAlias = dict[str, Any]
 AnyModel = TypeVar("AnyModel", bound="Model")
+Item = TypeVar("Item")
 Place: TypeAlias = tuple[str | int, ...]
 Provenance: TypeAlias = Literal["published", "derived", "assumed", "identified"]
 
@@ -34,6 +35,8 @@ MAX_JOINTS: Final = 7
 """Joints that an arm may have."""
 
 _REFUSED: Final = "refused"
+_TYPING_ERROR: Final = 0.8
+"""Likeness of a misspelt key to the missing one that is meant, where other keys are accepted, too."""
 _BRANCH_FAULTS: Final = {"union_tag_invalid", "union_tag_not_found"}
 
 
@@ -70,6 +73,19 @@ class FileModel(Model):
         None
     )
     note: Annotated[Any, Field(description="A remark for readers.")] = None
+
+
+class Named(FileModel, Generic[Item]):
+    """A mapping of a file from free names to values of one kind."""
+
+    model_config = ConfigDict(extra="allow")
+
+    __pydantic_extra__: dict[str, Item] = Field(init=False)
+
+    @property
+    def entries(self) -> dict[str, Item]:
+        """Return the values by name."""
+        return self.__pydantic_extra__
 
 
 def quantity(
@@ -162,6 +178,16 @@ def unit_of(model: type[BaseModel], field: str) -> str:
     return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
 
 
+def unit_at(root: JsonSchema, place: Place, content: Any) -> str:
+    """Return the unit of the value, or of the values in a list, at a place of a file; empty if it has none."""
+    node = schema_at(root, place, content)
+    for kind in (node, *node.get("anyOf", ())):
+        for schema in (kind, _resolved(kind.get("items", {}), root)):
+            if "unit" in schema:
+                return str(schema["unit"])
+    return ""
+
+
 @contextmanager
 def refusals(model: type[BaseModel], where: str = "", content: Any = None) -> Iterator[None]:
     """Turn the ValidationError of a block into a ConfigError with the first fault.
@@ -189,25 +215,37 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
     schema = model.model_json_schema(by_alias=True)
     faults = error.errors(include_url=False)
     unknown = [fault for fault in faults if fault["type"] == "extra_forbidden"]
-    others = [fault for fault in faults if fault["type"] != "extra_forbidden"]
+    known = [fault for fault in faults if fault["type"] != "extra_forbidden"]
     lines: list[str] = []
     meant: set[Place] = set()
     for fault in unknown:
         *around, key = fault["loc"]
         place = _place_in_file(tuple(around), content)
-        node = _node(schema, schema, place)
-        near = nearest(str(key), _missing(node, _value_at(content, place)))
+        node = schema_at(schema, place, content)
+        near = nearest(str(key), _missing(node, value_at(content, place)))
         meant.add((*place, near))
-        keys = ", ".join(name for name in node.get("properties", {}) if name not in FileModel.about_keys)
-        lines.append(f"{_where(where, (*place, key))} is not a known key{question(near)}; accepted: {keys}")
-    for fault in others:
+        lines.append(_unknown_key(where, (*place, key), near, node))
+    for fault in known:
         place = _place_of(fault, content)
-        if fault["type"] == "missing" and place in meant:
-            continue  # one mistake would be told twice
-        line = _line(schema, fault, place, where)
+        if fault["type"] == "missing":
+            if place in meant:
+                continue  # one mistake would be told twice
+            node = schema_at(schema, place[:-1], content)
+            given = value_at(content, place[:-1])
+            others = given.keys() - node.get("properties", {}).keys() if isinstance(given, dict) else ()
+            near = nearest(str(place[-1]), others, _TYPING_ERROR)
+            if near:  # where other keys are accepted, too
+                lines.insert(0, _unknown_key(where, (*place[:-1], near), str(place[-1]), node))
+                continue
+        line = _line(schema, fault, place, where, content)
         if line not in lines:
             lines.append(line)
     return lines
+
+
+def _unknown_key(where: str, place: Place, near: str, node: JsonSchema) -> str:
+    keys = ", ".join(name for name in node.get("properties", {}) if name not in FileModel.about_keys)
+    return f"{_where(where, place)} is not a known key{question(near)}; accepted: {keys}"
 
 
 def accepted_values(schema: JsonSchema, root: JsonSchema | None = None) -> str:
@@ -218,7 +256,8 @@ def accepted_values(schema: JsonSchema, root: JsonSchema | None = None) -> str:
         root: the schema that defines what its references stand for.
     """
     schema = _resolved(schema, root or {})
-    kinds = [kind for kind in schema.get("anyOf", schema.get("oneOf", ())) if kind.get("type") != "null"]
+    alternatives = schema.get("anyOf") or schema.get("oneOf") or ()
+    kinds = [kind for kind in alternatives if kind.get("type") != "null"]
     kind = str(schema.get("type", ""))
     if "accepted" in schema:
         words = str(schema["accepted"])
@@ -268,17 +307,17 @@ def _list_in_words(schema: JsonSchema, root: JsonSchema | None) -> str:
     return f"{text}, each {accepted_values(item, root)}" if ranged else text
 
 
-def _line(schema: JsonSchema, fault: ErrorDetails, place: Place, where: str) -> str:
+def _line(schema: JsonSchema, fault: ErrorDetails, place: Place, where: str, content: Any) -> str:
     context = fault.get("ctx", {})
     if fault["type"] == _REFUSED:
         return f"{_where(where, (*place, context['key']))} is {context['value']}; accepted: {context['accepted']}"
     if fault["type"] == "value_error":
         return f"{_where(where, place)}: {context['error']}" if place or where else str(context["error"])
-    accepted = accepted_values(_node(schema, schema, place), schema)
+    accepted = accepted_values(schema_at(schema, place, content), schema)
     value = fault["input"]
     if fault["type"] in _BRANCH_FAULTS:
-        choices = _node(schema, schema, place[:-1])["discriminator"]["mapping"]
-        accepted = f"one of {', '.join(choices)}"
+        kinds = _kinds_at(schema, place[:-1], content)
+        accepted = f"one of {', '.join(kind['properties'][place[-1]]['const'] for kind in kinds)}"
         value = context.get("tag")
     if fault["type"] in {"missing", "union_tag_not_found"}:
         return f"{_where(where, place)} is missing; accepted: {accepted}"
@@ -314,18 +353,23 @@ def _place_in_file(loc: Place, content: Any) -> Place:
     place: list[str | int] = []
     value = content
     for key in loc:
-        in_mapping = isinstance(value, Mapping) and key in value
-        in_list = isinstance(value, list) and isinstance(key, int) and key < len(value)
-        if in_mapping or in_list:
+        if _holds(value, key):
             place.append(key)
             value = value[key]
     return tuple(place)
 
 
-def _value_at(content: Any, place: Place) -> Any:
+def _holds(value: Any, key: str | int) -> bool:
+    if isinstance(value, Mapping):
+        return key in value
+    return isinstance(value, list) and isinstance(key, int) and key < len(value)
+
+
+def value_at(content: Any, place: Place) -> Any:
+    """Return the value at a place of plain data, None if there is none."""
     value = content
     for key in place:
-        value = None if value is None else value[key]
+        value = value[key] if _holds(value, key) else None
     return value
 
 
@@ -343,25 +387,58 @@ def _resolved(schema: JsonSchema, root: JsonSchema) -> JsonSchema:
     return {**root.get("$defs", {}).get(name, {}), **rest}
 
 
-def _words(schema: JsonSchema) -> JsonSchema:
-    return {key: schema[key] for key in ("accepted", "description", "unit", "default") if key in schema}
+def schema_at(root: JsonSchema, place: Place, content: Any = None) -> JsonSchema:
+    """Return the schema of the value at a place, empty for an unknown place.
+
+    Args:
+        root: schema of the whole.
+        place: of the value.
+        content: of the whole, if it is known: tells which of several kinds a value is meant for.
+    """
+    kinds = _kinds_at(root, place, content)
+    if len(kinds) > 1 and not isinstance(value_at(content, place), Mapping):
+        return {"anyOf": kinds}
+    return kinds[0] if kinds else {}
 
 
-def _node(schema: JsonSchema, root: JsonSchema, place: Place) -> JsonSchema:
-    """Return the schema of the value at a place: of several kinds the first that knows the place."""
+def _kinds_at(root: JsonSchema, place: Place, content: Any) -> list[JsonSchema]:
+    """Return the schemas of the kinds of value that there may be at a place, that which is meant first."""
+    kinds = _kinds(root, root, content)
+    value = content
+    for key in place:
+        inner = [schema for schema in (_inner(kind, key) for kind in kinds) if schema]
+        value = value[key] if _holds(value, key) else None
+        kinds = _kinds(inner[0], root, value) if inner else []
+    return kinds
+
+
+def _kinds(schema: JsonSchema, root: JsonSchema, value: Any) -> list[JsonSchema]:
+    """Return the kinds of value that a schema has, that which a value is meant for first."""
     schema = _resolved(schema, root)
-    if not place:
-        nullable = [kind for kind in schema.get("anyOf", ()) if kind.get("type") != "null"]
-        return _resolved(nullable[0], root) | _words(schema) if len(nullable) == 1 else schema
-    for kinds in ("anyOf", "oneOf", "allOf"):
-        for kind in schema.get(kinds, ()):
-            node = _node(kind, root, place)
-            if node:
-                return node
-    key = place[0]
+    alternatives = None if "properties" in schema else schema.get("anyOf", schema.get("oneOf"))
+    if alternatives is None:
+        return [schema]
+    kinds: list[JsonSchema] = []
+    for kind in alternatives:
+        if kind.get("type") != "null":
+            kinds += _kinds(kind, root, value)
+    if isinstance(value, Mapping):
+        kinds.sort(key=lambda kind: -_likeness(kind, value))
+    words: JsonSchema = {key: schema[key] for key in ("accepted", "description", "unit", "default") if key in schema}
+    return [{**kind, **words} for kind in kinds]
+
+
+def _likeness(schema: JsonSchema, mapping: Mapping[str, Any]) -> int:
+    """Return how many keys of a mapping a schema knows; one that has another text where it must is out of question."""
+    properties = schema.get("properties", {})
+    excluded = [key for key in mapping if mapping[key] != properties.get(key, {}).get("const", mapping[key])]
+    return -1 if excluded or schema.get("type") != "object" else len(mapping.keys() & properties.keys())
+
+
+def _inner(schema: JsonSchema, key: str | int) -> JsonSchema:
     if isinstance(key, int):
         items = schema.get("prefixItems", ())
         inner = items[key] if key < len(items) else schema.get("items", {})
     else:
-        inner = schema.get("properties", {}).get(key, schema.get("additionalProperties") or {})
-    return _node(inner, root, place[1:]) if isinstance(inner, dict) and inner else {}
+        inner = schema.get("properties", {}).get(key, schema.get("additionalProperties", {}))
+    return inner if isinstance(inner, dict) else {}

@@ -10,13 +10,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rx90_common.base.config import ABOUT, load_yaml, yaml_lines
+from rx90_common.base.config import ABOUT, read_yaml, yaml_lines
+from rx90_common.base.entries import JsonSchema
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.groups import Entries, Group
+from rx90_common.base.models import Place, read_model, schema_at, value_at
 from rx90_common.base.quoting import listed, one_line, plain, quoted
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind
+from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind, MoveItLimits
 from rx90_emulator.identification.experiments.plan import INDEX, Poses
 from rx90_emulator.loop.setup import Setup
 
@@ -57,7 +58,7 @@ def kind_of(path: Path, content: Mapping[str, Any]) -> FileKind:
     """Return the kind that knows the most keys of a file."""
     if _has_node_parameters(content):
         return kind_named(NODE_PARAMETERS)
-    counts = [(kind, *_count_keys(kind.entry, content)) for kind in KINDS]
+    counts = [(kind, *_count_keys(kind.json_schema(), content)) for kind in KINDS]
     shares = [(kind, known / max(total, 1)) for kind, known, total in counts]
     highest = max(share for _, share in shares)
     best = [kind for kind, share in shares if share == highest]
@@ -78,16 +79,22 @@ def _has_node_parameters(content: Any) -> bool:
     )
 
 
-def _count_keys(entry: object, content: Any) -> tuple[int, int]:
-    """Return how many keys of groups are known and how many there are, those of inner groups counted alike."""
-    known = total = 0
-    for key, value in content.items() if isinstance(content, dict) else ():
+def _count_keys(schema: JsonSchema, content: Mapping[str, Any], place: Place = ()) -> tuple[int, int]:
+    """Return how many keys of a file a kind knows and how many there are; of free names only what is in them counts."""
+    known = 0
+    total = 0
+    around = schema_at(schema, place, content)
+    free_names = isinstance(around.get("additionalProperties"), dict)
+    for key, value in value_at(content, place).items():
         if key in ABOUT:
             continue
-        inner = entry.keys.get(key) if isinstance(entry, Group) else entry.of if isinstance(entry, Entries) else None
-        counts = _count_keys(inner, value) if isinstance(inner, Group | Entries) else (0, 0)
-        known += counts[0] + (isinstance(entry, Group) and inner is not None)
-        total += counts[1] + isinstance(entry, Group)
+        is_known = key in around.get("properties", {})
+        known += is_known
+        total += is_known or not free_names
+        if isinstance(value, dict) and (is_known or free_names):
+            inner = _count_keys(schema, content, (*place, key))
+            known += inner[0]
+            total += inner[1]
     return known, total
 
 
@@ -106,14 +113,12 @@ def check_file(path: Path, kind: FileKind | None = None) -> CheckedFile:
     """Check a file by the table of its kind and, if that finds nothing, by its reader."""
     if not path.exists():
         raise ConfigError(f"{plain(path)}: no such file; accepted: a file of the project, or a robot folder")
-    faults: list[ConfigError] = []
     try:
-        root = load_yaml(path, first=True, faults=faults)
+        content = read_yaml(path, first=True)
     except ConfigError as error:
         return CheckedFile(path, "unreadable" if kind is None else kind.name, (_with_line(path, error, {}),))
-    kind = kind or kind_of(path, root.content)
-    kind.entry.read(root)
-    found: list[Rx90Error] = list(faults) or _faults_of(lambda: kind.read(path))
+    kind = kind or kind_of(path, content)
+    found: list[Rx90Error] = [*kind.faults(path, content)] or _faults_of(lambda: kind.read(path))
     lines = yaml_lines(path) if found else {}
     return CheckedFile(path, kind.name, tuple(_with_line(path, error, lines) for error in found))
 
@@ -163,11 +168,12 @@ def _check_robot(folder: Path) -> list[CheckedFile]:
             refused = _faults_of(lambda: Poses.load(poses).check(robot))
             faults += [ConfigError(f"{plain(poses)}: {error}") for error in refused]
         if limits.is_file():
-            section = load_yaml(limits).section("joint_limits")
+            given = read_model(MoveItLimits, limits).joint_limits.entries
             names = robot.joint_names
-            wrong = [(name, "is missing") for name in names if name not in section]
-            wrong += [(name, "is no joint") for name in section if name not in names]
-            faults += [ConfigError(f"{section.where(name)} {what}; accepted: {listed(names)}") for name, what in wrong]
+            wrong = [(name, "is missing") for name in names if name not in given]
+            wrong += [(name, "is no joint") for name in given if name not in names]
+            where = f"{plain(limits)}: joint_limits"
+            faults += [ConfigError(f"{where}.{plain(name)} {what}; accepted: {listed(names)}") for name, what in wrong]
     together = []
     for error in faults:
         of = next((path for path in roles if str(error).startswith(f"{plain(path)}: ")), None)

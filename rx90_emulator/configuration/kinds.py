@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field, ValidationError
 
 from friction_bench.rig.rig_file import RIG, load_rig
 from rx90_common.bags.mapping import MAPPING, LogMapping
 from rx90_common.bags.tolerance import TOLERANCES, load_rules
-from rx90_common.base.config import load_yaml
-from rx90_common.base.entries import JsonSchema, Number, Switch
-from rx90_common.base.groups import DEFINITIONS, Entries, Group
+from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.entries import JsonSchema
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.groups import DEFINITIONS
+from rx90_common.base.models import FileModel, Model, Named, fault_lines, json_schema, quantity, read_model
+from rx90_common.base.quoting import plain
 from rx90_common.description.drives import DRIVES, load_drives
 from rx90_common.description.robot import TOOL, load_tool
 from rx90_common.friction.friction_file import FRICTION, FrictionFile
@@ -26,25 +31,24 @@ from rx90_emulator.sweep.plan import PLAN, load_sweep_plan
 NODE_PARAMETERS = "node_parameters"
 """The name of the kind of the nodes' parameter files."""
 
-_MOVEIT_LIMITS = Group(
-    "Limits of the joints for MoveIt, in its own format; python -m tools.moveit_files writes them.",
-    keys={
-        "joint_limits": Entries(
-            "Limits by joint.",
-            of=Group(
-                "Limits of a joint.",
-                keys={
-                    "has_velocity_limits": Switch("Whether max_velocity holds."),
-                    "max_velocity": Number("Largest velocity.", "rad/s", low=0.0, above=True),
-                    "has_acceleration_limits": Switch("Whether max_acceleration holds."),
-                    "max_acceleration": Number("Largest acceleration.", "rad/s^2", low=0.0, above=True),
-                },
-                known=False,
-            ),
-        ),
-    },
-    known=False,
-)
+
+class _JointLimits(FileModel):
+    """Limits of a joint."""
+
+    model_config = ConfigDict(extra="allow")
+
+    has_velocity_limits: Annotated[bool, Field(description="Whether max_velocity holds.")]
+    max_velocity: Annotated[float, quantity("rad/s", "Largest velocity.", gt=0.0)]
+    has_acceleration_limits: Annotated[bool, Field(description="Whether max_acceleration holds.")]
+    max_acceleration: Annotated[float, quantity("rad/s^2", "Largest acceleration.", gt=0.0)]
+
+
+class MoveItLimits(FileModel):
+    """Limits of the joints for MoveIt, in its own format; python -m tools.moveit_files writes them."""
+
+    model_config = ConfigDict(extra="allow")
+
+    joint_limits: Annotated[Named[_JointLimits], Field(description="Limits by joint.")]
 
 
 def _read_sweep(path: Path) -> object:
@@ -59,7 +63,7 @@ class FileKind:
 
     Attributes:
         name: of the kind and of its schema.
-        entry: what the file may hold; it has `read(section)`, too, which checks a whole file.
+        entry: what the file may hold: a Model, or an entry with `read(section)` that checks a whole file.
         read: the reader of all who use the file; raises Rx90Error.
     """
 
@@ -67,11 +71,33 @@ class FileKind:
     entry: Any
     read: Callable[[Path], Any]
 
+    @property
+    def model(self) -> type[Model] | None:
+        """Return the model of the file's content, None of a kind that has entries."""
+        if isinstance(self.entry, type) and issubclass(self.entry, Model):
+            return self.entry
+        return None
+
+    def faults(self, path: Path, content: dict[str, Any]) -> list[ConfigError]:
+        """Return what is wrong with single values of a file, and with values together where those are right."""
+        if self.model is None:
+            faults: list[ConfigError] = []
+            self.entry.read(Section(content, path, faults=faults))
+            return faults
+        try:
+            self.model.model_validate(content)
+        except ValidationError as error:
+            return [ConfigError(line) for line in fault_lines(self.model, error, plain(path), content)]
+        return []
+
     def json_schema(self) -> JsonSchema:
         """Return the JSON schema, draft 2020-12, of a file."""
+        title = f"{self.name.replace('_', ' ')} file of rx90_emulator"
+        if self.model is not None:
+            return json_schema(self.model, title)
         return {
             "$schema": "https://json-schema.org/draft/2020-12/schema",
-            "title": f"{self.name.replace('_', ' ')} file of rx90_emulator",
+            "title": title,
             **self.entry.schema(),
             "$defs": dict(DEFINITIONS),
         }
@@ -85,7 +111,7 @@ KINDS = (
     FileKind("task", TASK, load_task),
     FileKind("path", PATH, load_path),
     FileKind("poses", POSES, Poses.load),
-    FileKind("moveit_limits", _MOVEIT_LIMITS, lambda path: _MOVEIT_LIMITS.read(load_yaml(path))),
+    FileKind("moveit_limits", MoveItLimits, lambda path: read_model(MoveItLimits, path)),
     FileKind("rig", RIG, load_rig),
     FileKind("sweep_plan", PLAN, _read_sweep),
     FileKind(

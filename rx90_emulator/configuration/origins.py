@@ -6,11 +6,12 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from rx90_common.base.config import ABOUT, load_yaml, yaml_lines
 from rx90_common.base.entries import LEFT_OUT, Entry
 from rx90_common.base.groups import Either, Entries, Group, Variants
+from rx90_common.base.models import Model, json_schema, unit_at
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import FILES, NO_TOOL, RobotFiles
@@ -25,6 +26,8 @@ ASSUMED = "assumed"
 OTHERS = "others"
 """The key under which a file says something of all values that it does not name."""
 _MAX_ALIGNED_WIDTH = 64  # characters; a longer value moves the rest of its line to the right
+
+_LEFT_OUT: Final = object()
 
 Around = tuple[tuple[Mapping[str, Any], str], ...]
 """The mappings around a value, from the file on, each with the key that leads on from it."""
@@ -63,15 +66,22 @@ def file_values(role: str, path: Path) -> list[ShownValue]:
     kind = next(kind for kind in KINDS if kind.name == role)
     kind.read(path)
     root = load_yaml(path)
+    if kind.model is not None:
+        leaves = _model_leaves(kind.model, root.content)
+    else:
+        leaves = (
+            (place, entry.unit, value, around)
+            for place, entry, value, around in _leaves(kind.entry, root.content, "", ())
+        )
     lines = yaml_lines(path)
     name = place_of(path)
     identified = root.content.get("identification", {}).get("parameters", {}) if role == "friction" else {}
     found = []
-    for place, entry, value, around in _leaves(kind.entry, root.content, "", ()):
-        one = ShownValue(f"{role}.{place}", value, entry.unit, OF_CODE)
+    for place, unit, value, around in leaves:
+        one = ShownValue(f"{role}.{place}", value, unit, OF_CODE)
         if place in lines:
             stated = [_stated(word, around) for word in ("provenance", "source")]
-            one = ShownValue(one.name, value, entry.unit, f"{name}:{lines[place]}", *stated)
+            one = ShownValue(one.name, value, unit, f"{name}:{lines[place]}", *stated)
         found.append(_as_identified(one, identified))
     return found
 
@@ -95,6 +105,30 @@ def _leaves(entry: Entry, content: Any, path: str, around: Around) -> Iterator[t
             yield from _leaves(inner.mapping if isinstance(inner, Either) else inner, content[key], place, further)
         else:
             yield place, inner, content[key], further
+
+
+def _model_leaves(kind: type[Model], content: dict[str, Any]) -> Iterator[tuple[str, str, Any, Around]]:
+    """Yield place, unit and value of what a file has, and of the defaults of what it leaves out."""
+    schema = json_schema(kind, "")
+    for place, value, around in _values(kind.model_validate(content), content, (), ()):
+        yield ".".join(place), unit_at(schema, place, content), value, around
+
+
+def _values(
+    value: Any, content: Any, place: tuple[str, ...], around: Around
+) -> Iterator[tuple[tuple[str, ...], Any, Around]]:
+    """Yield place and value of what is no mapping, as the file has it or, where that leaves it out, by default."""
+    if content is _LEFT_OUT:
+        content = {} if isinstance(value, Model) else value
+    if not isinstance(content, Mapping):
+        if content is not None:
+            yield place, content, around
+        return
+    inner = dict(value) if isinstance(value, Model | Mapping) else {}
+    for key in dict.fromkeys((*content, *inner)):
+        if key not in ABOUT:
+            further = (*around, (content, key))
+            yield from _values(inner.get(key), content.get(key, _LEFT_OUT), (*place, key), further)
 
 
 def _stated(word: str, around: Around) -> str:

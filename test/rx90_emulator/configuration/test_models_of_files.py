@@ -1,0 +1,156 @@
+"""Every model of a file refuses in one line what its JSON schema excludes, and gives back what it read.
+
+An independent validator of the schema says what is wrong; the model must refuse it, and name the place first.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from config_samples import shipped, written
+from jsonschema import Draft202012Validator
+
+from rx90_common.base.config import read_yaml, yaml_text
+from rx90_common.base.errors import Rx90Error
+from rx90_common.base.models import FileModel, model_text, schema_at
+from rx90_common.base.quoting import quoted
+from rx90_emulator.configuration.kinds import KINDS, FileKind
+from rx90_emulator.identification.experiments.plan import INDEX
+
+WITH_MODELS = [kind for kind in KINDS if kind.model is not None]
+WRONG = (None, "text", True, 7, -3.5, 0, -1e30, math.nan, math.inf, [], [1.0], [["text"]], {}, {"odd": 1})
+FEW = 200  # misspelt keys of a file
+Place = tuple[Any, ...]
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, Path]]:
+    """A good file, or several, of every kind."""
+    return shipped() + written(tmp_path_factory.mktemp("samples"))
+
+
+def places(content: Any, place: Place = ()) -> Iterator[Place]:
+    """Yield the place of every value of a file, of a list the first and the last one."""
+    if isinstance(content, dict):
+        keys: list[Any] = list(content)
+    else:
+        keys = sorted({0, len(content) - 1}) if isinstance(content, list) and content else []
+    for key in keys:
+        if key not in FileModel.about_keys:
+            yield (*place, key)
+            yield from places(content[key], (*place, key))
+
+
+def holder(content: Any, place: Place) -> Any:
+    """Return the mapping or list that holds the value at a place."""
+    for key in place[:-1]:
+        content = content[key]
+    return content
+
+
+def beyond(node: dict[str, Any]) -> list[Any]:
+    """Return values just beyond the ends of a range, and a text that is no choice."""
+    values: list[Any] = ["no such word"]
+    for key, direction in (("minimum", -math.inf), ("maximum", math.inf)):
+        if key in node:
+            exact = node.get("type") == "integer"
+            values.append(node[key] + int(math.copysign(1, direction)) if exact else np.nextafter(node[key], direction))
+    values += [node[key] for key in ("exclusiveMinimum", "exclusiveMaximum") if key in node]
+    return [value.item() if isinstance(value, np.generic) else value for value in values]
+
+
+def changes(schema: dict[str, Any], content: Any) -> Iterator[tuple[Any, str, Any]]:
+    """Yield a content that the schema excludes, what the line must name, and the wrong value, if there is one."""
+    is_valid = Draft202012Validator(schema).is_valid
+    seen: set[str] = set()
+    for place in ((), *places(content)):
+        node = schema_at(schema, place, content)
+        mark = json.dumps([node, place[-1:] if "properties" not in node else ""], sort_keys=True)
+        if mark in seen:
+            continue
+        seen.add(mark)
+        name = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in place).removeprefix(".")
+        if place:
+            for value in (*WRONG, *beyond(node)):
+                wrong = copy.deepcopy(content)
+                holder(wrong, place)[place[-1]] = value
+                infinite = isinstance(value, float) and not math.isfinite(value)  # of which schemas say nothing
+                if not is_valid(wrong) or (infinite and node.get("type") == "number"):
+                    yield wrong, name, value
+        for key in node.get("required", ()):
+            wrong = copy.deepcopy(content)
+            del holder(wrong, (*place, key))[key]
+            yield wrong, f"{name}.{key} is missing; accepted: ".removeprefix("."), None
+        if node.get("additionalProperties") is False:
+            wrong = copy.deepcopy(content)
+            holder(wrong, (*place, ""))["no_such_key"] = 1.0
+            yield wrong, f"{name}.no_such_key is not a known key; accepted: ".removeprefix("."), None
+
+
+@pytest.mark.parametrize("kind", WITH_MODELS, ids=lambda kind: kind.name)
+def test_what_the_schema_excludes_is_refused_in_a_line_that_names_the_place(
+    kind: FileKind, samples: list[tuple[str, Path]]
+) -> None:
+    """Below, above, not finite, of another type, missing and unknown: each is one line with place and value."""
+    schema = kind.json_schema()
+    refused = 0
+    seen: set[str] = set()
+    for content in [read_yaml(path, first=True) for name, path in samples if name == kind.name]:
+        for wrong, said, value in changes(schema, content):
+            lines = [str(fault) for fault in kind.faults(Path("f.yaml"), wrong)]
+            assert lines, (said, value)
+            line = lines[0]
+            assert line.startswith(f"f.yaml: {said}"), (said, value, line)
+            assert "accepted: " in line, line
+            assert all(len(text.splitlines()) == 1 for text in lines)
+            if isinstance(value, str | float | bool) and f"f.yaml: {said} is " in line:
+                assert quoted(value) in line, (said, value, line)
+            refused += 1
+            seen.add(said)
+    assert refused > len(seen) > 2
+
+
+@pytest.mark.parametrize("kind", WITH_MODELS, ids=lambda kind: kind.name)
+def test_a_misspelt_key_is_the_first_thing_named(
+    kind: FileKind, samples: list[tuple[str, Path]], tmp_path: Path
+) -> None:
+    """Whatever key lacks a letter, the reader of all commands names it first, with the key that is meant."""
+    schema = kind.json_schema()
+    misspelt = 0
+    for content in [read_yaml(path, first=True) for name, path in samples if name == kind.name]:
+        for place in list(places(content))[:FEW]:
+            key = place[-1]
+            node = schema_at(schema, place[:-1], content)
+            known = key in node.get("properties", {})
+            if not known or len(key) < 5 or (node.get("additionalProperties") and key not in node.get("required", ())):
+                continue
+            wrong = copy.deepcopy(content)
+            odd = key[:3] + key[4:]
+            around = holder(wrong, place)
+            around[odd] = around.pop(key)
+            path = tmp_path / INDEX
+            path.write_text(yaml_text(wrong), encoding="utf-8")
+            with pytest.raises(Rx90Error) as caught:
+                kind.read(path)
+            assert f"{odd} is not a known key (did you mean {key}?); accepted: " in str(caught.value)
+            misspelt += 1
+    assert misspelt
+
+
+@pytest.mark.parametrize("kind", WITH_MODELS, ids=lambda kind: kind.name)
+def test_what_is_written_is_what_was_read(kind: FileKind, samples: list[tuple[str, Path]], tmp_path: Path) -> None:
+    """Every shipped file gives the same values again after it was written from its values."""
+    assert kind.model is not None
+    for name, path in samples:
+        if name == kind.name:
+            values = kind.model.model_validate(read_yaml(path, first=True))
+            again = tmp_path / "again.yaml"
+            again.write_text(model_text(values), encoding="utf-8")
+            assert kind.model.model_validate(read_yaml(again)) == values
