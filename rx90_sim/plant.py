@@ -197,7 +197,12 @@ def _brake_elements(data: bytes) -> Record:
     """Return torque, stiffness and damping as bristle elements; runs of a sweep mostly have the same."""
     brakes = np.frombuffer(data).reshape(3, -1).T.tolist()
     return element_arrays(
-        [FrictionElement(tau_c=tau, tau_s=tau, omega_s=1.0, delta=1.0, c0=c0, c1=c1, c2=0.0) for tau, c0, c1 in brakes]
+        [
+            FrictionElement.of(
+                {"tau_c": tau, "tau_s": tau, "omega_s": 1.0, "delta": 1.0, "c0": c0, "c1": c1, "c2": 0.0}
+            )
+            for tau, c0, c1 in brakes
+        ]
     )
 
 

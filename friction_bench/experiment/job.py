@@ -205,7 +205,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace, base: FrictionFile, path: Path) -> None:
     """Refuse errors now that would otherwise be noticed after minutes of ramps."""
-    elements = base.elements.by_name
+    elements = base.elements.entries
     if options.element not in elements:
         known = ", ".join(elements)
         raise ConfigError(f"--element is {quoted(options.element)}; accepted: {known}")

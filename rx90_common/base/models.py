@@ -87,6 +87,10 @@ class Named(FileModel, Generic[Item]):
         """Return the values by name."""
         return self.__pydantic_extra__
 
+    def __getitem__(self, name: str) -> Item:
+        """Return the value of this name."""
+        return self.__pydantic_extra__[name]
+
 
 def quantity(
     unit: str,

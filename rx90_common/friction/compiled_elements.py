@@ -16,21 +16,21 @@ from rx90_common.friction.maxwell_slip import maxwell_slip_step, maxwell_slip_to
 from rx90_common.friction.parts.bristles import bristles_dtype, bristles_state_dtype, fill_bristles
 from rx90_common.friction.signs import SIGNS
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.lanes import Lanes, Number, lane, load, select, store
+from rx90_common.kernels.lanes import Lanes, lane, load, select, store
 
 
 class Elements(NamedTuple):
     """One or more elements: numbers of one, or lanes of several; torques as (positive, negative)."""
 
-    tau_c: tuple[Number, Number]
-    tau_s: tuple[Number, Number]
-    inverse_omega_s: Number
-    delta: Number
-    c0: Number
-    c1: Number
-    c2: Number
-    inverse_omega_d: Number
-    alpha: Number
+    tau_c: tuple[Any, Any]
+    tau_s: tuple[Any, Any]
+    inverse_omega_s: Any
+    delta: Any
+    c0: Any
+    c1: Any
+    c2: Any
+    inverse_omega_d: Any
+    alpha: Any
 
 
 def elements_dtype(width: int) -> np.dtype[np.void]:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.models import FileModel, quantity, refusal, unit_of
+from rx90_common.base.models import FileModel, quantity, refusal, refusals, unit_of
 from rx90_common.friction.parts.bristles import BRISTLES, LUGRE_PASSIVITY, Bristles
 from rx90_common.friction.parts.load import LOAD, LoadPart
 from rx90_common.friction.parts.part import LINEAR_SPEED, MIN_SPEED, FrictionPart, Part, legend_of
@@ -78,9 +78,14 @@ class FrictionElement(FileModel):
     bristles: Annotated[Bristles | None, BRISTLES] = None
 
     @classmethod
-    def of(cls, parameters: Mapping[str, float]) -> FrictionElement:
-        """Return the element with parameters by the names of FRICTION_UNITS: `tau_c_positive`, `c0`, ..."""
-        return cls(**by_fields(parameters))
+    def of(cls, parameters: Mapping[str, Any]) -> FrictionElement:
+        """Return the element with parameters by the names of FRICTION_UNITS, or with `tau_c` for both signs.
+
+        Raises:
+            ConfigError: naming the value and what is accepted.
+        """
+        with refusals(cls):
+            return cls.model_validate(by_fields(parameters))
 
     @model_validator(mode="after")
     def _check_static(self) -> FrictionElement:

@@ -8,32 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import FileModel, model_text, quantity, read_model
+from rx90_common.base.models import FileModel, Named, model_text, quantity, read_model, refusals
 from rx90_common.base.quoting import conjoined, nearest, question, quoted
 from rx90_common.friction.element import FrictionElement, legend
 from rx90_common.friction.parts.bristles import MaxwellSlip
-
-
-class Elements(FileModel):
-    """Elements by joint, and by motors that turn with several joints.
-
-    joint_5_6 of the RX family turns with joints 5 and 6 together.
-    """
-
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, FrictionElement] = Field(init=False)
-
-    @property
-    def by_name(self) -> dict[str, FrictionElement]:
-        """Return the elements by their names, in the order of the file."""
-        return self.__pydantic_extra__
-
-    def __getitem__(self, name: str) -> FrictionElement:
-        """Return the element of this name."""
-        return self.__pydantic_extra__[name]
 
 
 class JointTorques(FileModel):
@@ -44,30 +25,37 @@ class JointTorques(FileModel):
     spring: Annotated[float, quantity("Nm", "k of a torque -k sin(q).")] = 0.0
 
 
-class Joints(FileModel):
-    """What torques hold beside links and friction, by joint, where no drives file says it.
-
-    The simulation takes nothing of it; rx90_identify --friction adds it to what the URDF predicts.
-    """
-
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, JointTorques] = Field(init=False)
-
-    @property
-    def by_name(self) -> dict[str, JointTorques]:
-        """Return the torques by the joints' names."""
-        return self.__pydantic_extra__
-
-
 class FrictionFile(FileModel):
     """LuGre friction, joint side, SI units (equations 17 to 19 of the paper)."""
 
-    elements: Elements
-    joints: Joints = Joints()
+    elements: Annotated[
+        Named[FrictionElement],
+        Field(
+            description="Elements by joint, and by motors that turn with several joints: joint_5_6 of the RX family "
+            "turns with joints 5 and 6 together."
+        ),
+    ]
+    joints: Annotated[
+        Named[JointTorques],
+        Field(
+            description="What torques hold beside links and friction, by joint, where no drives file says it. The "
+            "simulation takes nothing of it; rx90_identify --friction adds it to what the URDF predicts."
+        ),
+    ] = Named[JointTorques]()
     identification: Annotated[
         dict[str, Any] | None,
         Field(description="How the values were found and how well they are known; for readers."),
     ] = None
+
+    @classmethod
+    def of(cls, elements: Mapping[str, Any], **fields: Any) -> FrictionFile:
+        """Return the file with these elements, by their names, and other fields.
+
+        Raises:
+            ConfigError: naming the value and what is accepted.
+        """
+        with refusals(cls):
+            return cls.model_validate({"elements": dict(elements), **fields})
 
     @classmethod
     def read(cls, path: Path | str) -> FrictionFile:
@@ -88,7 +76,7 @@ class FrictionFile(FileModel):
         Raises:
             ConfigError: naming file and the element that is missing.
         """
-        elements = self.elements.by_name
+        elements = self.elements.entries
         missing = [name for name in names if name not in elements]
         if missing:
             accepted = f"one element for each of {', '.join(names)}"
@@ -102,7 +90,7 @@ class FrictionFile(FileModel):
             remarks: lines of comment to put below the legend of the parameters.
         """
         head = "# LuGre friction, joint side, SI units (equations 17 to 19 of the paper).\n#\n"
-        parts = {part for element in self.elements.by_name.values() for part in element.parts}
+        parts = {part for element in self.elements.entries.values() for part in element.parts}
         return head + legend(parts) + remarks + model_text(self)
 
 
@@ -182,7 +170,7 @@ def refuse_parts(
 def load_friction(path: Path, names: Sequence[str]) -> FrictionSet:
     """Read the friction file of a robot, with its elements by their names (`Coupling.element_names`)."""
     file = FrictionFile.read(path)
-    present = file.elements.by_name
+    present = file.elements.entries
     missing = [name for name in names if name not in present]
     for name in present:
         if name not in names:

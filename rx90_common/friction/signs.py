@@ -25,8 +25,10 @@ class BySign(FileModel, Generic[Value]):
     @model_validator(mode="before")
     @classmethod
     def _for_both(cls, value: Any) -> Any:
-        if isinstance(value, BySign) or (isinstance(value, Mapping) and not value.keys().isdisjoint(SIGNS)):
+        if isinstance(value, cls) or (isinstance(value, Mapping) and not value.keys().isdisjoint(SIGNS)):
             return value
+        if isinstance(value, BySign):
+            return {"positive": value.positive, "negative": value.negative}
         return dict.fromkeys(SIGNS, value)
 
     @model_serializer(mode="wrap")

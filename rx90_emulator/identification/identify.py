@@ -217,7 +217,7 @@ def check_friction(
     source = RecordedRobot.load(robot, by_use["validation"], follow=True)
     file, lugre, arm = with_friction(source.arm, friction, "a validation by recorded torques")
     source = replace(source, arm=arm)
-    where = str(file.path or "--friction")
+    where = "--friction" if isinstance(friction, FrictionFile) else str(resolve_config(str(friction)))
     currents = (file.identification or {}).get("unit") == "A"
     records = read_records(by_use, source, progress, currents=currents)["validation"]
     if currents and any(record.unit == "Nm" for record in records):
@@ -244,13 +244,13 @@ def with_friction(
     names = arm.element_names
     where = "friction" if isinstance(friction, FrictionFile) else str(resolve_config(str(friction)))
     elements = file.select(names, where)
-    for name in file.elements.by_name:
+    for name in file.elements.entries:
         if name not in names:
             reason = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
             raise IdentificationError(f"{where}: {reason}")
-    refuse_parts(file.elements.by_name, use, f"{where}: elements.", held=("bristles",))
+    refuse_parts(file.elements.entries, use, f"{where}: elements.", held=("bristles",))
     try:
-        return file, elements, arm.with_joints(file.joints.by_name)
+        return file, elements, arm.with_joints(file.joints.entries)
     except IdentificationError as error:
         raise IdentificationError(f"{where}: {error}") from error
 

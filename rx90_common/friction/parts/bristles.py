@@ -153,7 +153,7 @@ def fill_bristles(record: Any, kinds: Sequence[BristlesPart | None], _: Surround
 
 
 @inlined
-def reset_bristles(parts: Any, state: Any, transmitted: Lanes, step: float, width: int) -> None:  # noqa: ARG001
+def reset_bristles(_parts: Any, state: Any, _transmitted: Lanes, _step: float, _width: int) -> None:
     """Put all blocks at rest; the elements' deflections are the caller's."""
     state.bristles.blocks[:] = 0.0
 

@@ -155,13 +155,7 @@ def load_torques(part: Any, transmitted: Lanes, velocity: Lanes, delta: Lanes, w
 
 @inlined
 def loaded(
-    parts: Any,
-    state: Any,
-    present: Present,
-    angle: Lanes,
-    velocity: Lanes,
-    ahead: float,
-    width: int,
+    parts: Any, state: Any, present: Present, _angle: Lanes, velocity: Lanes, ahead: float, width: int
 ) -> Present:
     """Add the load's share of Coulomb and static torque."""
     transmitted = fma(ahead, load(state.load.slope, width), load(state.load.torque, width))
@@ -179,7 +173,7 @@ def loaded(
 
 
 @inlined
-def settle_load(parts: Any, state: Any, transmitted: Lanes, step: float, width: int) -> None:  # noqa: ARG001
+def settle_load(_parts: Any, state: Any, transmitted: Lanes, _step: float, _width: int) -> None:
     """Begin with the transmitted torques, Nm."""
     store(state.load.torque, transmitted)
     store(state.load.slope, 0.0 * transmitted)

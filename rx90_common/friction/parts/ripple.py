@@ -135,13 +135,7 @@ def ripple_factor(part: Any, angle: Lanes, width: int) -> Lanes:
 
 @inlined
 def rippled(
-    parts: Any,
-    state: Any,
-    present: Present,
-    angle: Lanes,
-    velocity: Lanes,
-    ahead: float,
-    width: int,
+    parts: Any, _state: Any, present: Present, angle: Lanes, _velocity: Lanes, _ahead: float, width: int
 ) -> Present:
     """Scale Coulomb and static torque."""
     return Present(

@@ -99,7 +99,7 @@ def _draw(walks: Any, element: int) -> float:
 
 
 @inlined
-def start_scatter(parts: Any, state: Any, transmitted: Lanes, step: float, width: int) -> None:  # noqa: ARG001
+def start_scatter(parts: Any, state: Any, _transmitted: Lanes, _step: float, width: int) -> None:
     """Draw where the walks begin, always the same for a seed."""
     walks = state.scatter
     for i in range(width):
@@ -112,7 +112,7 @@ def start_scatter(parts: Any, state: Any, transmitted: Lanes, step: float, width
 
 
 @inlined
-def advance_scatter(parts: Any, state: Any, transmitted: Lanes, step: float, width: int) -> None:  # noqa: ARG001
+def advance_scatter(parts: Any, state: Any, _transmitted: Lanes, _step: float, width: int) -> None:
     """Advance the walks by a tick."""
     part = parts.scatter
     walks = state.scatter
@@ -131,13 +131,7 @@ def _factor(part: Any, walks: Any, element: int) -> float:
 
 @inlined
 def scattered(
-    parts: Any,
-    state: Any,
-    present: Present,
-    angle: Lanes,
-    velocity: Lanes,
-    ahead: float,
-    width: int,
+    _parts: Any, state: Any, present: Present, _angle: Lanes, _velocity: Lanes, _ahead: float, width: int
 ) -> Present:
     """Scale Coulomb and static torque."""
     return Present(

@@ -40,7 +40,6 @@ from pydantic import model_validator
 
 from rx90_common.base.models import quantity, refusal
 from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings
-from rx90_common.friction.signs import BySign
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import exponential_less_one, exponential_less_one_of
 from rx90_common.kernels.lanes import Lanes, fma, load, select, store
@@ -118,10 +117,10 @@ class TemperaturePart(FrictionPart):
         static = float(np.min(1.0 + self.static_slope * ends))
         return element.replaced(
             omega_s=element.omega_s * min(1.0, speed),
-            tau_s=BySign(
-                positive=_between(element.tau_c.positive, element.tau_s.positive, min(1.0, static)),
-                negative=_between(element.tau_c.negative, element.tau_s.negative, min(1.0, static)),
-            ),
+            tau_s={
+                "positive": _between(element.tau_c.positive, element.tau_s.positive, min(1.0, static)),
+                "negative": _between(element.tau_c.negative, element.tau_s.negative, min(1.0, static)),
+            },
             temperature=None,
         )
 
@@ -233,13 +232,7 @@ def advance_temperatures(part: Any, state: Any, stored: Lanes, motor: Lanes, per
 
 @inlined
 def warmed(
-    parts: Any,
-    state: Any,
-    present: Present,
-    angle: Lanes,
-    velocity: Lanes,
-    ahead: float,
-    width: int,
+    _parts: Any, state: Any, present: Present, _angle: Lanes, _velocity: Lanes, _ahead: float, width: int
 ) -> Present:
     """Change static torque, Stribeck velocity and viscous friction by the present temperature."""
     return Present(

@@ -105,11 +105,11 @@ def elements_text(
     source = f"{len(labels)} bag{'s' * (len(labels) != 1)}, {date}; omega_d is not identified"
     source += "" if fallback_name is None else f", it is at most that of {fallback_name}"
     noted = {name: element.replaced(note=notes.get(name)) for name, element in rounded.items()}
-    file = FrictionFile(
+    file = FrictionFile.of(
+        {"provenance": {"omega_d": "assumed"}, **noted},
         provenance="identified",
         source=source,
-        elements={"provenance": {"omega_d": "assumed"}, **noted},
-        joints=joints,
+        joints=dict(joints),
         identification=identification,
     )
     text = file.text(_REMARKS)
