@@ -145,7 +145,7 @@ class FullSpeed(NamedTuple):
 def scaled(setup: Setup, **factors: float) -> Setup:
     """Return a setup with parameters of all elements multiplied."""
     elements = tuple(
-        dataclasses.replace(one, **{name: factor * getattr(one, name) for name, factor in factors.items()})
+        one.with_parameters({name: factor * one.parameters[name] for name, factor in factors.items()})
         for one in setup.friction.elements
     )
     return dataclasses.replace(setup, friction=FrictionSet(setup.friction.names, elements))

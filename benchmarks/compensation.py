@@ -68,7 +68,7 @@ def scaled(friction: FrictionSet, scale: float) -> FrictionSet:
     """Return a friction set with all torques scaled; deflections and velocities stay."""
     names = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
     elements = tuple(
-        dataclasses.replace(element, **{name: scale * getattr(element, name) for name in names})
+        element.with_parameters({name: scale * element.parameters[name] for name in names})
         for element in friction.elements
     )
     return FrictionSet(friction.names, elements)
@@ -317,7 +317,7 @@ def own_budget(setup: Setup, task: LineTask) -> list[tuple[str, float, float]]:
     )
     without = with_parameters(plain, {"controller.coulomb[5]": 0.0, "controller.viscous[5]": 0.0})
     none = dict.fromkeys(("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative"), 1e-9)
-    wrist = tuple(dataclasses.replace(element, **none, c1=0.0, c2=0.0) for element in coulomb[5:])
+    wrist = tuple(element.with_parameters({**none, "c1": 0.0, "c2": 0.0}) for element in coulomb[5:])
 
     def of(controlled: Setup, elements: tuple[FrictionElement, ...]) -> Setup:
         return dataclasses.replace(controlled, friction=dataclasses.replace(setup.friction, elements=elements))

@@ -92,7 +92,7 @@ _KEYS = {
 
 def with_elements(setup: Setup, **values: Any) -> Setup:
     """Return a setup whose elements all have these values."""
-    elements = tuple(replace(element, **values) for element in setup.friction.elements)
+    elements = tuple(element.replaced(**values) for element in setup.friction.elements)
     return replace(setup, friction=replace(setup.friction, elements=elements))
 
 
@@ -214,7 +214,7 @@ class StiffArm:
         return self.setup.friction.elements
 
     def _of(self, name: str) -> Array:
-        return np.array([getattr(element, name) for element in self._elements])
+        return np.array([element.parameters[name] for element in self._elements])
 
     def _of_load(self, name: str) -> Array:
         return np.array([getattr(element.load, name) for element in self._elements])
@@ -223,7 +223,7 @@ class StiffArm:
 def snapshot(plant: Plant) -> Array:
     """Return (q, v, z, transmitted), shape (26,)."""
     state = plant.state[0]
-    return np.concatenate([state["q"], state["v"], state["z"], state["parts"]["load"]])
+    return np.concatenate([state["q"], state["v"], state["z"], state["parts"]["load"]["torque"]])
 
 
 def convergence(setup: Setup, ticks: int = 40) -> Array:

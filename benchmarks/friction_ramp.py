@@ -37,7 +37,7 @@ from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, JointFriction, Pla
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.share import SOURCE_RIG, config_path
-from rx90_common.friction.element import FrictionElement
+from rx90_common.friction.element import FRICTION_UNITS, FrictionElement
 from rx90_common.kernels.compiled import kernel
 
 COULOMB = (0.012, 0.03, 0.06, 0.1)
@@ -254,7 +254,15 @@ def random_rig(seed: int, number: int, kind: str) -> Rig:
     if kind == "LuGre":
         static, stiffness = coulomb * max(rise, 1.0), coulomb / bristle
         torques = coulomb, coulomb, static, static
-        joint = FrictionElement(*torques, stribeck, exponent, stiffness, damping * stiffness, slope, 1.0)
+        joint = FrictionElement.of(
+            dict(
+                zip(
+                    FRICTION_UNITS,
+                    (*torques, stribeck, exponent, stiffness, damping * stiffness, slope, 1.0),
+                    strict=False,
+                )
+            )
+        )
     plant = replace(
         rig.plant,
         coulomb=own,

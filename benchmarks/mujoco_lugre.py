@@ -38,10 +38,9 @@ def mujoco_arm(setup: Setup) -> Any:
 
 def as_in_mujoco(element: FrictionElement) -> FrictionElement:
     """Return an element with what MuJoCo can hold of it."""
-    return dataclasses.replace(
-        element,
-        tau_c_negative=element.tau_c.positive,
-        tau_s_negative=element.tau_s.positive,
+    return element.replaced(
+        tau_c=element.tau_c.positive,
+        tau_s=element.tau_s.positive,
         delta=2.0,
         omega_d=math.inf,
     )

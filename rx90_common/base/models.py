@@ -13,6 +13,7 @@ accepted. What is accepted comes from the field's JSON schema, or from `accepted
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -170,6 +171,8 @@ def _with_units(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     named = {key: _with_units(item) for key, item in value.items()}
+    if named.get("default") == math.inf:  # which JSON has no number for
+        del named["default"]
     unit = value.get("unit")
     if isinstance(unit, str) and "description" in value:
         named["description"] = f"{value['description']} [{unit}]"

@@ -17,6 +17,7 @@ from pydantic import Field, model_validator
 from rx90_common.base.arrays import Array
 from rx90_common.base.models import FileModel, quantity, refusal, refusals, unit_of
 from rx90_common.friction.parts.bristles import BRISTLES, LUGRE_PASSIVITY, Bristles
+from rx90_common.friction.parts.curve import CURVE, CurvePart
 from rx90_common.friction.parts.load import LOAD, LoadPart
 from rx90_common.friction.parts.part import LINEAR_SPEED, MIN_SPEED, FrictionPart, Part, legend_of
 from rx90_common.friction.parts.ripple import RIPPLE, RipplePart
@@ -48,8 +49,8 @@ class FrictionElement(FileModel):
 
     `tau_c` and `tau_s` have a value for each sign of the velocity, or one for both. A part that is None is off: load
     by the transmitted torque, temperature of the joint, ripple by the angles of joint and motor, scatter as a slow
-    random walk, and bristles of another kind than equation 17. The curves below are those without load, at the
-    reference temperature, in the mean over angle and scatter.
+    random walk, bristles of another kind than equation 17, and a curve in place of equation 19. The curves below are
+    those without load, at the reference temperature, in the mean over angle and scatter.
     """
 
     tau_c: Annotated[
@@ -76,6 +77,7 @@ class FrictionElement(FileModel):
     ripple: Annotated[RipplePart | None, RIPPLE] = None
     scatter: Annotated[ScatterPart | None, SCATTER] = None
     bristles: Annotated[Bristles | None, BRISTLES] = None
+    curve: Annotated[CurvePart | None, CURVE] = None
 
     @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> FrictionElement:
@@ -84,8 +86,9 @@ class FrictionElement(FileModel):
         Raises:
             ConfigError: naming the value and what is accepted.
         """
-        with refusals(cls):
-            return cls.model_validate(by_fields(parameters))
+        fields = by_fields(parameters)
+        with refusals(cls, content=fields):
+            return cls.model_validate(fields)
 
     @model_validator(mode="after")
     def _check_static(self) -> FrictionElement:
@@ -152,7 +155,8 @@ class FrictionElement(FileModel):
         warm, cold = (1.0, 1.0) if self.temperature is None else self.temperature.viscous_range
         rest = self.c2 if self.alpha == 1.0 else self.c2 * LINEAR_SPEED ** (self.alpha - 1.0)
         fast = self.c2 * self.alpha * max_velocity ** (self.alpha - 1.0) if self.alpha > 1.0 else rest
-        return warm * rest, cold * rest, cold * fast
+        growth = sum(part.steepest for part in self.parts.values())
+        return warm * rest, cold * rest + growth, cold * fast + growth
 
     def steady_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return the torque after a long time at constant velocity, Nm (zero at rest)."""

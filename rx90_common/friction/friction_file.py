@@ -54,8 +54,9 @@ class FrictionFile(FileModel):
         Raises:
             ConfigError: naming the value and what is accepted.
         """
-        with refusals(cls):
-            return cls.model_validate({"elements": dict(elements), **fields})
+        content = {"elements": dict(elements), **fields}
+        with refusals(cls, content=content):
+            return cls.model_validate(content)
 
     @classmethod
     def read(cls, path: Path | str) -> FrictionFile:

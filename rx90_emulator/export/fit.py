@@ -115,7 +115,8 @@ def fit_friction(target: Target, name: str, elements: Sequence[FrictionElement],
     forward = sum_of(elements, speeds, 1.0)
     backward = sum_of(elements, speeds, -1.0)
     law = _law(target, elements, speeds, 0.5 * (forward + backward))
-    static = sum(one.tau_s.positive for one in elements), sum(one.tau_s.negative for one in elements)
+    at_rest = [one.tau_s if one.curve is None else one.curve.at_rest for one in elements]
+    static = sum(one.positive for one in at_rest), sum(one.negative for one in at_rest)
     difference = np.concatenate([forward, backward]) - np.tile(law.torque(speeds), 2)
     largest = float(np.abs(difference).max())
     return FrictionFit(

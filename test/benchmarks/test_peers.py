@@ -35,7 +35,9 @@ def test_motor_torques_reach_the_same_joints(shipped: Setup) -> None:
 def test_friction_parameters_reach_mujoco(shipped: Setup) -> None:
     """Held at constant velocity long enough, element 7 gives its Stribeck torque on both wrist joints."""
     alone = [
-        dataclasses.replace(e, c0=1e-6, c1=0.0, c2=0.0, tau_c_positive=1e-9, tau_s_positive=1e-9) if i < 6 else e
+        e.with_parameters({"c0": 1e-6, "c1": 0.0, "c2": 0.0, "tau_c_positive": 1e-9, "tau_s_positive": 1e-9})
+        if i < 6
+        else e
         for i, e in enumerate(shipped.friction.elements)
     ]
     setup = dataclasses.replace(shipped, friction=dataclasses.replace(shipped.friction, elements=tuple(alone)))

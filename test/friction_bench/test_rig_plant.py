@@ -90,7 +90,7 @@ def test_the_rigs_joint_moves_as_scipy_integrates_it(lugre_rig: Rig, bristles: E
     changes: dict[str, Any] = {"c1": 20.0}  # critical damping: no oscillation whose phase the splitting of steps shifts
     if bristles is not None:
         changes["bristles"] = bristles
-    rig = replace(lugre_rig, plant=replace(lugre_rig.plant, joint=replace(lugre_rig.plant.joint, **changes)))
+    rig = replace(lugre_rig, plant=replace(lugre_rig.plant, joint=lugre_rig.plant.joint.replaced(**changes)))
     joint = rig.plant.joint
     plant = RigPlant(rig, 0)
     plant.load(True)

@@ -106,7 +106,7 @@ def test_parameters_are_listed_with_their_units_and_can_be_set_back() -> None:
     """Every listed path can be set, and setting all of them to what they are changes no number of plant and law."""
     setup = rx.load_setup()
     listed = rx.parameters(setup)
-    assert listed["friction.joint_5_6.tau_s.negative"].unit == "Nm"
+    assert listed["friction.joint_5_6.tau_s_negative"].unit == "Nm"
     assert listed["controller.feed_forward.coulomb"] == (True, "switch")
     assert listed["drives.gear[5]"].value == setup.drives.gear[5]
     assert len(listed) > 150
@@ -152,12 +152,12 @@ def points(**changes: object) -> rx.TrajectoryPoints:
         (lambda s: rx.simulate(s, points(), start_time=1e306), "accepted: a finite number up to 2.147"),
         (lambda s: rx.simulate(s, points(), substeps=1.5), "substeps is 1.5; accepted: an integer >= 1"),
         (lambda s: rx.write_bag(rx.simulate(s, points()), "never", decimation=0), "decimation is 0; accepted"),
-        (lambda s: rx.with_parameters(s, {"friction.joint_2.c0": 10**400}), "accepted: a finite number > 0"),
+        (lambda s: rx.with_parameters(s, {"friction.joint_2.c0": 10**400}), "accepted: a number > 0"),
         (lambda s: rx.path_accuracy(s.robot, rx.load_task(), np.zeros(5), np.zeros((4, 6))), r"accepted: \(5, 6\)"),
         (lambda s: rx.path_accuracy(s.robot, rx.load_task(), [1.0], [[np.nan] * 6]), "accepted: finite numbers"),
         (lambda _: rx.ValidationTolerances(torque=float("nan")), "torque is nan; accepted: a positive number"),
         (
-            lambda _: rx.FrictionFile(elements={}, provenance="guessed"),
+            lambda _: rx.FrictionFile.of({}, provenance="guessed"),
             "provenance is 'guessed'; accepted: one of published",
         ),
         (lambda _: rx.load_setup(tool="x" * 5000), "File name too long"),

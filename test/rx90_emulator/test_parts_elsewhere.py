@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from shutil import copytree
 
@@ -41,9 +40,9 @@ def parted_file(shipped: Setup, tmp_path: Path) -> Path:
     """Return a copy of the shipped friction file whose second joint has two parts."""
     assert shipped.friction.file is not None
     file = rx.FrictionFile.read(shipped.friction.file)
-    element = replace(file.elements["joint_2"], **PARTS)
+    element = file.elements["joint_2"].replaced(**PARTS)
     path = tmp_path / "parted.yaml"
-    path.write_text(replace(file, elements={**file.elements, "joint_2": element}).text(), encoding="utf-8")
+    path.write_text(file.replaced(elements={**file.elements.entries, "joint_2": element}).text(), encoding="utf-8")
     return path
 
 

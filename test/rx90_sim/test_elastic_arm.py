@@ -222,7 +222,7 @@ def test_friction_brakes_the_side_that_the_file_names(shipped: Setup) -> None:
 def test_a_ripple_goes_by_the_angle_of_that_side(shipped: Setup, side: str) -> None:
     """In a step with twisted gears the sliding torque is that of the motors' angles, or of the links'."""
     ripple = RipplePart(joint_harmonic=(500.0,), joint_amplitude=(0.5,))
-    element = FrictionElement(*[10.0] * 4, 0.05, 1.0, 1e2, 0.0, 0.0, ripple=ripple)
+    element = FrictionElement(tau_c=10.0, tau_s=10.0, omega_s=0.05, delta=1.0, c0=1e2, c1=0.0, c2=0.0, ripple=ripple)
     setup = elastic(floating(shipped), SOFT, 0.0, 0.0, side)
     setup = dataclasses.replace(setup, friction=FrictionSet(setup.friction.names, (element,) * 7))
     plant = setup.plant(1)

@@ -46,22 +46,22 @@ def test_the_load_is_what_the_links_ask_for(arm: Setup) -> None:
     for _ in range(100):
         soft.step(None)
     hangs = needed(soft.state["q"][0], nothing[0], nothing[0])
-    assert soft.state["parts"]["load"][0] == pytest.approx(hangs, rel=1e-9, abs=1e-9)
-    gears, before = soft.state["transmission"][0], soft.state["parts"]["load"][0].copy()
+    assert soft.state["parts"]["load"]["torque"][0] == pytest.approx(hangs, rel=1e-9, abs=1e-9)
+    gears, before = soft.state["transmission"][0], soft.state["parts"]["load"]["torque"][0].copy()
     gears["twist"][5] += 1e-3  # gear 6 lets its torque go through elements 6 and 7, not through 5
     soft.step(None)
     through = gears["torque"][[0, 1, 2, 3, 4, 5, 5]]
     assert abs(through[5]) > 1.0
     relax = np.array([e.load.relax_time for e in arm.friction.elements if e.load])
     want = through + (before - through) * np.exp(-arm.rates.period / relax)
-    assert soft.state["parts"]["load"][0] == pytest.approx(want, rel=1e-9)
+    assert soft.state["parts"]["load"]["torque"][0] == pytest.approx(want, rel=1e-9)
 
     plant.reset(POSE)
     weight = needed(POSE, nothing[0], nothing[0])
-    assert plant.state["parts"]["load"][0] == pytest.approx(weight, rel=1e-9, abs=1e-9)
+    assert plant.state["parts"]["load"]["torque"][0] == pytest.approx(weight, rel=1e-9, abs=1e-9)
     for _ in range(400):
         plant.step(None)
-    assert plant.state["parts"]["load"][0] == pytest.approx(weight, rel=1e-5, abs=1e-5)
+    assert plant.state["parts"]["load"]["torque"][0] == pytest.approx(weight, rel=1e-5, abs=1e-5)
     motor = 0.2 * arm.drives.peak_torque
     for _ in range(300):
         plant.step(motor)
@@ -69,7 +69,7 @@ def test_the_load_is_what_the_links_ask_for(arm: Setup) -> None:
     assert np.abs(state["v"][:5]).min() > 0.1
     moving = needed(state["q"], state["v"], state["acceleration"])
     assert np.abs(moving - weight).max() > 5.0
-    assert state["parts"]["load"] == pytest.approx(moving, abs=0.02 * np.abs(moving).max())
+    assert state["parts"]["load"]["torque"] == pytest.approx(moving, abs=0.02 * np.abs(moving).max())
 
 
 def test_the_walk_of_the_scatter_goes_on_by_ticks(shipped: Setup) -> None:
@@ -80,7 +80,7 @@ def test_the_walk_of_the_scatter_goes_on_by_ticks(shipped: Setup) -> None:
         rows = []
         for _ in range(20):
             plant.step(None)
-            rows.append(plant.state["parts"]["scatter_factor"][0].copy())
+            rows.append(plant.state["parts"]["scatter"]["factor"][0].copy())
         seen.append(np.array(rows))
     assert np.array_equal(*seen)
     assert np.abs(np.diff(seen[0], axis=0)).min() > 0.0

@@ -68,8 +68,8 @@ class Curve:
     def __call__(self, velocity: Array) -> Array:
         """Return the torque, Nm; none at rest."""
         forward = velocity > 0.0
-        coulomb = np.where(forward, self.tau_c.positive, self.tau_c.negative)
-        static = np.where(forward, self.tau_s.positive, self.tau_s.negative)
+        coulomb = np.where(forward, self.tau_c_positive, self.tau_c_negative)
+        static = np.where(forward, self.tau_s_positive, self.tau_s_negative)
         decay = np.exp(-((np.abs(velocity) / self.omega_s) ** self.delta))
         return np.asarray(np.sign(velocity) * (coulomb + (static - coulomb) * decay) + self.c2 * velocity)
 
@@ -131,7 +131,7 @@ def drive_torque(model: Any, matrix: Array, curves: Sequence[Curve], motion: tup
     rigid = rigid_torque(model, np.zeros((n, n)), np.zeros(n), position, velocity, acceleration)
     inputs = velocity @ matrix.T
     friction = np.column_stack([curve(inputs[:, e]) for e, curve in enumerate(curves)])
-    resting = 0.3 * np.array([curve.tau_c.positive for curve in curves])
+    resting = 0.3 * np.array([curve.tau_c_positive for curve in curves])
     return np.asarray(rigid + np.where(inputs == 0.0, resting, friction) @ matrix)
 
 
@@ -183,12 +183,12 @@ def micro_oscillation(inertia: float, curve: Curve, c0: float, c1: float, rate: 
     def torque(t: Array | float) -> Array:
         t = np.asarray(t)
         wave = sum(np.sin(2.0 * np.pi * f * t) for f in tones)
-        return np.asarray(0.15 * curve.tau_c.positive * wave * np.clip(t / 0.3, 0.0, 1.0))
+        return np.asarray(0.15 * curve.tau_c_positive * wave * np.clip(t / 0.3, 0.0, 1.0))
 
     def slope(t: float, state: Array) -> list[float]:
         _, v, z = state
-        coulomb, static = ((curve.tau_c.positive, curve.tau_s.positive) if v > 0.0
-                           else (curve.tau_c.negative, curve.tau_s.negative))  # fmt: skip
+        coulomb, static = ((curve.tau_c_positive, curve.tau_s_positive) if v > 0.0
+                           else (curve.tau_c_negative, curve.tau_s_negative))  # fmt: skip
         g = coulomb + (static - coulomb) * np.exp(-((abs(v) / curve.omega_s) ** curve.delta))
         dz = v - c0 * abs(v) * z / g
         return [v, (float(torque(t)) - c0 * z - c1 * dz - curve.c2 * v) / inertia, dz]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,6 @@ PARTS: dict[str, Any] = {
 def write_with_parts(shipped: Path, written: Path) -> Path:
     """Write a friction file with these parts in each of its elements; return its path."""
     file = rx.FrictionFile.read(shipped)
-    elements = {name: replace(element, **PARTS) for name, element in file.elements.items()}
-    written.write_text(replace(file, elements=elements).text(), encoding="utf-8")
+    elements = {name: element.replaced(**PARTS) for name, element in file.elements.entries.items()}
+    written.write_text(file.replaced(elements=elements).text(), encoding="utf-8")
     return written

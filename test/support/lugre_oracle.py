@@ -28,7 +28,7 @@ class LuGreOracle:
     @cached_property
     def _table(self) -> dict[str, Array]:
         """Return the elements' values by name, each shape (n,): a solver asks for them a hundred thousand times."""
-        return {name: np.array([getattr(element, name) for element in self.elements]) for name in FRICTION_UNITS}
+        return {name: np.array([element.parameters[name] for element in self.elements]) for name in FRICTION_UNITS}
 
     def _values(self, name: str) -> Array:
         return self._table[name]

@@ -33,6 +33,6 @@ def scaled(friction: FrictionSet, factor: float) -> tuple[FrictionElement, ...]:
     """Return elements whose torques are so many times as large at every velocity and deflection."""
     names = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
     return tuple(
-        dataclasses.replace(element, **{name: factor * getattr(element, name) for name in names})
+        element.with_parameters({name: factor * element.parameters[name] for name in names})
         for element in friction.elements
     )

@@ -22,6 +22,7 @@ from rx90_common.friction.parts.step import (
     tick_parts,
 )
 from rx90_common.friction.parts.temperature import add_work, advance_temperatures
+from rx90_common.friction.signs import SIGNS
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 
@@ -97,9 +98,15 @@ def any_element(rng: np.random.Generator, **parts: Any) -> FrictionElement:
     size = 10.0 ** rng.uniform(-1, 2)
     tau_c = size * rng.uniform(0.6, 1.4, 2)
     tau_s = tau_c * rng.uniform(1.0, 1.8, 2)
-    element = FrictionElement(
-        *tau_c.tolist(), *tau_s.tolist(), rng.uniform(0.01, 0.2), rng.choice([0.7, 1.0, 2.0]).item(),
-        size * 10.0 ** rng.uniform(3, 4), 0.0, size * rng.uniform(0.0, 0.5), alpha=rng.choice([0.6, 1.0, 1.5]).item(),
-    )  # fmt: skip
-    element = FrictionElement(**{**vars(element), **parts})
-    return FrictionElement(**{**vars(element), "c1": 0.9 * element.passive_damping(SPEED)})
+    values = {
+        "tau_c": dict(zip(SIGNS, tau_c.tolist(), strict=True)),
+        "tau_s": dict(zip(SIGNS, tau_s.tolist(), strict=True)),
+        "omega_s": rng.uniform(0.01, 0.2),
+        "delta": rng.choice([0.7, 1.0, 2.0]).item(),
+        "c0": size * 10.0 ** rng.uniform(3, 4),
+        "c1": 0.0,
+        "c2": size * rng.uniform(0.0, 0.5),
+        "alpha": rng.choice([0.6, 1.0, 1.5]).item(),
+    }
+    element = FrictionElement.of({**values, **parts})
+    return element.replaced(c1=0.9 * element.passive_damping(SPEED))

@@ -34,6 +34,11 @@ class FrictionPart(FileModel):
         """Return whether the part may leave less of Coulomb and static torque than the element has."""
         return self.least_factor < 1.0
 
+    @property
+    def steepest(self) -> float:
+        """Return the largest growth of the sliding torque with the speed that the part may give, Nm s/rad."""
+        return 0.0
+
     def weakest(self, element: Any) -> Any:
         """Return an element that has nowhere more friction than this FrictionElement may have by the part."""
         return element
@@ -112,7 +117,7 @@ class Part:
         tick: advances the state by a tick.
     """
 
-    models: Sequence[type[FrictionPart]]
+    models: Sequence[type[FileModel]]
     constants: Callable[[int], np.dtype[np.void]]
     fill: Callable[[Any, Sequence[Any], Surroundings], None]
     state: Callable[[int], np.dtype[np.void]] | None = None
@@ -126,7 +131,7 @@ class Part:
         lines = ""
         for model in self.models:
             sentence = (model.__doc__ or "").partition(".")[0]
-            lines += f"# {name:<8} {in_words(sentence)}:\n" + legend_of(model, "  ", 18)
+            lines += f"# {name:<8} {in_words(sentence)}:\n" + legend_of(model, "   ", 18)
         return lines
 
 

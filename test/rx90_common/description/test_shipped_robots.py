@@ -303,7 +303,7 @@ def test_limits_and_friction_are_those_of_their_sources(panda: Setup) -> None:
         for name in ("robots/panda/friction.yaml", "friction/library/panda_gaz.yaml")
     )
     assert own.elements == library.elements
-    assert own.identification["parameters"].keys() == own.elements.keys()
+    assert own.identification["parameters"].keys() == own.elements.entries.keys()
 
 
 def test_a_controller_of_ones_own_holds_seven_joints(panda: Setup) -> None:

@@ -62,7 +62,7 @@ def stribeck(element: FrictionElement, v: float) -> float:
 @pytest.mark.parametrize("delta", [0.5, 1.0, 2.0, 2.7])
 def test_steady_state_is_the_stribeck_curve_of_each_sign(record: Record, delta: float) -> None:
     """After a long way at constant velocity torque and c0 z are the Stribeck curve of that sign to 1e-9 Nm."""
-    element = FrictionElement(**{**vars(ELEMENT), "delta": delta})
+    element = ELEMENT.replaced(delta=delta)
     compiled = record(element)
     for v in SPEEDS:
         # Forty times the bristle's own deflection, in 400 steps.

@@ -94,7 +94,7 @@ def test_other_bristles_are_springs_below_break_away(bristles: BristlesPart) -> 
     time = np.cumsum(steps)
     velocity = np.where(steps > 0.0, 2e-4 * np.pi * np.cos(2.0 * np.pi * 5.0 * time), 0.0)
     middle = np.cumsum(velocity * steps) - 0.5 * velocity * steps
-    elements = (PLAIN, FrictionElement(**{**vars(PLAIN), "bristles": bristles}))
+    elements = (PLAIN, PLAIN.replaced(bristles=bristles))
     lugre, other = prescribed_torque(elements, np.column_stack([velocity, velocity]), steps).T
     exact = 1e5 * middle + (100.0 + 14.0) * velocity
     assert np.ptp(exact) > 3.0

@@ -11,16 +11,21 @@ from parted_joint import GEAR, SPEED, Array, Seven, along, any_element, begin
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.part import FrictionPart
-from rx90_common.friction.parts.ripple import ANGLES, RipplePart
+from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
 
 SETS = 20
+NAMES = {LoadPart: "load", RipplePart: "ripple", ScatterPart: "scatter", TemperaturePart: "temperature"}
 
 
 def any_load(rng: np.random.Generator) -> LoadPart:
     """Return a load part with all its coefficients drawn."""
-    return LoadPart(*rng.uniform(0.0, 0.5, 4), *rng.uniform(0.0, 0.01, 2), relax_time=10.0 ** rng.uniform(-3, -1))
+    shares = zip(
+        LoadPart.model_fields, [0.0] * 3 + [*rng.uniform(0.0, 0.5, 4), *rng.uniform(0.0, 0.01, 2)], strict=False
+    )
+    values = {name: value for name, value in shares if name not in LoadPart.about_keys}
+    return LoadPart(**values, relax_time=10.0 ** rng.uniform(-3, -1))
 
 
 def expected(element: FrictionElement, load: float, velocity: float) -> tuple[float, float]:
@@ -93,13 +98,13 @@ def test_the_load_follows_exactly() -> None:
             begin(seven.parts, seven.states, start)
             along(seven, np.broadcast_to(np.array([0.0 * held, 0.0 * held, held]), (parts, 3, 7)), duration / parts)
             want = held + (start - held) * np.exp(-duration / relax)
-            assert seven.states["load"][0] == pytest.approx(want, rel=1e-12, abs=1e-12)
+            assert seven.states["load"]["torque"][0] == pytest.approx(want, rel=1e-12, abs=1e-12)
 
 
 def any_ripple(rng: np.random.Generator) -> RipplePart:
     """Return one to four waves of each angle, whose amplitudes sum to less than 1."""
     values: dict[str, Sequence[float]] = {}
-    for angle in ANGLES:
+    for angle in ("joint", "motor"):
         terms = int(rng.integers(1, 5))
         values[f"{angle}_harmonic"] = tuple(rng.choice([1.0, 2.0, 3.0, 31.5], terms).tolist())
         values[f"{angle}_amplitude"] = tuple((0.45 * rng.dirichlet(np.ones(terms))).tolist())
@@ -120,7 +125,7 @@ def test_sliding_torque_along_the_angles() -> None:
         ]
         seven = Seven.of(elements)
         seven.parts["scatter"]["decay"], seven.parts["scatter"]["kick"] = 1.0, 0.0
-        walk = seven.states["scatter_factor"][0]
+        walk = seven.states["scatter"]["factor"][0]
         assert np.abs(walk - 1.0).max() > 0.05
         velocity = rng.choice([-1.0, 1.0], 7) * rng.uniform(0.01, 1.0, 7)
         # A long way inside each angle: the bristle has settled there before the angle is the next one.
@@ -131,9 +136,8 @@ def test_sliding_torque_along_the_angles() -> None:
             part = element.ripple
             assert part is not None
             series = np.zeros(len(angle))
-            for name, turns in (("joint", 1.0), ("motor", GEAR[i])):
-                harmonic, amplitude = getattr(part, f"{name}_harmonic"), getattr(part, f"{name}_amplitude")
-                phase = getattr(part, f"{name}_phase") or np.zeros(len(harmonic))
+            for (_, harmonic, amplitude, phases), turns in zip(part.series, (1.0, GEAR[i]), strict=True):
+                phase = phases or np.zeros(len(harmonic))
                 for h, a, p in zip(harmonic, amplitude, phase, strict=True):
                     series += a * np.cos(h * turns * angle[:, i] + p)
             sign = np.sign(velocity[i])
@@ -200,7 +204,7 @@ def test_no_part_creates_energy(parts: tuple[FrictionPart, ...]) -> None:
     """In every step of 10,500 random cycles the storage c0 z^2 / 2 grows by the work that goes in, or by less."""
     rng = np.random.default_rng(8)
     for _ in range(ROUNDS):
-        element = any_element(rng, **{part.name: part for part in parts})
+        element = any_element(rng, **{NAMES[type(part)]: part for part in parts})
         elements = [element.replaced(c1=0.0), *[element] * 6]
         assert gained(Seven.of(elements, seed=3), rng).max() < 1e-12
 

@@ -10,6 +10,7 @@ from scipy.stats import kstest, norm
 
 from rx90_common.friction.parts.scatter import BOUND, ScatterPart, advance_scatter
 from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.lanes import load
 
 Array = NDArray[np.float64]
 PERIOD = 2.5e-4
@@ -20,9 +21,9 @@ def walk(parts: Record, states: Record, every: int, factors: Array) -> None:
     """Write the factors of the seven elements every so many ticks, shape (n, 7)."""
     for k in range(len(factors)):
         for _ in range(every):
-            advance_scatter(parts[0].scatter, states[0])
+            advance_scatter(parts[0], states[0], load(states[0].transmitted, 7), PERIOD, 7)
         for i in range(7):
-            factors[k, i] = states[0].scatter_factor[i]
+            factors[k, i] = states[0].scatter.factor[i]
 
 
 def factors_of(part: ScatterPart, seed: int, count: int, every: int = 1, again: bool = False) -> Array:
@@ -106,7 +107,7 @@ def test_the_random_numbers_are_splitmix64() -> None:
     assert outputs == [6457827717110365317, 3203168211198807973, 9817491932198370423]
     part = ScatterPart(deviation=0.1, correlation_time=0.5)
     seven = Seven.of([any_element(np.random.default_rng(0), scatter=part)] * 7, PERIOD, 3)
-    counter, x = int(seven.states["scatter_counter"][0, 2]), float(seven.states["scatter_walk"][0, 2])
+    counter, x = int(seven.states["scatter"]["counter"][0, 2]), float(seven.states["scatter"]["walk"][0, 2])
     factors = np.empty((5, 7))
     walk(seven.parts, seven.states, 1, factors)
     decay = np.exp(-PERIOD / 0.5)
@@ -123,7 +124,7 @@ def test_the_walk_stays_within_its_bound() -> None:
     seven = Seven.of([any_element(np.random.default_rng(0), scatter=part)] * 7, PERIOD, 3)
     factors = np.empty((1, 7))
     for far, want in ((50.0, 1.8), (-50.0, 0.2)):
-        seven.states["scatter_walk"][:] = far
+        seven.states["scatter"]["walk"][:] = far
         walk(seven.parts, seven.states, 1, factors)
         assert factors == pytest.approx(np.full((1, 7), want), rel=1e-14)
     assert part.least_factor == pytest.approx(0.2)

@@ -42,11 +42,6 @@ from rx90_common.base.quoting import quoted
 from rx90_common.base.share import config_path
 from rx90_common.description.drives import Cogging, CurrentSensor, Elasticity, Windings
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
-from rx90_common.friction.parts.load import LoadPart
-from rx90_common.friction.parts.ripple import RipplePart
-from rx90_common.friction.parts.scatter import ScatterPart
-from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_emulator.configuration.check import kind_named
 from rx90_emulator.configuration.kinds import KINDS, FileKind
 from rx90_emulator.configuration.nodes import NODES, declared
@@ -355,18 +350,16 @@ def test_a_misspelt_key_is_the_first_thing_named(
 
 ONE = np.full(6, 0.1)
 OBJECTS = (
-    LoadPart(driving=0.1, driven=0.2), RipplePart(joint_harmonic=(1.0,), joint_amplitude=(0.05,)), ScatterPart(deviation=0.01, correlation_time=10.0), ElastoPlastic(break_away=0.5),
-    MaxwellSlip(stiffness=(0.5, 0.5), share=(0.4, 0.6), attraction=2.0), CurrentSensor(ONE, ONE, ONE, 800.0), Elasticity(ONE),
+    CurrentSensor(ONE, ONE, ONE, 800.0), Elasticity(ONE),
     Cogging(np.ones(1), np.ones((1, 6)), np.zeros((1, 6))),
     Windings(ONE, ONE, ONE, ambient=25.0, derating=120.0, limit=140.0),
-    TemperaturePart(reference=20.0, lowest=0.0, highest=60.0, start=20.0, ambient=20.0, capacity=1e4, resistance=0.5, viscous_scale=30.0),
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("index", range(len(OBJECTS) + 9))
+@pytest.mark.parametrize("index", range(len(OBJECTS) + 2))
 def test_each_field_is_refused_in_python_as_in_a_file(index: int, shipped: Setup) -> None:
     """A declared dataclass refuses what its declarations exclude, by its own name and that of the field."""
-    own = (shipped.drives, shipped.controller, *shipped.friction.elements)
+    own = (shipped.drives, shipped.controller)
     good: Declared = (*OBJECTS, *own)[index]
     for name, one in declarations(type(good)).items():
         if one.in_python is None or one.by_owner or isinstance(one.in_python, Other | ListOf | Rows):

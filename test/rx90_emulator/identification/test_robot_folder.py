@@ -61,7 +61,7 @@ def element_of(element: FrictionElement, source: BagSource) -> IdentifiedElement
     estimates = {
         name: ParameterEstimate.unknown("too short")
         if name in ("omega_s", "c0", "c1")
-        else ParameterEstimate(float(getattr(element, name)), 0.01)
+        else ParameterEstimate(element.parameters[name], 0.01)
         for name in PARAMETERS
     }
     return IdentifiedElement(element, estimates, dict.fromkeys(PARAMETERS, (source,)))
@@ -298,7 +298,7 @@ def test_no_absurd_friction_is_written(source: BagSource, parameter: str, value:
     good = element_of(FrictionElement(tau_c=1.0, tau_s=1.5, omega_s=0.05, delta=1.0, c0=1e4, c1=1.0, c2=0.5), source)
     assert "tau_c: 1.0" in elements_text(["a"], [good], None)
     estimates = {**good.estimates, parameter: ParameterEstimate(value, deviation)}
-    bad = replace(good, element=replace(good.element, **{parameter: value}), estimates=estimates)
+    bad = replace(good, element=good.element.with_parameters({parameter: value}), estimates=estimates)
     said = rf"^a: {parameter} came out as .*accepted: up to |a\.{parameter}\.deviation is 1e\+48, so the file is not"
     with pytest.raises(Rx90Error, match=said):
         elements_text(["a"], [bad], None)

@@ -34,7 +34,7 @@ pytestmark = pytest.mark.slow
 
 def errors(estimate: ElementEstimate, element: FrictionElement) -> dict[str, float]:
     """Return relative errors by parameter."""
-    return {name: abs(found.value / getattr(element, name) - 1.0) for name, found in estimate.parameters.items()}
+    return {name: abs(found.value / element.parameters[name] - 1.0) for name, found in estimate.parameters.items()}
 
 
 @pytest.mark.parametrize("joint", [0, 1])
@@ -97,7 +97,7 @@ def test_intervals_cover_the_truth(sweeps: Any, arm: RigidArm, common: float) ->
         for joint in range(4):
             for name, found in estimates[joint].parameters.items():
                 low, high = found.bounds
-                true = getattr(friction.elements[joint], name)
+                true = friction.elements[joint].parameters[name]
                 inside.append(low <= true <= high)
                 scores.append((found.value - true) / found.deviation)
     assert len(inside) == 84
@@ -264,7 +264,7 @@ def test_the_shipped_plan_separates_gravity_from_coulomb_friction(
 ) -> None:
     """The plan's sweeps of joint 3 give its sliding parameters within 2 % and within 4 deviations, both directions."""
     for name, found in identify_sliding([swept], arm).estimates[2].parameters.items():
-        truth = getattr(shipped.friction.elements[2], name)
+        truth = shipped.friction.elements[2].parameters[name]
         assert found.value == pytest.approx(truth, rel=0.02), name
         assert abs(found.value - truth) < 4.0 * found.deviation, name
 
@@ -279,7 +279,7 @@ def test_a_record_in_pieces_is_no_surer_than_it_is_right(shipped: Setup, arm: Ri
         kept = (swept.time + phase) % 0.7 > 0.21
         for name, found in identify_sliding([some_rows(swept, kept)], arm).estimates[2].parameters.items():
             if found.identifiable:
-                error = abs(found.value - getattr(shipped.friction.elements[2], name))
+                error = abs(found.value - shipped.friction.elements[2].parameters[name])
                 deviations[name].append(error / found.deviation)
     assert {"tau_c_positive", "tau_c_negative", "c2"} <= set(deviations)
     for name, found_off in deviations.items():

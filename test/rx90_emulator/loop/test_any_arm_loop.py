@@ -44,7 +44,7 @@ def everything(setup: Setup, side: str) -> Setup:
         winding=Windings(np.full(6, 2.0), np.full(6, 20.0), np.full(6, 3.0), 25.0, 100.0, derating=100.0, limit=140.0),
         current_sensor=CurrentSensor(np.full(6, 0.01), np.full(6, 0.01), np.zeros(6)),
     )
-    elements = tuple(dataclasses.replace(element, **PARTS) for element in setup.friction.elements)
+    elements = tuple(element.replaced(**PARTS) for element in setup.friction.elements)
     switches = FeedForward(inverse_dynamics=True, friction_model=True)
     files = setup.files
     assert files is not None

@@ -72,7 +72,7 @@ def test_with_the_right_model_the_path_error_is_below_30_micrometres(shipped: Se
 
 def with_parts(setup: Setup, kind: str, path: Path) -> Setup:
     """Return the setup with all parts, bristles of a kind too, in the plant and in the controller's model."""
-    elements = tuple(dataclasses.replace(e, **PARTS, bristles=BRISTLES[kind](e)) for e in setup.friction.elements)
+    elements = tuple(e.replaced(**PARTS, bristles=BRISTLES[kind](e)) for e in setup.friction.elements)
     parted = dataclasses.replace(setup, friction=dataclasses.replace(setup.friction, elements=elements))
     return with_friction(parted, elements, path)
 

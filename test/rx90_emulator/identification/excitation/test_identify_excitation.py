@@ -386,7 +386,7 @@ def test_a_joint_at_rest_is_assumed_and_the_others_are_written(
     mark = file["identification"]["parameters"]["elbow"]["tau_c_positive"]
     assert (mark["identifiable"], mark["reason"], mark["provenance"]) == (False, "at rest in all runs", "assumed")
     elements = rx.FrictionFile.read(tmp_path / "out" / "friction.yaml").elements
-    assert elements["shoulder"].tau_c.positive == pytest.approx(CURVES[0].tau_c.positive, rel=0.05)
+    assert elements["shoulder"].tau_c.positive == pytest.approx(CURVES[0].tau_c_positive, rel=0.05)
     elbow = elements["elbow"]
     expected = (0.7, 0.9, 0.3, 900.0) if fallback else (elements["shoulder"].tau_c.positive,) * 2 + (0.0, elbow.c0)
     assert (elbow.tau_c.positive, elbow.tau_s.positive, elbow.c2, elbow.c0) == expected
