@@ -35,7 +35,7 @@ SUBSTEPS = (1, 2, 4, 8, 16)
 STARTS = 6
 DISPLACEMENT = 1e-11
 """How far the starts lie apart, rad: far below everything the arm could notice."""
-FINE_COUNTS = 2.0**40
+FINE_COUNTS = 2**40
 """Encoder counts per turn that are finer than the solver's tolerance."""
 COAST = 0.02
 """How long the arm coasts from full speed, s."""
@@ -90,7 +90,7 @@ def compare(setup: Setup, a: ReferenceRun, b: ReferenceRun) -> Miss:
 
 def without_rounding(setup: Setup) -> Setup:
     """Return the setup with encoders so fine that they do not round."""
-    drives = dataclasses.replace(setup.drives, encoder_counts=np.full(6, FINE_COUNTS))
+    drives = setup.drives.replaced(encoder={"counts_per_revolution": FINE_COUNTS})
     return dataclasses.replace(setup, drives=drives)
 
 
@@ -176,7 +176,7 @@ def full_speed(setup: Setup) -> FullSpeed:
 
 def with_rotors(setup: Setup, factor: float) -> Setup:
     """Return a setup with lighter or heavier rotors."""
-    drives = dataclasses.replace(setup.drives, rotor_inertia=factor * setup.drives.rotor_inertia)
+    drives = setup.drives.replaced(transmission={"rotor_inertia": factor * setup.drives.rotor_inertia})
     return dataclasses.replace(setup, drives=drives)
 
 

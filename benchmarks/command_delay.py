@@ -57,7 +57,7 @@ class Loop(NamedTuple):
             *(float(gain[0]) for gain in (controller.kp, controller.kv, controller.ki)),
             rates.period,
             rates.ratio,
-            -np.expm1(-2.0 * np.pi * controller.current_bandwidth * rates.period),
+            -np.expm1(-2.0 * np.pi * controller.current_loop.bandwidth * rates.period),
             float(np.exp(-2.0 * np.pi * setup.drives.velocity_bandwidth * rates.period)),
         )
 

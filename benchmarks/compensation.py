@@ -29,7 +29,7 @@ import numpy as np
 
 from benchmarks.report import PLOT, arguments, in_turns, merge, print_table, timed
 from rx90_common.base.arrays import Array, Record
-from rx90_common.base.config import load_yaml, yaml_text
+from rx90_common.base.config import read_yaml, yaml_text
 from rx90_common.base.rates import Rates
 from rx90_common.description.coupling import to_joint, to_motor_torque
 from rx90_common.friction import FrictionElement, FrictionSet
@@ -44,7 +44,6 @@ from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, Curve, Level, Panel, Plot
 from rx90_controller.law.cs7b import position_loop, velocity_loop
 from rx90_controller.law.model import ModelFiles
-from rx90_controller.law.parameters import FeedForward
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import LineRun, PathAccuracy, path_accuracy, plan_line, run_line
@@ -150,10 +149,10 @@ def _add_friction(elements: Any, own: Any, gear: Array, gain: float, period: flo
 
 
 LAWS = {
-    "CS7B's own": FeedForward(),
-    "+ inverse dynamics": FeedForward(inverse_dynamics=True),
-    "+ friction model": FeedForward(friction_model=True),
-    "both": FeedForward(inverse_dynamics=True, friction_model=True),
+    "CS7B's own": {},
+    "+ inverse dynamics": {"inverse_dynamics": True},
+    "+ friction model": {"friction_model": True},
+    "both": {"inverse_dynamics": True, "friction_model": True},
 }
 OWN, BOTH = "CS7B's own", "both"
 RIGHT = "right model"
@@ -180,7 +179,7 @@ _STIFF = 400.0  # times as stiff: bristles without presliding to speak of
 
 _BUDGET: dict[str, dict[str, float]] = {
     "as shipped": {},
-    "encoders of 24 bits": {"drives.encoder_counts[*]": 2.0**24},
+    "encoders of 24 bits": {"drives.encoder_counts": 2.0**24},
     "current loop that follows at once": {"controller.current_bandwidth": 1e5},
     "velocity measured by 1900 Hz instead of 400": {"drives.velocity_bandwidth": 1900.0},
 }
@@ -220,26 +219,29 @@ class Models:
         return {
             RIGHT: self._setup,
             **{name: self._friction(factor) for name, factor in OFF.items()},
-            LIGHT: self._with(dataclasses.replace(self._files, tool=self._tool(0.5))),
+            LIGHT: self._with(self._files.replaced(tool=self._tool(0.5))),
         }
 
     def _with(self, files: ModelFiles) -> Setup:
-        return dataclasses.replace(self._setup, controller=dataclasses.replace(self._setup.controller, model=files))
+        return dataclasses.replace(self._setup, controller=self._setup.controller.replaced(model=files))
 
     def _friction(self, factor: float) -> Setup:
         """Return the setup with a controller that knows all friction by a factor wrong."""
         path = self._folder / f"friction_{factor}.yaml"
         elements = dict(zip(self._setup.friction.names, scaled(self._setup.friction, factor).elements, strict=True))
-        path.write_text(FrictionFile(elements=elements).text(), encoding="utf-8")
-        setup = self._with(dataclasses.replace(self._files, friction=path))
+        path.write_text(FrictionFile.of(elements).text(), encoding="utf-8")
+        setup = self._with(self._files.replaced(friction=path))
         own = setup.controller
-        wrong = dataclasses.replace(own, coulomb=factor * own.coulomb, viscous=factor * own.viscous)
+        wrong = own.replaced(
+            feed_forward={"coulomb_torque": factor * own.coulomb, "viscous_friction": factor * own.viscous}
+        )
         return dataclasses.replace(setup, controller=wrong)
 
     def _tool(self, factor: float) -> Path:
         """Return a tool file with other mass and inertia."""
-        assert self._files.tool is not None
-        content = load_yaml(self._files.tool).content
+        file = self._files.path("tool")
+        assert file is not None
+        content = read_yaml(file)
         inertial = content["inertial"]
         inertial["mass"] *= factor
         inertial["inertia"] = [factor * value for value in inertial["inertia"]]
@@ -258,9 +260,9 @@ class Models:
             return there
         path = self._folder / f"friction_{hall:g}_{believed.sum():.6f}.yaml"
         known = dict(zip(warm.names, _warm(warm, hall, believed), strict=True))
-        path.write_text(FrictionFile(elements=known).text(), encoding="utf-8")
-        model = dataclasses.replace(self._files, friction=path)
-        return dataclasses.replace(there, controller=dataclasses.replace(there.controller, model=model))
+        path.write_text(FrictionFile.of(known).text(), encoding="utf-8")
+        model = self._files.replaced(friction=path)
+        return dataclasses.replace(there, controller=there.controller.replaced(model=model))
 
 
 def _warm(friction: FrictionSet, hall: float, start: Array) -> tuple[FrictionElement, ...]:
@@ -275,9 +277,9 @@ def _warm(friction: FrictionSet, hall: float, start: Array) -> tuple[FrictionEle
     )
 
 
-def with_law(setup: Setup, switches: FeedForward) -> Setup:
+def with_law(setup: Setup, switches: Mapping[str, bool]) -> Setup:
     """Return the setup with these parts of the feed-forward on."""
-    return dataclasses.replace(setup, controller=dataclasses.replace(setup.controller, feed_forward=switches))
+    return dataclasses.replace(setup, controller=setup.controller.replaced(feed_forward=dict(switches)))
 
 
 def print_conditions(runs: Mapping[str, Mapping[str, LineRun]]) -> None:
@@ -342,7 +344,7 @@ def print_measured(setups: Mapping[str, Setup], task: LineTask) -> None:
     """Print what bristles that follow the measured velocity would do, beside those of the product."""
     rows = []
     rest = dataclasses.replace(task, rest_after=2.0)
-    blind = FeedForward(coulomb=False, viscous=False, inverse_dynamics=True)
+    blind = {"coulomb": False, "viscous": False, "inverse_dynamics": True}
     for name in (RIGHT, *OFF):
         run = run_line(with_law(setups[name], LAWS[BOTH]), rest)
         cases = [("set-points", run.path_accuracy.worst, run.slow.joint_states[-SETTLED:, 0])]

@@ -36,7 +36,7 @@ CASES: dict[str, tuple[str, dict[str, bool | float]]] = {
 }
 _CONSTANT_C1 = {"friction.*.omega_d": math.inf}
 # The most that a file accepts: the arm's own position and velocity, as nearly as the loop can have them.
-_FINE_SENSORS = {"drives.encoder_counts[*]": 2**30, "drives.velocity_bandwidth": 1999.0}
+_FINE_SENSORS = {"drives.encoder_counts": 2**30, "drives.velocity_bandwidth": 1999.0}
 _SIGN = {"controller.coulomb_velocity": _LITERAL_SIGN}
 CHOICES: dict[str, tuple[str, dict[str, bool | float]]] = {
     "paper_default": ("the default", {}),

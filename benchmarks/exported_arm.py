@@ -99,7 +99,9 @@ def compare(setup: Setup, task: LineTask, steps: int = 1) -> dict[str, tuple[flo
 def with_gains(setup: Setup, factor: float) -> Setup:
     """Return the setup with kv and ki times a factor."""
     given = setup.controller
-    return dataclasses.replace(setup, controller=dataclasses.replace(given, kv=factor * given.kv, ki=factor * given.ki))
+    return dataclasses.replace(
+        setup, controller=given.replaced(servo={"kv": factor * given.kv, "ki": factor * given.ki})
+    )
 
 
 def tune(setup: Setup, task: LineTask) -> list[tuple[str, ...]]:

@@ -29,7 +29,6 @@ from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
-from rx90_controller.law.parameters import FeedForward
 from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
@@ -102,8 +101,8 @@ def knowing(setup: Setup, file: Path) -> Setup:
     file.write_text(FrictionFile(elements=elements).text(), encoding="utf-8")
     own = setup.controller
     assert own.model is not None
-    switches = FeedForward(inverse_dynamics=True, friction_model=True)
-    return replace(setup, controller=replace(own, model=replace(own.model, friction=file), feed_forward=switches))
+    switches = {"inverse_dynamics": True, "friction_model": True}
+    return replace(setup, controller=own.replaced(model={"friction": file}, feed_forward=switches))
 
 
 def setup_of(case: Case, shipped: Setup, file: Path) -> Setup:

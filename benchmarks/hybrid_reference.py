@@ -193,13 +193,10 @@ def decoupled_setup(shipped: Setup, elements: Sequence[FrictionElement], inertia
     nothing, six = np.zeros((6, 3)), np.ones(6)
     chain = shipped.robot.chain._replace(mass=np.zeros(6), com=nothing, inertia=np.zeros((6, 6)), gravity=np.zeros(3))
     robot = dataclasses.replace(shipped.robot, chain=chain, lower=-1e9 * six, upper=1e9 * six, max_velocity=1e4 * six)
-    drives = dataclasses.replace(
-        shipped.drives,
-        gear=six,
-        rotor_inertia=inertia * six,
-        torque_constant=six,
-        peak_current=1e6 * six,
-        spring_torque=0.0 * six,
+    drives = shipped.drives.replaced(
+        transmission={"gear": six, "rotor_inertia": inertia * six},
+        motor={"torque_constant": six, "peak_current": 1e6 * six},
+        spring={"torque": 0.0 * six},
     )
     padded = [*elements, *[negligible_element()] * (RX_WRIST.size.elements - len(elements))]
     friction = FrictionSet(shipped.friction.names, tuple(padded))

@@ -41,8 +41,8 @@ ROUNDS = 15
 
 def elastic(setup: Setup, factor: float = 1.0, backlash: float = 0.0) -> Setup:
     """Return a setup with the example's stiffnesses, times a factor, and play, rad."""
-    gears = Elasticity(EXAMPLE * factor, DAMPED * EXAMPLE * factor, np.full(6, backlash))
-    return replace(setup, drives=replace(setup.drives, elasticity=gears))
+    gears = Elasticity(stiffness=EXAMPLE * factor, damping=DAMPED * EXAMPLE * factor, backlash=np.full(6, backlash))
+    return replace(setup, drives=setup.drives.replaced(elasticity=gears))
 
 
 def frequencies(setup: Setup) -> tuple[Array, Array]:

@@ -77,9 +77,9 @@ def fill_cogging(record: Any, cogging: Cogging, gear: Array) -> None:
     record["terms"] = terms
     record["harmonic"][:terms] = cogging.harmonic
     if terms:
-        sine, cosine = sines_cosines(cogging.phase)
-        record["cosine"][:terms] = gear * cogging.amplitude * cosine
-        record["sine"][:terms] = gear * cogging.amplitude * sine
+        sine, cosine = sines_cosines(np.array(cogging.phase))
+        record["cosine"][:terms] = gear * np.array(cogging.amplitude) * cosine
+        record["sine"][:terms] = gear * np.array(cogging.amplitude) * sine
 
 
 @inlined
@@ -143,8 +143,9 @@ def fill_windings(record: Any, windings: Windings, torque_constant: Array) -> No
     record["used"] = windings.used
     record["initial"] = windings.initial
     if windings.used:
-        record["heat"] = windings.resistance / (windings.heat_capacity * torque_constant * torque_constant)
-        record["cooling"] = 1.0 / (windings.heat_capacity * windings.thermal_resistance)
+        capacity = np.array(windings.heat_capacity)
+        record["heat"] = windings.resistance / (capacity * torque_constant * torque_constant)
+        record["cooling"] = 1.0 / (capacity * windings.thermal_resistance)
         record["slope"] = 1.0 / (windings.limit - windings.derating)
         for name in ("coefficient", "reference", "ambient", "limit"):
             record[name] = getattr(windings, name)

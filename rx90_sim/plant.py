@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rx90_common.arm_dynamics import body_dtype, manipulator_dtype, manipulator_record
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError, DivergenceError
+from rx90_common.base.models import Row
 from rx90_common.base.rates import Rates, ticks_per
 from rx90_common.description.coupling import ArmSize, gear_field, to_joint, to_joint_torque, to_motor_torque
 from rx90_common.description.drives import LINK, DriveParameters
@@ -138,8 +139,8 @@ def _plant_record(
     plant["observer_velocity"] = (1.0 - pole) * (1.0 - pole) / rates.period
     plant["lower"] = robot.lower
     plant["upper"] = robot.upper
-    plant["stop_stiffness"] = drives.stop_stiffness
-    plant["stop_damping"] = drives.stop_damping
+    plant["stop_stiffness"] = drives.end_stops.stiffness
+    plant["stop_damping"] = drives.end_stops.damping
     plant["period"] = rates.period
     plant["substeps"] = substeps
     plant["speed_limit"] = 10.0 * robot.max_velocity
@@ -172,11 +173,11 @@ def _fill_transmission(transmission: Any, drives: DriveParameters) -> None:
     elastic = elasticity.elastic
     transmission["flexible"] = elastic.any()
     transmission["elastic"] = elastic
-    transmission["link_friction"] = elasticity.friction_side == LINK
+    transmission["link_friction"] = elasticity.friction == LINK
     transmission["rotor"] = drives.rotor_inertia
     transmission["stiffness"] = np.where(elastic, elasticity.stiffness, 0.0)
     transmission["damping"] = elasticity.damping
-    transmission["half_play"] = 0.5 * elasticity.backlash
+    transmission["half_play"] = 0.5 * np.array(elasticity.backlash)
 
 
 def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
@@ -185,24 +186,19 @@ def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
     The brake of a motor that turns with several joints is behind those of the joints, and its own joint has none: in
     the RX family motor 6 turns with joints 5 and 6 together, so its brake is the seventh.
     """
-    data = np.array([drives.brake_torque, drives.brake_stiffness, drives.brake_damping])
-    brakes = _brake_elements(data.tobytes())
+    brakes = _brake_elements(drives.brake.torque, drives.brake.stiffness, drives.brake.damping)
     brake["tau_c"] = brake["tau_s"] = brake["alpha"] = 1.0
     for name in brakes.dtype.names or ():
         brake[name][..., drives.turning.element_of_motor] = brakes[name][0]
 
 
 @lru_cache(maxsize=32)
-def _brake_elements(data: bytes) -> Record:
+def _brake_elements(torque: Row, stiffness: Row, damping: Row) -> Record:
     """Return torque, stiffness and damping as bristle elements; runs of a sweep mostly have the same."""
-    brakes = np.frombuffer(data).reshape(3, -1).T.tolist()
+    values = zip(torque, stiffness, damping, strict=True)
+    law = {"omega_s": 1.0, "delta": 1.0, "c2": 0.0}
     return element_arrays(
-        [
-            FrictionElement.of(
-                {"tau_c": tau, "tau_s": tau, "omega_s": 1.0, "delta": 1.0, "c0": c0, "c1": c1, "c2": 0.0}
-            )
-            for tau, c0, c1 in brakes
-        ]
+        [FrictionElement.of({"tau_c": tau, "tau_s": tau, "c0": c0, "c1": c1, **law}) for tau, c0, c1 in values]
     )
 
 

@@ -135,7 +135,7 @@ def plant_steps(
     rows = _rows(drives, friction, robot.max_velocity)
     numbers = robot.lower, robot.upper, drives.rotor_inertia, drives.turning.turns, drives.turning.element_matrix
     elastic = drives.elasticity.elastic.tobytes()
-    link_friction = drives.elasticity.friction_side == LINK
+    link_friction = drives.elasticity.friction == LINK
     gram = _compliance(arm.tobytes(), *(one.astype(np.float64).tobytes() for one in numbers), elastic, link_friction)
     most = MAX_AUTOMATIC_STEPS if requested is None else requested
 
@@ -183,7 +183,7 @@ def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -
     most = np.maximum(c1 + cold, fast)
     elasticity = drives.elasticity
     gears = np.where(elasticity.elastic, elasticity.stiffness, 0.0)
-    others = np.concatenate([drives.brake_damping, drives.stop_damping, elasticity.damping])
+    others = np.concatenate([drives.brake.damping, drives.end_stops.damping, elasticity.damping])
     names = [
         (f"friction.{name}.c0", f"friction.{name}.{'c1' if by_c1 else 'c2'}")
         for name, by_c1 in zip(friction.names, c1 >= 0.5 * most, strict=True)
@@ -193,7 +193,7 @@ def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -
     return _Rows(
         names,
         np.concatenate([np.where(c1 >= 0.5 * most, c1, most), others]),
-        np.concatenate([[e.c0 for e in friction.elements], drives.brake_stiffness, drives.stop_stiffness, gears]),
+        np.concatenate([[e.c0 for e in friction.elements], drives.brake.stiffness, drives.end_stops.stiffness, gears]),
         np.concatenate([at_rest, others]),
         np.concatenate([most, others]),
         len(friction.elements),

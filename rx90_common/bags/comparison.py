@@ -248,34 +248,29 @@ def _compare_topic(
     topic: str, found: tuple[list[JointSeries] | None, ...], tolerances: Tolerances, scope: Scope
 ) -> list[TopicComparison]:
     """Compare each set of joints of a topic; `found` is that of each bag, None where the bag lacks the topic."""
-    unpaired_a, unpaired_b = (
-        [one for series in some or [] if len((one := scope.cut(series)).stamp_ns)] for some in found
+    first, second = (
+        {frozenset(series.names): series for series in map(scope.cut, some or []) if len(series.stamp_ns)}
+        for some in found
     )
-    if not unpaired_a and not unpaired_b:
+    if not first and not second:
         return [] if scope.topics is None else [_incomparable(topic, "no message of it is in either bag")]
-    if not unpaired_a or not unpaired_b:
-        lacking = _BAGS[bool(unpaired_a)]
-        some = found[bool(unpaired_a)]
-        what = "the topic is not" if some is None else "no message of it is"
-        return [_incomparable(topic, f"{what} in the {lacking} bag{' within the time window' * bool(some)}")]
+    if not first or not second:
+        lacking = 1 if first else 0
+        what = "the topic is not" if found[lacking] is None else "no message of it is"
+        window = " within the time window" if found[lacking] else ""
+        return [_incomparable(topic, f"{what} in the {_BAGS[lacking]} bag{window}")]
     pairs: list[tuple[JointSeries | None, JointSeries | None]] = []
-    for a in [*unpaired_a]:  # with the same set of joints
-        same = [b for b in unpaired_b if set(b.names) == set(a.names)]
-        if same:
-            pairs.append((a, same[0]))
-            unpaired_a = [s for s in unpaired_a if s not in pairs[-1]]
-            unpaired_b = [s for s in unpaired_b if s not in pairs[-1]]
+    for joints in [joints for joints in first if joints in second]:
+        pairs.append((first.pop(joints), second.pop(joints)))
+    pairs += zip_longest(first.values(), second.values())  # those with other joints, in their order
     results = []
-    for first, second in [
-        *pairs,
-        *zip_longest(unpaired_a, unpaired_b),
-    ]:  # the remaining ones of both sides are paired in their order
-        only = first or second
-        if first is not None and second is not None:
-            results.append(compare_series(first, second, tolerances, scope))
-        elif only is not None:
-            where = _BAGS[only is second]
-            results.append(_incomparable(topic, f"only the {where} bag has messages of {listed(only.names)}"))
+    for a, b in pairs:
+        alone = a or b
+        if a is not None and b is not None:
+            results.append(compare_series(a, b, tolerances, scope))
+        elif alone is not None:
+            where = _BAGS[alone is b]
+            results.append(_incomparable(topic, f"only the {where} bag has messages of {listed(alone.names)}"))
     return results
 
 
@@ -299,12 +294,12 @@ def compare_series(
         )
         return _incomparable(a.topic, f"no stamp in common: {spans}; bags that began at other times can be aligned")
     reasons: list[str] = []
-    for one, other, where in ((a, b, "first"), (b, a, "second")):
-        for lacking in (
-            listed(name for name in one.names if name not in other.names),
-            ", ".join(field for field in one.fields if field not in other.fields),
-        ):
-            reasons += [f"only the {where} bag has {lacking}"] * bool(lacking)
+    for series, compared, where in ((a, b, "first"), (b, a, "second")):
+        lacking = (
+            listed(name for name in series.names if name not in compared.names),
+            ", ".join(field for field in series.fields if field not in compared.fields),
+        )
+        reasons += [f"only the {where} bag has {what}" for what in lacking if what]
     units = [plain(one.units["effort"]) for one in (a, b) if "effort" in one.fields]
     if len(set(units)) > 1:
         reasons.append("effort is in {} in the first bag and in {} in the second, and not compared".format(*units))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping, exported_mapping
-from rx90_common.bags.reading import BagReader, Progress, read_joint_bag, silent
+from rx90_common.bags.reading import BagReader, Progress, silent
 from rx90_common.bags.writing import named_at_the_end
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
@@ -74,33 +74,34 @@ def export_bag(
         kind = output.suffix.lower()
     elif output.suffix.lower() in _UNSUPPORTED:
         raise BagError(f"{plain(output)}: the suffix says the format; accepted: {listed(FORMATS)}, or none")
-    with BagReader(path, mapping) as bag:
-        chosen = bag.series_topics(topics)
-        left_out = tuple(topic.name for topic in bag.topics if topics is None and topic not in chosen)
-    counts = {topic.name: topic.count for topic in chosen}
-    if single and kind in _ONE_TOPIC and len(chosen) > 1:
-        what = f"{plain(output)} would hold {len(chosen)} topics, {listed(counts)}"
-        raise BagError(f"{what}; accepted: one, with --topic, or the name of a folder")
-    total = done = sum(counts.values())
+    done = 0
 
     def written(count: int) -> None:
         nonlocal done
         done += count
-        progress(done, 2 * total)
+        progress(total + done, 2 * total)
 
-    with named_at_the_end(output) as folder:
-        read = read_joint_bag(path, counts, lambda count, _: progress(count, 2 * total), mapping)
-        remedy = "accepted for a table: the same in all messages; leave the topic out with --topic"
-        tables = [read.one(topic, remedy=remedy) for topic in counts]
-        if single:
-            FORMATS[kind](folder / output.name, tables, written)
-            files = sorted(output.parent / file.name for file in folder.iterdir())
-        else:
-            (folder / output.name).mkdir()
-            for series in tables:
-                name = f"{series.topic.removeprefix('/').replace('/', '.')}{kind}"
-                FORMATS[kind](folder / output.name / name, [series], written)
-            files = sorted(output / file.name for file in (folder / output.name).iterdir())
+    with BagReader(path, mapping) as bag:
+        chosen = bag.series_topics(topics)
+        counts = {topic.name: topic.count for topic in chosen}
+        left_out = tuple(topic.name for topic in bag.topics if topics is None and topic not in chosen)
+        if single and kind in _ONE_TOPIC and len(chosen) > 1:
+            what = f"{plain(output)} would hold {len(chosen)} topics, {listed(counts)}"
+            raise BagError(f"{what}; accepted: one, with --topic, or the name of a folder")
+        total = sum(counts.values())
+        with named_at_the_end(output) as folder:
+            read = bag.joint_states(chosen, lambda count, _: progress(count, 2 * total))
+            remedy = "accepted for a table: the same in all messages; leave the topic out with --topic"
+            tables = [read.one(topic, remedy=remedy) for topic in counts]
+            if single:
+                FORMATS[kind](folder / output.name, tables, written)
+                files = sorted(output.parent / file.name for file in folder.iterdir())
+            else:
+                (folder / output.name).mkdir()
+                for series in tables:
+                    name = f"{series.topic.removeprefix('/').replace('/', '.')}{kind}"
+                    FORMATS[kind](folder / output.name / name, [series], written)
+                files = sorted(output / file.name for file in (folder / output.name).iterdir())
     return ExportedBag(tuple(files), tuple(counts.items()), left_out)
 
 

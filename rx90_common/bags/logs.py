@@ -1,24 +1,22 @@
 """Read logs in columns, CSV, Parquet and NPZ, with a signal map that describes the columns; make bags of them.
 
 For text files encoding, header, delimiter and decimal sign are detected unless they are given. Lines are checked
-one by one, for comments and torn rows; times stay text until they are whole nanoseconds. Memory: 8 bytes for each
-number, and as many again for the series.
+one by one, for comments and torn rows; times stay text until they are whole nanoseconds. Memory: the text of the
+columns that are mapped, 8 bytes for each number, and as many again for the series.
 """
 
 from __future__ import annotations
 
 import csv
-import heapq
 import io
 import math
 from bisect import bisect_left, bisect_right
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal, DecimalException
-from itertools import islice, pairwise
-from operator import itemgetter
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -28,19 +26,10 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from rx90_common.bags.batch import Int64Array, series_encoder
-from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.joint_series import Int64Array, JointSeries
+from rx90_common.bags.limits import DamagedError, check_arrays, library_errors, load_arrays
 from rx90_common.bags.mapping import ARRAYS, DELIMITERS, SECONDS, UNITS, Column, LogMapping, mapping_of
-from rx90_common.bags.storage_files import (
-    BagTopic,
-    DamagedError,
-    LoggedMessage,
-    StorageFile,
-    check_arrays,
-    library_errors,
-    load_arrays,
-)
-from rx90_common.bags.topics import JOINT_STATE, absolute
+from rx90_common.bags.topics import absolute
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
@@ -98,15 +87,21 @@ class ReadLog:
 def corrupt_text(corrupt: Sequence[tuple[int, str]]) -> str:
     """Return count and numbers of the lines, those that follow each other together, and what the first one has."""
     lines = [line for line, _ in corrupt]
-    starts = [0, *(k + 1 for k, (a, b) in enumerate(pairwise(lines)) if b != a + 1), len(lines)]
-    parts = [f"{lines[a]}" if b - a == 1 else f"{lines[a]}-{lines[b - 1]}" for a, b in pairwise(starts)]
-    more = f" and {len(parts) - _MAX_RANGES} more places" if len(parts) > _MAX_RANGES else ""
-    rows = f"{len(corrupt)} corrupt row{'s' * (len(corrupt) > 1)}"
-    return f"{rows}, line {', '.join(parts[:_MAX_RANGES])}{more} (line {lines[0]}: {corrupt[0][1]})"
+    places = []
+    for _, run in groupby(enumerate(lines), key=lambda pair: pair[1] - pair[0]):
+        first, *later = [line for _, line in run]
+        places.append(f"{first}-{later[-1]}" if later else f"{first}")
+    more = f" and {len(places) - _MAX_RANGES} more places" if len(places) > _MAX_RANGES else ""
+    rows = counted(len(lines), "corrupt row")
+    return f"{rows}, line {', '.join(places[:_MAX_RANGES])}{more} (line {lines[0]}: {corrupt[0][1]})"
 
 
 def read_logs(
-    paths: Sequence[Path], mapping: LogMapping | None, more: Callable[[int], None], *, skip_corrupt: bool = False
+    paths: Sequence[Path],
+    mapping: LogMapping | None = None,
+    more: Callable[[int], object] = int,
+    *,
+    skip_corrupt: bool = False,
 ) -> ReadLog:
     """Read logs whose rows belong together.
 
@@ -191,17 +186,25 @@ def _increasing(stamps: Int64Array) -> Int64Array:
     return np.array(chosen[::-1], dtype=np.int64)
 
 
+class _Rows(NamedTuple):
+    """The rows of a log: numbers of their lines, columns by place, and what is wrong with torn rows, by row."""
+
+    lines: Int64Array
+    columns: Mapping[int, Any]
+    torn: dict[int, str]
+
+
 class _Source(NamedTuple):
     """A log that is open: names and number of its columns, how it is read, and its decimal sign.
 
-    `rows` gives blocks of the columns at these places: numbers of lines, columns as texts or arrays, and torn rows.
+    `rows` returns the columns at these places, arrow's of texts or NumPy's of numbers.
     """
 
     names: Sequence[str]
     width: int
     dialect: str
     decimal: str
-    rows: Callable[[Sequence[int]], Iterator[tuple[Int64Array, dict[int, Any], dict[int, str]]]]
+    rows: Callable[[Sequence[int]], _Rows]
 
 
 class _Log(NamedTuple):
@@ -214,42 +217,27 @@ class _Log(NamedTuple):
     faults: dict[int, str]
 
 
-def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int], None]) -> _Log:
+def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int], object]) -> _Log:
     """Read the log of this number, from 1 on, in a mapping."""
     source = _open_arrays(path, more) if path.suffix.lower() in ARRAYS else _open_text(path, mapping, more)
     time, used = _places(path, source, mapping, number)
-    places = [*{*used.values()}, *([] if time is None else [time])]
-    parts: dict[int, list[Array]] = {place: [] for place in used.values()}
-    lines = [np.zeros(0, dtype=np.int64)]
-    stamps = [np.zeros(0, dtype=np.int64)]
-    faults: dict[int, str] = {}
-    factors = [(column, factor) for topic in mapping.topics.values() for one in topic.fields.values()
-               if one.file == number for column, factor in zip(one.columns, one.factor, strict=True)]  # fmt: skip
-    first = 0
-    for numbers, columns, torn in source.rows(places):
-        faults |= {first + row: reason for row, reason in torn.items()}
-        values = {place: _numbers(columns[place], source.decimal) for place in parts}
-        for column, factor in factors:
-            scaled = values[used[column]] * factor
-            texts = columns[used[column]]
-            # A NaN is neither; in an exact log the text for it, or for an infinity, is a number.
-            for row in np.flatnonzero(~(np.abs(scaled) <= (_MOST if mapping.exact else _LARGEST))).tolist():
-                if not mapping.exact or str(texts[row]).strip("' ").lower().lstrip("+-") not in _NOT_FINITE:
-                    faults.setdefault(first + row, f"column {plain(column)} is {_cell(texts[row])}")
-        for place, some in values.items():
-            parts[place].append(some)
-        stamp = np.zeros(len(numbers), dtype=np.int64)
-        if time is not None:
-            stamp = _stamps_ns(columns[time], source.decimal, int(mapping.seconds * NANOSECONDS))
-            for row in np.flatnonzero(stamp < 0).tolist():
-                accepted = f"0 to {_LAST_NS // NANOSECONDS} s, or ISO 8601"
-                faults.setdefault(first + row, f"time {_cell(columns[time][row])}; accepted: {accepted}")
-        lines.append(numbers)
-        stamps.append(stamp)
-        first += len(numbers)
-    whole = {place: np.concatenate(some) for place, some in parts.items()}
-    numbers_of = {column: whole[place] for column, place in used.items()}
-    return _Log(source.dialect, np.concatenate(lines), np.concatenate(stamps), numbers_of, faults)
+    lines, columns, faults = source.rows([*{*used.values()}, *([] if time is None else [time])])
+    values = {column: _numbers(columns[place], source.decimal) for column, place in used.items()}
+    fields = [field for topic in mapping.topics.values() for field in topic.fields.values() if field.file == number]
+    for column, factor in (pair for field in fields for pair in zip(field.columns, field.factor, strict=True)):
+        texts = columns[used[column]]
+        absurd = ~(np.abs(values[column] * factor) <= (_MOST if mapping.exact else _LARGEST))  # a NaN, too
+        for row in np.flatnonzero(absurd).tolist():
+            # In an exact log the text for a NaN or an infinity is a number.
+            if not mapping.exact or str(texts[row]).strip("' ").lower().lstrip("+-") not in _NOT_FINITE:
+                faults.setdefault(row, f"column {plain(column)} is {_cell(texts[row])}")
+    stamps = np.zeros(len(lines), dtype=np.int64)
+    if time is not None:
+        stamps = _stamps_ns(columns[time], source.decimal, int(mapping.seconds * NANOSECONDS))
+        for row in np.flatnonzero(stamps < 0).tolist():
+            accepted = f"0 to {_LAST_NS // NANOSECONDS} s, or ISO 8601"
+            faults.setdefault(row, f"time {_cell(columns[time][row])}; accepted: {accepted}")
+    return _Log(source.dialect, lines, stamps, values, faults)
 
 
 def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tuple[int | None, dict[Column, int]]:
@@ -285,22 +273,22 @@ def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tu
         time = place_of(mapping.time[1])
         compare_unit(time, SECONDS, next(name for name, size in SECONDS.items() if size == mapping.seconds))
     for topic, mapped in mapping.topics.items():
-        for name, one in mapped.fields.items():
-            used_places = {time}
-            for column in one.columns if one.file == number else ():
+        for name, field in mapped.fields.items():
+            taken = {time}
+            for column in field.columns if field.file == number else ():
                 place = used[column] = place_of(column)
-                if place in used_places:
+                if place in taken:
                     others = "the times" if place == time else "another joint"
                     raise BagError(
                         f"{plain(path)}: column {plain(column)} in {plain(topic)}.{name} is that of {others}; "
                         "accepted: a column of its own for each"
                     )
-                used_places.add(place)
-                compare_unit(place, UNITS[name], one.unit)
+                taken.add(place)
+                compare_unit(place, UNITS[name], field.unit)
     return time, used
 
 
-def _open_arrays(path: Path, more: Callable[[int], None]) -> _Source:
+def _open_arrays(path: Path, more: Callable[[int], object]) -> _Source:
     """Open a log of arrays: columns of Parquet; of NPZ those of shape (n,), and each column of (n, k), as `q[0]`."""
     there: dict[str, NDArray[Any]] = {}
     parquet = path.suffix.lower() == ".parquet"
@@ -325,25 +313,25 @@ def _open_arrays(path: Path, more: Callable[[int], None]) -> _Source:
         raise BagError(f"{plain(path)}: is no {'Parquet' if parquet else 'NPZ'} file, or damaged ({error})") from error
     names = list(there)
 
-    def rows(places: Sequence[int]) -> Iterator[tuple[Int64Array, dict[int, Any], dict[int, str]]]:
+    def rows(places: Sequence[int]) -> _Rows:
         columns = {place: there[names[place]] for place in places}
         counts = {len(column) for column in columns.values()}
         if len(counts) != 1 or 0 in counts:
             each = ", ".join(f"{plain(names[place])} {len(column)}" for place, column in columns.items())
             raise BagError(f"{plain(path)}: rows: {each}; accepted: columns of as many rows each, one or more")
         more(path.stat().st_size)
-        yield np.arange(1, counts.pop() + 1), columns, {}
+        return _Rows(np.arange(1, counts.pop() + 1), columns, {})
 
     return _Source(names, len(names), f"{len(names)} columns {listed(names)}", ".", rows)
 
 
-def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], None]) -> _Source:
+def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], object]) -> _Source:
     """Open a log of text, which may be a pipe."""
     comments: list[str] = []
-    lines = _rows_of(path, more, None if mapping.exact else comments)
-    first = list(islice(lines, _BLOCK))
-    delimiter, decimal = _dialect([line for _, line in first[:_LOOKED_AT]], mapping)
-    split = [_fields_of(line, delimiter) for _, line in first]
+    lines = _lines_of(path, more, None if mapping.exact else comments)
+    beginning = [*islice(lines, _BLOCK)]
+    delimiter, decimal = _dialect([line for _, line in beginning[:_LOOKED_AT]], mapping)
+    split = [_fields_of(line, delimiter) for _, line in beginning]
     head = mapping.header
     if head is None:  # the lines before the first one that holds a number
         numeric = (k for k, row in enumerate(split) if any(not math.isnan(_number(text, decimal)) for text in row))
@@ -358,23 +346,29 @@ def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], None]) -> 
     named = f"header {listed(header)}" if header else "no header"
     named += f" in {head} lines before the first row" if head > 1 else ""
 
-    def rows(places: Sequence[int]) -> Iterator[tuple[Int64Array, dict[int, Any], dict[int, str]]]:
-        block = first[head:]
+    def rows(places: Sequence[int]) -> _Rows:
+        numbers: list[int] = []
+        torn: dict[int, str] = {}
+        parts: dict[int, list[pa.Array]] = {place: [] for place in places}
+        block = beginning[head:]
         while block:
             split = [_fields_of(line, delimiter, width) for _, line in block]
-            torn = {row: f"{counted(len(fields), 'field')}, others have {width}"
-                    for row, fields in enumerate(split) if len(fields) != width}  # fmt: skip
-            for row in torn:
-                split[row] = [""] * width
-            numbers = np.array([number for number, _ in block], dtype=np.int64)
-            yield numbers, {place: [fields[place] for fields in split] for place in places}, torn
-            block = list(islice(lines, _BLOCK))
+            for row, fields in enumerate(split):
+                if len(fields) != width:
+                    torn[len(numbers) + row] = f"{counted(len(fields), 'field')}, others have {width}"
+                    split[row] = [""] * width
+            numbers += [number for number, _ in block]
+            for place, part in parts.items():
+                part.append(pa.array([fields[place] for fields in split], pa.string()))
+            block = [*islice(lines, _BLOCK)]
+        columns = {place: pa.chunked_array(part) for place, part in parts.items()}
+        return _Rows(np.array(numbers, dtype=np.int64), columns, torn)
 
     dialect = f"{width} columns, delimiter {delimiter!r}, decimal {decimal!r}, {named}"
     return _Source(header, width, dialect, decimal, rows)
 
 
-def _rows_of(path: Path, more: Callable[[int], None], comments: list[str] | None) -> Iterator[tuple[int, str]]:
+def _lines_of(path: Path, more: Callable[[int], object], comments: list[str] | None) -> Iterator[tuple[int, str]]:
     """Yield lines with their numbers, from 1 on; without blank ones and comments, the first of which go into the list.
 
     Bytes of a damaged log that are no text make a corrupt row, not an unreadable file. Without a list all lines are
@@ -423,9 +417,8 @@ def _numbers(column: Any, decimal: str) -> Array:
         return column.astype(np.float64)
     if decimal == ".":
         with suppress(pa.ArrowInvalid):  # of one text; and of a plus sign
-            texts = pc.utf8_trim_whitespace(pa.array(column, pa.string()))
-            return np.asarray(pc.cast(texts, pa.float64()).to_numpy())
-    return np.array([_number(text, decimal) for text in column])
+            return np.asarray(pc.cast(pc.utf8_trim_whitespace(column), pa.float64()).to_numpy())
+    return np.array([_number(text, decimal) for text in column.to_pylist()])
 
 
 def _number(text: str, decimal: str) -> float:
@@ -447,7 +440,7 @@ def _stamps_ns(column: Any, decimal: str, unit_ns: int) -> Int64Array:
     """Return times in ns, exactly if they are texts or whole numbers; -1 for times that are no valid stamps."""
     if not isinstance(column, np.ndarray):
         stamps = []
-        for text in column:
+        for text in column.to_pylist():
             try:  # floating point spoils ns of the wall clock
                 stamp = round(Decimal(_with_point(text, decimal)) * unit_ns)
             except (DecimalException, OverflowError, ValueError):
@@ -473,9 +466,10 @@ def _iso_ns(text: str) -> int:
 
 
 def _cell(value: Any) -> str:
-    if not isinstance(value, str):
+    if not isinstance(value, pa.StringScalar):
         return str(value)
-    return quoted(value.replace('"', " "), 30) if value.strip() else "empty"
+    text = str(value)
+    return quoted(text.replace('"', " "), 30) if text.strip() else "empty"
 
 
 def _dialect(lines: Sequence[str], mapping: LogMapping) -> tuple[str, str]:
@@ -489,37 +483,6 @@ def _dialect(lines: Sequence[str], mapping: LogMapping) -> tuple[str, str]:
         return 2 * sum(not math.isnan(_number(text, pair[1])) for text in texts) - len(texts)
 
     return max(choice, key=score)
-
-
-class TableFile(StorageFile):
-    """A log in columns as a storage file of a bag, so that CSV, Parquet and NPZ can be read like bags.
-
-    Args:
-        path: of the log.
-        mapping: of its columns; by default the file beside the log.
-
-    Attributes:
-        effort_units: of topics whose efforts are not in the usual unit of their names.
-    """
-
-    def __init__(self, path: Path, mapping: LogMapping | None) -> None:
-        self.kind = path.suffix.lower().removeprefix(".")
-        self._series = read_logs([path], mapping, lambda _: None).series
-        self.topics = {k: BagTopic(one.topic, JOINT_STATE, len(one.stamp_ns)) for k, one in enumerate(self._series)}
-        self.effort_units = {one.topic: one.effort_unit for one in self._series if one.effort_unit}
-
-    def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
-        """Yield the messages of these topics in the order of their stamps."""
-
-        def each(key: int) -> Iterator[LoggedMessage]:
-            stamp_ns = self._series[key].stamp_ns
-            encode = series_encoder(self._series[key])
-            for begin in range(0, len(stamp_ns), _BLOCK):
-                rows = np.arange(begin, min(begin + _BLOCK, len(stamp_ns)))
-                for stamp, data in zip(stamp_ns[rows].tolist(), encode(rows), strict=True):
-                    yield key, stamp, data
-
-        yield from heapq.merge(*map(each, sorted(keys)), key=itemgetter(1))
 
 
 def exported_logs(folder: Path) -> list[tuple[list[Path], LogMapping]]:

@@ -22,18 +22,21 @@ of lines) are detected, and may be given.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Annotated, Any, Final, Literal, TypeAlias
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import FIELDS, quantities
-from rx90_common.base.config import Section, load_yaml, yaml_text
-from rx90_common.base.entries import LEFT_OUT, Integer, ListOf, Number, Numbers, Other, Switch, Text, Texts
-from rx90_common.base.errors import BagError, ConfigError
-from rx90_common.base.groups import Entries, Group
+from rx90_common.base.config import yaml_text
+from rx90_common.base.errors import BagError
+from rx90_common.base.models import FileModel, NotZero, Some, not_accepted, quantity, read_model, refusal
 from rx90_common.base.quoting import plain
 
 Column: TypeAlias = int | str
@@ -58,95 +61,213 @@ UNNAMED: Final = "joint_states"
 """Topic of a table whose map names none."""
 _MAX_FILES = 100
 _MAX_COLUMNS = 100_000
-_NAMES = (
-    r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*\Z",
-    "topics as ROS names them, of letters, digits, _ and /, no part of which begins with a digit",
-)
+_TOPIC = r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*\Z"
+_TOPICS = "topics as ROS names them, of letters, digits, _ and /, no part of which begins with a digit"
 
 
-_NOT_0 = Number("", nonzero=True).rules()
-_COLUMN = Other(
-    "Number of a column, from 1 on, or its name in the header.",
-    accepted="the number of a column, from 1 on, or its name in the header",
-    good=lambda v: isinstance(v, str) or (type(v) is int and 1 <= v <= _MAX_COLUMNS),
-    fragment={"anyOf": [{"type": "integer", "minimum": 1, "maximum": _MAX_COLUMNS}, {"type": "string"}]},
-)
-_FILE = Integer("Number of the log, from 1 on, where several belong together.", low=1, high=_MAX_FILES, default=1)
+_Column: TypeAlias = Annotated[
+    Annotated[int, Field(ge=1, le=_MAX_COLUMNS)] | str,
+    Field(
+        description="Number of a column, from 1 on, or its name in the header.",
+        json_schema_extra={"accepted": "the number of a column, from 1 on, or its name in the header"},
+    ),
+]
+_Log: TypeAlias = Annotated[
+    int,
+    Field(ge=1, le=_MAX_FILES, description="Number of the log, from 1 on, where several belong together."),
+]
+_Numbers: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=1)]
+_NotZeros: TypeAlias = Annotated[tuple[NotZero, ...], Field(strict=False, min_length=1)]
+_ForEach: TypeAlias = Annotated[
+    NotZero | _NotZeros,
+    Field(json_schema_extra={"accepted": "a number other than 0, or a list of them, one for each name"}),
+]
+_TURN = "Counts of a whole turn, where the unit is counts or counts/s: one number, or one for each name."
 
 
-def _for_each(about: str) -> Other:
-    return Other(
-        f"{about} One number, or a list of them, one for each name.",
-        accepted="a number other than 0, or a list of them, one for each name",
-        good=lambda _: True,  # how many there are is known with the names
-        fragment={"anyOf": [_NOT_0, {"type": "array", "minItems": 1, "items": _NOT_0}]},
-        default=LEFT_OUT,
-    )
+class FieldColumns(FileModel):
+    """Where an array comes from."""
 
-
-def _of_field(name: str) -> Group:
-    turn = {"counts_per_turn": _for_each("Counts of a whole turn, where the unit is counts or counts/s.")}
-    return Group(
-        f"Where each joint's {name} comes from.",
-        keys={
-            "columns": ListOf(
-                "A column for each name.", item=_COLUMN, least=1, accepted="a list of columns, one for each name"
-            ),
-            "unit": Text("Unit in the log.", choices=tuple(UNITS[name])),
-            "factor": _for_each("What the log's numbers are multiplied by."),
-            **(turn if any(unit.startswith(COUNTS) for unit in UNITS[name]) else {}),
-            "file": _FILE,
-        },
-        default=LEFT_OUT,
-    )
-
-
-def _numbers(about: str, *, nonzero: bool = False) -> ListOf:
-    return ListOf(about, item=Number("", nonzero=nonzero), least=1, accepted="a list of numbers", default=LEFT_OUT)
-
-
-_COLUMNS = ("topics", "position", "velocity", "effort")
-MAPPING = Group(
-    "What a log holds: columns of a table, or messages of a bag.",
-    keys={
-        "topic": Text("JointState topic of a bag, or of a table with several.", default=LEFT_OUT),
-        "names": Texts("What the log calls the joints, or their motors.", once=True, default=LEFT_OUT),
-        **{name: _of_field(name) for name in _COLUMNS[1:]},
-        "gear": _numbers("Motor turns per joint turn: says that the log holds the motors' states.", nonzero=True),
-        "coupling": _numbers("Turns of each motor per joint turn without the gears, row by row, n x n."),
-        "torque_constant": _numbers("Torque per unit of effort, where effort is a current, Nm/A.", nonzero=True),
-        "zero": _numbers("Recorded angle of each joint where its angle in the URDF is 0, rad."),
-        "record_time": Switch("Whether a bag's times of recording replace the stamps.", default=False),
-        "time": Group(
-            "The column of the times.",
-            keys={"column": _COLUMN, "unit": Text("Unit of the times.", choices=tuple(SECONDS)), "file": _FILE},
-            default=LEFT_OUT,
+    columns: Annotated[
+        tuple[_Column, ...],
+        Field(
+            strict=False,
+            min_length=1,
+            description="A column for each name.",
+            json_schema_extra={"accepted": "a list of columns, one for each name"},
         ),
-        "rate": Number(
-            "Rows per second, where no column holds the times.", "Hz", low=1e-3, high=1e6, default=LEFT_OUT
+    ]
+    unit: Annotated[str, Field(description="Unit in the log.")]
+    factor: Annotated[
+        _ForEach, Field(description="What the log's numbers are multiplied by: one number, or one for each name.")
+    ] = 1.0
+    file: _Log = 1
+
+    @property
+    def turn(self) -> float | tuple[float, ...]:
+        """Return the log's numbers in a whole turn, where they are counts."""
+        return 1.0
+
+
+class EffortColumns(FieldColumns):
+    """Where each joint's effort comes from."""
+
+    unit: Annotated[Literal["Nm", "mNm", "A", "mA", "rad/s^2"], Field(description="Unit in the log.")]
+
+
+class _CountedColumns(FieldColumns):
+    counts_per_turn: Annotated[
+        _ForEach | None,
+        Field(
+            description="Counts of a whole turn, where the unit is counts or counts/s: one number, or one for each "
+            "name."
         ),
-        "topics": Entries(
-            "Topics of joint states, by name, of a table that holds several.",
-            of=Group(
-                "What becomes the messages of the topic.",
-                keys={
-                    "names": Texts("Names of the joints.", once=True),
-                    **{name: _of_field(name) for name in FIELDS},
-                },
-                some_of=FIELDS,
-            ),
-            least=1, what="topic", names=_NAMES, default=LEFT_OUT,
-        ),
-        "delimiter": Text("Between columns; found out if left out.", choices=tuple(DELIMITERS), default=LEFT_OUT),
-        "decimal": Text("Decimal sign; found out if left out.", choices=(".", ","), default=LEFT_OUT),
-        "header": Integer("Lines of header; found out if left out.", low=0, high=1000, default=LEFT_OUT),
-        "exact": Switch("Numbers and times are taken as they stand: NaN, any order.", default=False),
-    },
-    one_of=("time", "rate"),
-    one_of_with=_COLUMNS,
-    needed_by=dict.fromkeys(_COLUMNS[1:], "names"),
-)  # fmt: skip
-"""What a signal map holds."""
+    ] = None
+
+    @model_validator(mode="after")
+    def _check_counts(self) -> _CountedColumns:
+        if not self.unit.startswith(COUNTS) and self.counts_per_turn is not None:
+            raise refusal("counts_per_turn", self.counts_per_turn, f"none beside unit {self.unit}")
+        if self.unit.startswith(COUNTS) and self.counts_per_turn is None:
+            raise ValueError(f"counts_per_turn is missing; accepted beside {self.unit}: a number, or one for each name")
+        return self
+
+    @property
+    def turn(self) -> float | tuple[float, ...]:
+        """Return the log's numbers in a whole turn, where they are counts."""
+        return 1.0 if self.counts_per_turn is None else self.counts_per_turn
+
+
+class PositionColumns(_CountedColumns):
+    """Where each joint's position comes from."""
+
+    unit: Annotated[Literal["rad", "deg", "turns", "counts"], Field(description="Unit in the log.")]
+
+
+class VelocityColumns(_CountedColumns):
+    """Where each joint's velocity comes from."""
+
+    unit: Annotated[Literal["rad/s", "deg/s", "rpm", "counts/s"], Field(description="Unit in the log.")]
+
+
+def _check_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    if len(set(names)) < len(names) or any("\0" in name for name in names):
+        raise not_accepted()
+    return names
+
+
+_JointNames: TypeAlias = Annotated[
+    tuple[str, ...],
+    Field(
+        strict=False,
+        min_length=1,
+        description="What the log calls the joints, or their motors.",
+        json_schema_extra={"accepted": "a list of texts, one or more, each once, without NUL", "uniqueItems": True},
+    ),
+    AfterValidator(_check_names),
+]
+
+
+class _Columns(FileModel):
+    names: _JointNames | None = None
+    position: PositionColumns | None = None
+    velocity: VelocityColumns | None = None
+    effort: EffortColumns | None = None
+
+    @model_validator(mode="after")
+    def _check_columns(self) -> _Columns:
+        for name, array in self.fields.items():
+            if self.names is None:
+                raise ValueError(f"has {name} and no names; accepted: names, a list of texts")
+            for key, values in (("columns", array.columns), ("factor", array.factor), ("counts_per_turn", array.turn)):
+                if isinstance(values, tuple) and len(values) != len(self.names):
+                    raise refusal(f"{name}.{key}", values, f"a list of {len(self.names)}, one for each name")
+        return self
+
+    @property
+    def fields(self) -> dict[str, FieldColumns]:
+        """Return the columns by what they hold."""
+        columns = {"position": self.position, "velocity": self.velocity, "effort": self.effort}
+        return {name: given for name, given in columns.items() if given is not None}
+
+
+class TopicColumns(_Columns):
+    """What becomes the messages of a topic."""
+
+    names: _JointNames
+
+    @model_validator(mode="after")
+    def _check_fields(self) -> TopicColumns:
+        if not self.fields:
+            raise ValueError(f"has no columns; accepted: one or more of {', '.join(FIELDS)}")
+        return self
+
+
+class TimeColumn(FileModel):
+    """The column of the times."""
+
+    column: _Column
+    unit: Annotated[Literal["s", "ms", "us", "ns"], Field(description="Unit of the times.")]
+    file: _Log = 1
+
+
+class SignalMapFile(_Columns):
+    """What a log holds: columns of a table, or messages of a bag."""
+
+    topic: Annotated[str | None, Field(description="JointState topic of a bag, or of a table with several.")] = None
+    gear: Annotated[
+        _NotZeros | None,
+        Field(description="Motor turns per joint turn: says that the log holds the motors' states."),
+    ] = None
+    coupling: Annotated[
+        _Numbers | None,
+        Field(description="Turns of each motor per joint turn without the gears, row by row, n x n."),
+    ] = None
+    torque_constant: Annotated[
+        _NotZeros | None, Field(description="Torque per unit of effort, where effort is a current, Nm/A.")
+    ] = None
+    zero: Annotated[
+        _Numbers | None, Field(description="Recorded angle of each joint where its angle in the URDF is 0, rad.")
+    ] = None
+    record_time: Annotated[bool, Field(description="Whether a bag's times of recording replace the stamps.")] = False
+    time: TimeColumn | None = None
+    rate: Annotated[
+        float | None, quantity("Hz", "Rows per second, where no column holds the times.", ge=1e-3, le=1e6)
+    ] = None
+    topics: Annotated[
+        Some[TopicColumns] | None, Field(description="Topics of joint states, by name, of a table that holds several.")
+    ] = None
+    delimiter: Annotated[
+        Literal[",", ";", "|", "tab", "space"] | None, Field(description="Between columns; found out if left out.")
+    ] = None
+    decimal: Annotated[Literal[".", ","] | None, Field(description="Decimal sign; found out if left out.")] = None
+    header: Annotated[int | None, Field(ge=0, le=1000, description="Lines of header; found out if left out.")] = None
+    exact: Annotated[bool, Field(description="Numbers and times are taken as they stand: NaN, any order.")] = False
+
+    @model_validator(mode="after")
+    def _check_keys(self) -> SignalMapFile:
+        given = [key for key, value in (("time", self.time), ("rate", self.rate)) if value is not None]
+        if self.topics is None and not self.fields:
+            if given:
+                raise ValueError(f"has {given[0]} alone; accepted: with topics, {', '.join(FIELDS)}")
+        elif len(given) != 1:
+            raise ValueError(f"has {' and '.join(given) or 'none'} of time, rate; accepted: one of them")
+        names = {} if self.topics is None else self.topics.entries
+        for name in names:
+            if not re.search(_TOPIC, name):
+                raise ValueError(f"topics.{plain(name)} is no name of a topic; accepted: {_TOPICS}")
+        if self.fields and UNNAMED in {name.removeprefix("/") for name in names}:
+            raise ValueError(f"topics has {UNNAMED}, too, which stands twice; accepted: once")
+        logs = {array.file for topic in (self, *names.values()) for array in topic.fields.values()}
+        if self.exact and (self.delimiter != "," or self.header is None or self.time is None or max(logs) > 1):
+            raise ValueError("exact is true; accepted together with delimiter: ',', header, time, and one log")
+        if (self.delimiter, self.decimal) == (",", ","):
+            raise ValueError(
+                "decimal is ',', and so is delimiter: they could not be distinguished; accepted: two different ones"
+            )
+        return self
+
+
 MESSAGE_KEYS: Final = ("topic", "names", "gear", "coupling", "torque_constant", "zero", "record_time")
 """Those of them that describe messages; they are options of commands, too."""
 
@@ -181,34 +302,13 @@ class TopicMapping:
     fields: Mapping[str, FieldMapping]
 
     @classmethod
-    def of(cls, section: Section, content: dict[str, Any]) -> TopicMapping:
-        """Return that of a topic, as a section of a signal map has it."""
-        names = content["names"]
-        if any("\0" in name for name in names):
-            section.refuse("names", list(names), "texts without NUL")
-        given = [name for name in FIELDS if name in content]
+    def of(cls, names: Sequence[str], columns: Mapping[str, FieldColumns]) -> TopicMapping:
+        """Return that of the columns of a signal map."""
         fields: dict[str, FieldMapping] = {}
-        for name in given:
-            part = section.section(name)
-            columns = content[name]["columns"]
-            unit = content[name]["unit"]
-            if len(columns) != len(names):
-                part.refuse("columns", list(columns), f"a list of {len(names)}, one for each name")
-            if not unit.startswith(COUNTS) and "counts_per_turn" in part:
-                part.fault("counts_per_turn", f" stands beside unit: {unit}; accepted: beside counts or counts/s")
-            each = []
-            for key, needed in (("factor", "factor" in part), ("counts_per_turn", unit.startswith(COUNTS))):
-                values = (1.0,) * len(names)
-                if needed:
-                    if isinstance(part.content.get(key), list):
-                        values = Numbers("", nonzero=True, count=len(names)).take(part, key)
-                    else:
-                        values = (Number("", nonzero=True).take(part, key),) * len(names)
-                each.append(values)
-            scale = UNITS[name][unit]
-            factor = tuple(scale * f / turn for f, turn in zip(*each, strict=True))
-            fields[name] = FieldMapping(content[name]["file"], columns, unit, factor)
-        return cls(names, fields)
+        for name, array in columns.items():
+            factor = np.broadcast_to(array.factor, len(names)) * UNITS[name][array.unit] / np.asarray(array.turn)
+            fields[name] = FieldMapping(array.file, array.columns, array.unit, tuple(factor.tolist()))
+        return cls(tuple(names), fields)
 
     def effort_unit(self, topic: str) -> str:
         """Return the unit of the efforts in the bag if it is not the usual one of the topic's name."""
@@ -253,39 +353,23 @@ class LogMapping:
     @classmethod
     def load(cls, path: Path) -> LogMapping:
         """Read a signal map."""
-        root = load_yaml(path)
-        content = MAPPING.read(root)
-        topics = {
-            name: TopicMapping.of(root.section("topics").section(name), topic)
-            for name, topic in content.get("topics", {}).items()
-        }
-        if any(name in content for name in _COLUMNS[1:]):
-            if UNNAMED in {name.removeprefix("/") for name in topics}:
-                root.fault("topics", f" has {UNNAMED}, too, which stands twice; accepted: once")
-            topics[UNNAMED] = TopicMapping.of(root, content)
-        time = content.get("time", {})
-        mapping = cls(
+        given = read_model(SignalMapFile, path)
+        named = {} if given.topics is None else given.topics.entries
+        topics = {name: TopicMapping.of(topic.names, topic.fields) for name, topic in named.items()}
+        if given.fields:
+            topics[UNNAMED] = TopicMapping.of(given.names or (), given.fields)
+        return cls(
             path,
             topics,
-            (time["file"], time["column"]) if time else None,
-            SECONDS[time.get("unit", "s")],
-            content.get("rate"),
-            content.get("delimiter"),
-            content.get("decimal"),
-            content.get("header"),
-            content["exact"],
-            {key: content[key] for key in MESSAGE_KEYS if key in root},
+            None if given.time is None else (given.time.file, given.time.column),
+            SECONDS["s" if given.time is None else given.time.unit],
+            given.rate,
+            given.delimiter,
+            given.decimal,
+            given.header,
+            given.exact,
+            given.model_dump(include={*MESSAGE_KEYS}, exclude_unset=True),
         )
-        if mapping.exact and (mapping.delimiter != "," or mapping.header is None or not time or mapping.files > 1):
-            raise ConfigError(
-                f"{root.where('exact')} is true; accepted together with delimiter: ',', header, time, and one log"
-            )
-        if (mapping.delimiter, mapping.decimal) == (",", ","):
-            raise ConfigError(
-                f"{root.where('decimal')} is ',', and so is delimiter: they could not be distinguished; "
-                "accepted: two different ones"
-            )
-        return mapping
 
 
 def is_table(path: Path) -> bool:

@@ -15,9 +15,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from rx90_common.bags.batch import Int64Array, MessageBatch
+from rx90_common.bags.joint_series import Int64Array
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr import ENCAPSULATION, cdr_stamp_ns
+from rx90_common.exchange.cdr import ENCAPSULATION, HEAD, cdr_stamp_ns
 
 _HOLD_NS = 500_000_000  # of simulated time; far above the differences between topics
 _RESEND_NS = 1_000_000_000  # of the wall clock; a lost message delays its topic by several heartbeats
@@ -45,7 +45,7 @@ class Dated(NamedTuple):
 
     log_ns: Int64Array
     topic: Int64Array
-    messages: MessageBatch
+    messages: list[bytes]
 
 
 class Arrived(NamedTuple):
@@ -57,9 +57,14 @@ class Arrived(NamedTuple):
 
     topic: int
     source: TimeSource
-    messages: MessageBatch
+    messages: list[bytes]
     received_ns: Int64Array
     sent_ns: Int64Array | None = None
+
+    @property
+    def total(self) -> int:
+        """Return the bytes of all messages."""
+        return sum(map(len, self.messages))
 
 
 class LogOrder:
@@ -112,11 +117,11 @@ class LogOrder:
         """Take the messages that have arrived since the last call."""
         self._known = [] if self._newest is None else [self._since_ever(self._newest)]
         for each in (each for each in arrived if len(each.messages)):
-            self.held_bytes += each.messages.total
+            self.held_bytes += each.total
             gives_time = each.source is TimeSource.CLOCK and each.topic not in self.other_clock
             if not (gives_time and self._date_by_stamps(each)):
                 self._undated.append(each)
-        undated_bytes = sum(each.messages.total for each in self._undated)
+        undated_bytes = sum(each.total for each in self._undated)
         if self._newest is not None or self._by_reception or undated_bytes > _MAX_UNDATED_BYTES:
             self._date_others()
 
@@ -147,17 +152,18 @@ class LogOrder:
         """Return the messages with log times up to `last`, in order, and hold the others."""
         if not self._held:
             return None
-        log_ns, topic, messages = zip(*self._held, strict=True)
-        held = Dated(np.concatenate(log_ns), np.concatenate(topic), MessageBatch.join(messages))
-        order = np.lexsort((held.topic, held.log_ns))  # stable: the rest is in order of arrival
-        end = len(order) if last is None else int(np.searchsorted(held.log_ns[order], last, side="right"))
-        released = order[:end]
-        rest = order[end:]
-        # A copy, because otherwise the released messages would stay in memory with the rest.
-        kept = Dated(held.log_ns[rest], held.topic[rest], MessageBatch.of([*held.messages.take(rest)]))
-        self._held = [kept] if len(rest) else []
-        self.held_bytes = kept.messages.total
-        return Dated(held.log_ns[released], held.topic[released], held.messages.take(released)) if end else None
+        log_ns = np.concatenate([held.log_ns for held in self._held])
+        topic = np.concatenate([held.topic for held in self._held])
+        messages = [message for held in self._held for message in held.messages]
+        order = np.lexsort((topic, log_ns))  # stable: the rest is in order of arrival
+        end = len(order) if last is None else int(np.searchsorted(log_ns[order], last, side="right"))
+        released, kept = (
+            Dated(log_ns[rows], topic[rows], [messages[row] for row in rows.tolist()])
+            for rows in (order[:end], order[end:])
+        )
+        self._held = [kept] if kept.messages else []
+        self.held_bytes = sum(map(len, kept.messages))
+        return released if end else None
 
     def _hold(self, arrived: Arrived, log_ns: Int64Array) -> None:
         self._held.append(Dated(log_ns, np.full(len(log_ns), arrived.topic, dtype=np.int64), arrived.messages))
@@ -168,7 +174,7 @@ class LogOrder:
     def _date_by_stamps(self, arrived: Arrived) -> bool:
         """Date messages that give the time, and go on by them; return False if they are of another clock."""
         topic = arrived.topic
-        stamps = arrived.messages.stamps_ns()
+        stamps = head_stamps_ns(arrived.messages)
         newest = self.newest_ns
         if topic not in self._stamps and newest is not None and abs(int(stamps[0]) - newest) >= OTHER_CLOCK_NS:
             return False
@@ -222,10 +228,20 @@ class LogOrder:
             self._hold(each, np.where(stamped & ~other, stamps + ahead, now))
 
 
-def _stamps_ns(messages: MessageBatch, source: TimeSource) -> Int64Array:
+def head_stamps_ns(messages: Sequence[bytes]) -> Int64Array:
+    """Return the times at the heads of n messages, ns, int64 (n,); 0 before 0 and where a message is cut off."""
+    heads = b"".join([message[:HEAD] if len(message) >= HEAD else bytes(HEAD) for message in messages])
+    times = np.frombuffer(heads, np.uint8).reshape(-1, HEAD)
+    little = times[:, 1:2] & 1 == 1
+    times = np.ascontiguousarray(times[:, ENCAPSULATION:])
+    seconds, nanoseconds = np.where(little, times.view("<u4"), times.view(">u4")).astype(np.int64).T
+    return np.where(seconds < 1 << 31, seconds * NANOSECONDS + nanoseconds, 0)
+
+
+def _stamps_ns(messages: Sequence[bytes], source: TimeSource) -> Int64Array:
     """Return the stamps of messages that do not give the time, ns, int64 (n,); 0 where there is none."""
     if source in (TimeSource.STAMP, TimeSource.CLOCK):
-        return messages.stamps_ns()
+        return head_stamps_ns(messages)
     stamps = np.zeros(len(messages), dtype=np.int64)
     if source is TimeSource.LIST:
         for i, message in enumerate(messages):

@@ -13,17 +13,18 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
 
-from rx90_common.bags.decoding import SeriesBuilder
+from rx90_common.bags.joint_messages import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.limits import DamagedError
 from rx90_common.bags.mapping import LogMapping, is_table
-from rx90_common.bags.storage_files import ACCEPTED, BagTopic, DamagedError, StorageFile, full_type, open_storage
-from rx90_common.bags.topics import EFFORT_UNIT, FIELDS, absolute
+from rx90_common.bags.storage import ACCEPTED, BagTopic, StorageFile, full_type, open_storage
+from rx90_common.bags.topics import EFFORT_UNIT, JOINT_STATE, absolute
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import Integer, Text, Texts
 from rx90_common.base.errors import BagError, ConfigError, located
@@ -50,7 +51,7 @@ class BagReader:
 
     Use it as a context manager. Each storage file is checked against its own index, counts and checksums, and all of
     them against metadata.yaml if there is one; a folder without is read file by file. Quality of service
-    and the definitions of types in a bag are ignored.
+    and the definitions of types in a bag are ignored. A log in columns has series and no messages.
 
     Args:
         path: the folder or file.
@@ -61,6 +62,7 @@ class BagReader:
         files: the storage files.
         notes: remarks for the user about the reading of the bag.
         effort_units: of topics whose efforts are not in the usual unit of their names, by its metadata.
+        table: the series of a log in columns.
     """
 
     def __init__(self, path: Path | str, mapping: LogMapping | None = None) -> None:
@@ -71,17 +73,16 @@ class BagReader:
         self.files: list[Path] = []
         self.notes: list[str] = []
         self.effort_units: dict[str, str] = {}
+        self.table: Sequence[JointSeries] = ()
         self._storages: list[StorageFile] = []
         self._stack = ExitStack()
 
     def __enter__(self) -> BagReader:
         if is_table(self.path):
-            from rx90_common.bags.logs import TableFile  # pyarrow takes a while
+            from rx90_common.bags.logs import read_logs  # pyarrow takes a while
 
-            table = TableFile(self.path, self._mapping)
-            self.files = [self.path]
-            self._storages = [table]
-            self.effort_units = table.effort_units
+            self.table = read_logs([self.path], self._mapping).series
+            self.effort_units = {series.topic: series.effort_unit for series in self.table}
             return self
         with ExitStack() as stack:
             counts = self._read_metadata() if (self.path / FILE).exists() else None
@@ -90,16 +91,12 @@ class BagReader:
                 with self._damage(file):
                     self._storages.append(open_storage(file, stack))
             if counts is not None:
-                counted_messages: Counter[tuple[str, str]] = Counter()
+                held: Counter[tuple[str, str]] = Counter()
                 for topic in self.topics:
-                    counted_messages[topic.name, topic.msgtype] += topic.count
-                for key in sorted(
-                    key for key in counts.keys() | counted_messages.keys() if counts[key] != counted_messages[key]
-                ):
-                    topic_, msgtype = map(plain, key)
-                    raise self._disagreement(
-                        f"{counts[key]} messages of {topic_} ({msgtype}), the storage holds {counted_messages[key]}"
-                    )
+                    held[topic.name, topic.msgtype] += topic.count
+                for name, msgtype in sorted(key for key in counts.keys() | held.keys() if counts[key] != held[key]):
+                    said = f"{counts[name, msgtype]} messages of {plain(name)} ({plain(msgtype)})"
+                    raise self._disagreement(f"{said}, the storage holds {held[name, msgtype]}")
             self._stack = stack.pop_all()
         return self
 
@@ -109,8 +106,9 @@ class BagReader:
 
     @property
     def storage(self) -> str:
-        """Return the kind of its files: mcap, db3 or bag."""
-        return ", ".join(sorted({storage.kind for storage in self._storages}))
+        """Return the kind of its files: mcap, db3 or bag; of a log its suffix."""
+        kinds = sorted({storage.kind for storage in self._storages})
+        return ", ".join(kinds) if kinds else self.path.suffix.lower().removeprefix(".")
 
     @property
     def compression(self) -> str:
@@ -123,12 +121,14 @@ class BagReader:
         counts: Counter[tuple[str, str, str]] = Counter()
         for topic in (topic for storage in self._storages for topic in storage.topics.values()):
             counts[topic.identity] += topic.count
-        return [BagTopic(name, kind, count, encoding) for (name, kind, encoding), count in sorted(counts.items())]
+        topics = [BagTopic(name, kind, count, encoding) for (name, kind, encoding), count in counts.items()]
+        topics += [BagTopic(series.topic, JOINT_STATE, len(series.stamp_ns)) for series in self.table]
+        return sorted(topics, key=attrgetter("identity"))
 
     def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
         """Yield (topic, log time in ns, serialised message) in the order of log time."""
         wanted = {topic.identity: topic for topic in topics}
-        parts = [self._messages(file, one, wanted) for file, one in zip(self.files, self._storages, strict=True)]
+        parts = [self._messages(*file, wanted) for file in zip(self.files, self._storages, strict=True)]
         yield from parts[0] if len(parts) == 1 else heapq.merge(*parts, key=itemgetter(1))
 
     def deserialize(self, topic: BagTopic, data: bytes) -> Any:
@@ -141,12 +141,6 @@ class BagReader:
         except Exception as error:  # rosbags has no error of its own for bytes that do not fit
             what = f"a message of {plain(topic.name)} is no {plain(topic.msgtype)} ({type(error).__name__})"
             raise BagError(f"{plain(self.path)}: damaged: {what}") from error
-
-    def series_builder(self, topic: BagTopic, fields: Sequence[str] = FIELDS) -> SeriesBuilder:
-        """Return the collector of series for the messages of a topic of joint states with these fields."""
-        deserialize = partial(self.deserialize, topic)
-        unit = self.effort_units.get(topic.name, "")
-        return SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit, fields=fields)
 
     def series_topics(self, topics: Collection[str] | None = None, *, filled: bool = True) -> list[BagTopic]:
         """Return the topics with these names, or all that hold series with messages.
@@ -173,6 +167,31 @@ class BagReader:
                 raise BagError(f"{plain(self.path)}: no messages in {plain(name)}")
             chosen.append(by_name[name])
         return chosen
+
+    def joint_states(
+        self, topics: Collection[BagTopic], progress: Progress = silent, *, record_time: bool = False
+    ) -> JointBag:
+        """Return the series of these topics of joint states."""
+        names = [topic.name for topic in topics]
+        if self.table:
+            series = {one.topic: [one] for one in self.table if one.topic in names}
+            return JointBag(self.path, self.topics, series, self.notes)
+        builders: dict[int, SeriesBuilder] = {}  # to hash a topic takes 0.5 us
+        for topic in topics:
+            unit = self.effort_units.get(topic.name, "")
+            builders[id(topic)] = SeriesBuilder(
+                topic.name, partial(self.deserialize, topic), cdr=not topic.is_ros1, effort_unit=unit
+            )
+        total = sum(topic.count for topic in topics)
+        with located(plain(self.path), BagError):
+            for done, (topic, log_ns, data) in enumerate(self.messages(topics), 1):
+                builders[id(topic)].add(data, log_ns if record_time else None)
+                if done % _STEP == 0:
+                    progress(done, total)
+            if total > _STEP:
+                progress(total, total)
+            series = dict(zip(names, (builder.build() for builder in builders.values()), strict=True))
+        return JointBag(self.path, self.topics, series, self.notes)
 
     def _read_metadata(self) -> Counter[tuple[str, str]] | None:
         """Find files and units of efforts in metadata.yaml; return the messages of each topic and type, if any."""
@@ -319,26 +338,12 @@ def read_joint_bag(
         all_there: whether topics that are not there are refused.
     """
     with BagReader(path, mapping) as bag:
-        held = bag.topics
-        names = None if topics is None else {*map(absolute, topics)}
-        wanted = [topic for topic in held if topic.is_joint_state and (names is None or topic.name in names)]
         if topics is not None and all_there:
             wanted = bag.series_topics(topics, filled=False)
-        builders = {id(topic): bag.series_builder(topic) for topic in wanted}  # to hash a topic takes 0.5 us
-        total = sum(topic.count for topic in wanted)
-        try:
-            for done, (topic, log_ns, data) in enumerate(bag.messages(wanted), 1):
-                builders[id(topic)].add(data, log_ns if record_time else None)
-                if done % _STEP == 0:
-                    progress(done, total)
-            if total > _STEP:
-                progress(total, total)
-            series = {topic.name: builders[id(topic)].build() for topic in wanted}
-        except BagError as error:
-            text = str(error)
-            where = plain(bag.path)
-            raise error if text.startswith(where) else BagError(f"{where}: {text}") from error
-        return JointBag(bag.path, held, series, bag.notes)
+        else:
+            names = None if topics is None else {*map(absolute, topics)}
+            wanted = [topic for topic in bag.topics if topic.is_joint_state and (names is None or topic.name in names)]
+        return bag.joint_states(wanted, progress, record_time=record_time)
 
 
 def read_joint_states(

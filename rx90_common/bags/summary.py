@@ -102,6 +102,8 @@ def summarise(path: Path | str, mapping: LogMapping | None = None) -> BagSummary
         changes: list[ParameterChange] = []
         trajectories = TrajectoryCount()
         other_clock: Counter[BagTopic] = Counter()
+        for series in bag.table:
+            times[next(topic for topic in topics if topic.name == series.topic)] = series.stamp_ns.tolist()
         stamped = {topic for topic in topics if topic.encoding == "cdr" and _begins_with_header(topic.msgtype)}
         for topic, log_ns, data in bag.messages(topics):
             stamp = cdr_stamp_ns(data) if topic in stamped else 0

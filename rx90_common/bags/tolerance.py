@@ -6,35 +6,40 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
-from rx90_common.bags.topics import FIELDS, USUAL_UNITS, absolute
-from rx90_common.base.config import load_yaml
-from rx90_common.base.entries import LEFT_OUT, Number
+from pydantic import Field
+
+from rx90_common.bags.topics import FIELDS, absolute
 from rx90_common.base.errors import BagError
-from rx90_common.base.groups import Entries, Group
+from rx90_common.base.models import FileModel, Named, quantity, read_model
 from rx90_common.base.quoting import quoted
 
 ANY: Final = "*"
 GRAMMAR: Final = "[TOPIC:[JOINT:]]FIELD=VALUE"
 
-_LIMITS = {
-    name: Number(f"How far a {name} may differ.", unit, low=0.0, default=LEFT_OUT) for name, unit in USUAL_UNITS.items()
-}
 
-TOLERANCES = Entries(
-    "How far values of two bags may differ, by topic; * stands for any.",
-    of=Group(
-        "Tolerances of a topic.",
-        keys={
-            **_LIMITS,
-            "joints": Entries(
-                "Tolerances of single joints.", of=Group("Tolerances of a joint.", keys=_LIMITS), default=LEFT_OUT
-            ),
-        },
-    ),
-)
-"""What a file of tolerances holds."""
+class JointTolerances(FileModel):
+    """How far the values of a joint may differ."""
+
+    position: Annotated[float | None, quantity("rad", "How far a position may differ.", ge=0.0)] = None
+    velocity: Annotated[float | None, quantity("rad/s", "How far a velocity may differ.", ge=0.0)] = None
+    effort: Annotated[float | None, quantity("Nm", "How far an effort may differ.", ge=0.0)] = None
+
+    def rules(self, topic: str | None, joint: str | None) -> list[ToleranceRule]:
+        """Return those that are stated, for a topic and a joint, None for any."""
+        stated = {"position": self.position, "velocity": self.velocity, "effort": self.effort}
+        return [ToleranceRule(topic, joint, name, value) for name, value in stated.items() if value is not None]
+
+
+class TopicTolerances(JointTolerances):
+    """How far the values of a topic may differ."""
+
+    joints: Annotated[Named[JointTolerances], Field(description="Tolerances of single joints.")] = Named()
+
+
+class TolerancesFile(Named[TopicTolerances]):
+    """How far values of two bags may differ, by topic; * stands for any."""
 
 
 @dataclass(frozen=True)
@@ -123,10 +128,10 @@ def load_rules(path: Path) -> list[ToleranceRule]:
         joint_1: {position: 1.0e-8}
     ```
     """
-    return [
-        ToleranceRule(None if name == ANY else absolute(name), joint, field, limits[field])
-        for name, given in TOLERANCES.read(load_yaml(path)).items()
-        for joint, limits in ((None, given), *given.get("joints", {}).items())
-        for field in FIELDS
-        if field in limits
-    ]
+    rules: list[ToleranceRule] = []
+    for name, tolerances in read_model(TolerancesFile, path).entries.items():
+        topic = None if name == ANY else absolute(name)
+        rules += tolerances.rules(topic, None)
+        for joint, of_joint in tolerances.joints.entries.items():
+            rules += of_joint.rules(topic, joint)
+    return rules

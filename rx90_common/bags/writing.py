@@ -9,28 +9,24 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
-import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
-from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 from zlib import crc32
 
 import numpy as np
-from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
 from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
-from rosbags.rosbag2.enums import CompressionMode
-from rosbags.rosbag2.storage_mcap import McapWriter, PendingChunk
+from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from rx90_common.bags.batch import Int64Array, MessageBatch, series_encoder
-from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.topics import (
     EFFORT_UNIT,
     JOINT_STATE,
@@ -43,7 +39,7 @@ from rx90_common.bags.topics import (
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_bag_name
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.kernels.compiled import c_function
+from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.process.files import hidden_folder
 
 STORAGES: Final = ("mcap", "sqlite3")
@@ -57,110 +53,70 @@ _INFINITE = QosTime(9_223_372_036, 854_775_807)
 _INTEGER = 2  # of rcl_interfaces/ParameterType
 _VALUE_ARRAYS = {"byte": np.uint8, "bool": np.bool_, "integer": np.int64, "double": np.float64}
 # Of mcap: op codes, and bytes.
-_CHUNK = 0x06
 _MESSAGE = 0x05
-_MESSAGE_INDEX = 0x07
 _CHUNK_BYTES: Final = 1 << 20  # a chunk that is larger is closed, as rosbags does
 _RECORD_HEAD: Final = 9  # op code and length
-_MESSAGE_HEAD: Final = 22  # channel, sequence number, log time, time of publication
+_MESSAGE_HEAD: Final = np.dtype([
+    ("code", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"),
+    ("published_ns", "<u8"),
+])  # fmt: skip
 # at the end of a file; a checksum of 4 bytes ends the footer
 _FOOTER_BYTES = 20
 _MAGIC_BYTES = 8
-_NONE_YET = 2**63 - 1  # rosbags' value for the start of an empty chunk
-
-
-@c_function(types.int64(*[types.voidptr] * 5, types.int64, types.voidptr))
-def _write_records(data_at, start_at, size_at, channel_at, log_at, count, to_at):  # type: ignore[no-untyped-def]
-    """Write messages as MCAP records, one behind the other; the sequence number is 0, as in rosbags."""
-    start = carray(start_at, (count,), np.int64)
-    size = carray(size_at, (count,), np.int64)
-    channel = carray(channel_at, (count,), np.int64)
-    log_ns = carray(log_at, (count,), np.int64)
-    end = 0
-    for i in range(count):
-        length = size[i]
-        message = carray(data_at, (start[i] + length,), np.uint8)[start[i] :]
-        record = carray(to_at, (end + _RECORD_HEAD + _MESSAGE_HEAD + length,), np.uint8)[end:]
-        record[0] = _MESSAGE
-        for k in range(8):
-            record[1 + k] = (_MESSAGE_HEAD + length) >> (8 * k) & 255
-            record[15 + k] = record[23 + k] = log_ns[i] >> (8 * k) & 255
-        record[9] = channel[i] & 255
-        record[10] = channel[i] >> 8
-        record[11] = record[12] = record[13] = record[14] = 0
-        for k in range(length):
-            record[_RECORD_HEAD + _MESSAGE_HEAD + k] = message[k]
-        end += len(record)
-    return 0
 
 
 class _McapBatches(McapWriter):
     """rosbags' mcap writer; messages come by `write_many` alone, and chunks and summary get checksums."""
 
-    def __init__(self, path: Path, compression: CompressionMode) -> None:
-        super().__init__(path, compression)
-        self._index: dict[int, list[bytes]] = {}  # of the pending chunk, by channel: times and places
-
-    def write_many(self, channel: Int64Array, log_ns: Int64Array, messages: MessageBatch) -> None:
+    def write_many(self, channel: Int64Array, log_ns: Int64Array, messages: list[bytes]) -> None:
         """Write messages, in this order, of the channels with these numbers, int64 (n,)."""
-        size = messages.size + (_RECORD_HEAD + _MESSAGE_HEAD)
-        ends = np.cumsum(size)
+        length = np.fromiter(map(len, messages), np.int64, len(messages))
+        heads = np.zeros(len(messages), _MESSAGE_HEAD)
+        heads["code"] = _MESSAGE
+        heads["length"] = _MESSAGE_HEAD.itemsize - _RECORD_HEAD + length
+        heads["channel"] = channel
+        heads["log_ns"] = log_ns
+        heads["published_ns"] = log_ns
+        records = [*chain.from_iterable(zip(heads.view(f"V{heads.itemsize}").tolist(), messages, strict=True))]
+        ends = np.cumsum(_MESSAGE_HEAD.itemsize + length)
+        starts = ends - length - _MESSAGE_HEAD.itemsize
         begin = 0
-        while begin < len(size):
-            place = self.chunk.bio.tell() + ends - size - (ends[begin] - size[begin])
-            end = min(int(np.searchsorted(place + size, _CHUNK_BYTES, side="right")) + 1, len(size))
-            # Kept as long as their addresses are used.
-            columns = (messages.start, messages.size, channel, log_ns)
-            starts, sizes, numbers, times = (np.ascontiguousarray(one[begin:end]) for one in columns)
-            records = np.empty(int(size[begin:end].sum()), dtype=np.uint8)
-            _write_records(
-                messages.data.ctypes.data, starts.ctypes.data, sizes.ctypes.data, numbers.ctypes.data,
-                times.ctypes.data, end - begin, records.ctypes.data,
-            )  # fmt: skip
-            self.chunk.bio.write(records.data)
+        while begin < len(messages):
+            moved = self.chunk.bio.tell() - starts[begin]
+            end = min(int(np.searchsorted(ends + moved, _CHUNK_BYTES, side="right")) + 1, len(messages))
+            self.chunk.bio.write(b"".join(records[2 * begin : 2 * end]))
+            times = log_ns[begin:end]
             for noted in (self, self.chunk):
                 noted.message_start_time = min(int(times.min()), noted.message_start_time)
                 noted.message_end_time = max(int(times.max()), noted.message_end_time)
-            entries = np.column_stack((times, place[begin:end])).astype("<i8", copy=False)
+            numbers = channel[begin:end]
+            places = starts[begin:end] + moved
             for number in dict.fromkeys(numbers.tolist()):  # in the order of their first messages
-                own = entries[numbers == number]
-                self.channel_stats[number] += len(own)
-                self._index.setdefault(number, []).append(own.tobytes())
+                those = numbers == number
+                self.chunk.msgs[number] += zip(times[those].tolist(), places[those].tolist(), strict=True)
+                self.channel_stats[number] += int(those.sum())
             if self.chunk.bio.tell() > _CHUNK_BYTES:
                 self.close_chunk()
             begin = end
 
     def checkpoint(self) -> None:
         """Write pending data to the file."""
-        if self._index:
+        if self.chunk.msgs:
             self.close_chunk()
         self.bio.flush()
 
     def close_chunk(self) -> None:
-        """Write the pending chunk with its index, and note it for the summary."""
-        chunk = self.chunk
-        compression = self.compression.encode()
-        content = chunk.bio.getvalue()
-        records = self.compressor(content)
-        times = struct.pack("<QQ", chunk.message_start_time, chunk.message_end_time)
-        name = struct.pack("<I", len(compression)) + compression
-        head = times + struct.pack("<QI", len(content), crc32(content)) + name + struct.pack("<Q", len(records))
-        start = self._write(_CHUNK, head, records)
+        """Write the pending chunk, and its checksum behind the record's head, two times and a length."""
+        crc = crc32(self.chunk.bio.getbuffer())
+        start = self.bio.tell()
+        super().close_chunk()
         end = self.bio.tell()
-        places = b""
-        for number, entries in self._index.items():
-            at = self._write(_MESSAGE_INDEX, struct.pack("<HI", number, sum(map(len, entries))), *entries)
-            places += struct.pack("<HQ", number, at)
-        summary = BytesIO()
-        summary.write(times + struct.pack("<QQI", start, end - start, len(places)) + places)
-        summary.write(struct.pack("<Q", self.bio.tell() - end) + name + struct.pack("<QQ", len(records), len(content)))
-        self.chunks.append(summary)
-        # Last: data that cannot be written stay pending.
-        self.chunk = PendingChunk(_NONE_YET, 0, BytesIO(), chunk.msgs)
-        self._index = {}
+        self.bio.seek(start + _RECORD_HEAD + 24)
+        self.bio.write(crc.to_bytes(4, "little"))
+        self.bio.seek(end)
 
     def close(self, version: int, metadata: str) -> None:
-        """Write the summary and close the file."""
+        """Write the summary and its checksum, and close the file."""
         super().close(version, metadata)
         with self.path.open("r+b") as stream:
             stream.seek(-_FOOTER_BYTES - _MAGIC_BYTES, 2)
@@ -169,17 +125,11 @@ class _McapBatches(McapWriter):
             stream.seek(-4 - _MAGIC_BYTES, 2)
             stream.write(crc.to_bytes(4, "little"))
 
-    def _write(self, code: int, *parts: bytes) -> int:
-        """Write a record to the file; return where it begins."""
-        at = self.bio.tell()
-        self.bio.write(struct.pack("<BQ", code, sum(map(len, parts))) + b"".join(parts))
-        return at
-
 
 class _SqliteBatches(Sqlite3Writer):
     """rosbags' SQLite writer; messages come by `write_many` alone."""
 
-    def write_many(self, channel: Int64Array, log_ns: Int64Array, messages: MessageBatch) -> None:
+    def write_many(self, channel: Int64Array, log_ns: Int64Array, messages: list[bytes]) -> None:
         """Write messages, in this order, of the topics with these numbers, int64 (n,)."""
         rows = zip(channel.tolist(), log_ns.tolist(), messages, strict=True)
         self.cursor.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES(?, ?, ?)", rows)
@@ -293,7 +243,7 @@ class BagWriter:
         if effort_unit:
             self._writer.set_custom_data(f"{EFFORT_UNIT}{absolute(topic)}", effort_unit)
 
-    def write_many(self, number: Int64Array, log_ns: Int64Array, messages: MessageBatch) -> None:
+    def write_many(self, number: Int64Array, log_ns: Int64Array, messages: list[bytes]) -> None:
         """Write serialised messages in this order.
 
         Args:
@@ -307,23 +257,23 @@ class BagWriter:
         begin = 0
         writer = self._writer
         storage: Any = writer.storage
-        self._has_messages = self._has_messages or len(messages) > 0
+        size = np.fromiter(map(len, messages), np.int64, len(messages))
+        self._has_messages = self._has_messages or bool(messages)
         while begin < len(messages):
             # Up to where the disk is to be looked at, or a checkpoint to be made.
-            full = np.cumsum(messages.size[begin:]) + self._unchecked_bytes > _BYTES_PER_SPACE_CHECK
+            full = np.cumsum(size[begin:]) + self._unchecked_bytes > _BYTES_PER_SPACE_CHECK
             due = log_ns[begin:] >= self._checkpoint_ns + _CHECKPOINT_NS
             stops = full | due
             end = begin + int(np.argmax(stops)) + 1 if stops.any() else len(messages)
             rows = slice(begin, end)
-            batch = messages.take(rows)
             last = int(log_ns[end - 1])
             with self._failures():
-                storage.write_many(number[rows], log_ns[rows], batch)
+                storage.write_many(number[rows], log_ns[rows], messages[rows])
                 writer.min_timestamp = min(writer.min_timestamp, int(log_ns[rows].min()))
                 writer.max_timestamp = max(writer.max_timestamp, int(log_ns[rows].max()))
                 for each, count in zip(*np.unique(number[rows], return_counts=True), strict=True):
                     writer.counts[int(each)] += int(count)
-                self._unchecked_bytes += batch.total
+                self._unchecked_bytes += int(size[rows].sum())
                 if self._unchecked_bytes > _BYTES_PER_SPACE_CHECK:
                     self._unchecked_bytes, free = 0, shutil.disk_usage(self.path).free
                     if free < _RESERVE_BYTES:
@@ -501,13 +451,12 @@ def write_joint_states(
             if message.topic not in others:
                 qos = offered_qos(transient_local=message.transient_local)
                 others[message.topic] = bag.add_topic(message.topic, message.msgtype, [qos]).id
-        # A source for each series, and one for the other messages.
+        encoders = [_encoder(one) for one in series]
+        encoders.append(lambda rows: [messages[row].cdr for row in rows.tolist()])
         stamps = [one.stamp_ns for one in series]
-        encoders = [series_encoder(one) for one in series]
         stamps.append(np.array([message.log_ns for message in messages], dtype=np.int64))
-        encoders.append(MessageBatch.of([message.cdr for message in messages]).take)
-        log_ns = np.concatenate(stamps)
         counts = [len(stamp) for stamp in stamps]
+        log_ns = np.concatenate(stamps)
         source = np.repeat(np.arange(len(counts)), counts)
         row = np.concatenate([np.arange(count) for count in counts])
         number = np.repeat([*numbers, 0], counts)
@@ -515,8 +464,22 @@ def write_joint_states(
         order = np.argsort(log_ns, kind="stable")
         for begin in range(0, len(order), _MESSAGES_AT_ONCE):
             rows = order[begin : begin + _MESSAGES_AT_ONCE]
-            grouped = np.argsort(source[rows], kind="stable")
-            ends = np.searchsorted(source[rows][grouped], np.arange(1, len(counts)))
-            parts = np.split(row[rows][grouped], ends)
-            batch = MessageBatch.join([encode(part) for encode, part in zip(encoders, parts, strict=True) if len(part)])
-            bag.write_many(number[rows], log_ns[rows], batch.take(np.argsort(grouped)))
+            block = [b""] * len(rows)
+            for k, encode in enumerate(encoders):
+                places = np.flatnonzero(source[rows] == k)
+                for place, data in zip(places.tolist(), encode(row[rows[places]]), strict=True):
+                    block[place] = data
+            bag.write_many(number[rows], log_ns[rows], block)
+
+
+def _encoder(series: JointSeries) -> Callable[[Int64Array], list[bytes]]:
+    """Return a function that returns the messages of some rows of a series."""
+    codec = JointStateCodec(series.names)
+
+    def encode(rows: Int64Array) -> list[bytes]:
+        part = series.take(rows)
+        data = codec.encode_many(part.stamp_ns, part.position, part.velocity, part.effort)
+        messages: list[bytes] = data.view(f"V{data.shape[1]}")[:, 0].tolist()
+        return messages
+
+    return encode

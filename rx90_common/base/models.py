@@ -14,13 +14,23 @@ accepted. What is accepted comes from the field's JSON schema, or from `accepted
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import ErrorDetails, PydanticCustomError
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
 
 from rx90_common.base.config import read_yaml, yaml_text
 from rx90_common.base.errors import ConfigError
@@ -36,6 +46,7 @@ MAX_JOINTS: Final = 7
 """Joints that an arm may have."""
 
 _REFUSED: Final = "refused"
+_UNKNOWN_KEY: Final = "extra_forbidden"
 _TYPING_ERROR: Final = 0.8
 """Likeness of a misspelt key to the missing one that is meant, where other keys are accepted, too."""
 _BRANCH_FAULTS: Final = {"union_tag_invalid", "union_tag_not_found"}
@@ -48,14 +59,34 @@ class Model(BaseModel):
         frozen=True, strict=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants"
     )
 
+    def __iter__(self) -> Generator[tuple[str, Any], None, None]:
+        """Yield names and values of the fields, and not what has been computed of them."""
+        fields = type(self).model_fields
+        yield from ((name, value) for name, value in self.__dict__.items() if name in fields)
+        yield from (self.__pydantic_extra__ or {}).items()
+
     def replaced(self: AnyModel, **changes: Any) -> AnyModel:
         """Return a copy with other values, checked like those of a file.
+
+        Args:
+            changes: by field; of a model in the model a mapping with the fields that change.
 
         Raises:
             ConfigError: naming the value and what is accepted.
         """
         with refusals(type(self)):
-            return type(self).model_validate({**self.__dict__, **changes})
+            return type(self).model_validate(_with_changes(self, changes))
+
+
+def _with_changes(model: Model, changes: Mapping[str, Any]) -> dict[str, Any]:
+    values = dict(model)
+    for name, value in changes.items():
+        inner = values.get(name)
+        if isinstance(inner, Model) and isinstance(value, dict):
+            values[name] = _with_changes(inner, value)
+        else:
+            values[name] = value
+    return values
 
 
 class FileModel(Model):
@@ -93,6 +124,38 @@ class Named(FileModel, Generic[Item]):
         return self.__pydantic_extra__[name]
 
 
+class Some(Named[Item], Generic[Item]):
+    """A mapping from free names to values of one kind, at least one."""
+
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1, "accepted": "a mapping with one entry or more"})
+
+    @model_validator(mode="after")
+    def _check_some(self: AnyModel) -> AnyModel:
+        if not self.__pydantic_extra__:
+            raise not_accepted()
+        return self
+
+
+class OneOf(FileModel):
+    """A mapping that has exactly one of some keys."""
+
+    one_of: ClassVar[tuple[str, ...]]
+
+    @model_validator(mode="after")
+    def _check_one_of(self) -> OneOf:
+        given = [key for key in self.one_of if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise ValueError(f"has {' and '.join(given) or 'none'} of {', '.join(self.one_of)}; accepted: one of them")
+        return self
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+        """Return the schema, with the rule."""
+        schema = handler.resolve_ref_schema(handler(core_schema))
+        schema["oneOf"] = [{"required": [key]} for key in cls.one_of]
+        return schema
+
+
 def quantity(
     unit: str,
     description: str,
@@ -101,6 +164,7 @@ def quantity(
     ge: float | None = None,
     le: float | None = None,
     accepted: str = "",
+    path: str = "",
 ) -> Any:
     """Return the Field of a physical quantity.
 
@@ -111,20 +175,57 @@ def quantity(
         ge: its least value.
         le: its largest value.
         accepted: the accepted values in words, where the bounds do not say it.
+        path: its name in paths of sweeps, where that is not made of those of its mappings; it stands for the whole
+            way from the file's top.
     """
     extra: dict[str, Any] = {"unit": unit}
     if accepted:
         extra["accepted"] = accepted
+    if path:
+        extra["path"] = path
     return Field(description=description, gt=gt, ge=ge, le=le, json_schema_extra=extra)
+
+
+def not_accepted() -> PydanticCustomError:
+    """Return what a validator of a field raises for a value that is not accepted; `accepted` says in words what is."""
+    return PydanticCustomError("not_accepted", "not accepted")
+
+
+def _not_zero(value: float) -> float:
+    if value == 0.0:
+        raise not_accepted()
+    return value
+
+
+def _plain_list(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
 Row: TypeAlias = Annotated[tuple[float, ...], Field(strict=False)]
 """Numbers, of a list in a file."""
+NotZero: TypeAlias = Annotated[
+    float,
+    AfterValidator(_not_zero),
+    Field(json_schema_extra={"not": {"const": 0}, "accepted": "a finite number other than 0"}),
+]
+Triple: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=3, max_length=3)]
+"""Three numbers, such as those of a place."""
+PerJoint: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=1, max_length=MAX_JOINTS)]
+"""A number for each joint."""
+Names: TypeAlias = Annotated[tuple[str, ...], Field(strict=False)]
+"""Texts, of a list in a file."""
+Positive: TypeAlias = Annotated[float, Field(gt=0.0)]
+NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
+RowOf: TypeAlias = Annotated[
+    tuple[Item, ...], Field(strict=False, min_length=1, max_length=MAX_JOINTS), BeforeValidator(_plain_list)
+]
+"""Values of the joints, or the motors, of an arm: of a list in a file, or of an array in Python."""
 
 
 def refusal(key: str, value: object, accepted: str) -> PydanticCustomError:
     """Return what a validator of a model raises for a value that does not fit the others; `key` is its field."""
-    context = {"key": key, "value": quoted(value), "accepted": accepted}
+    shown = list(value) if isinstance(value, tuple) else value
+    context = {"key": key, "value": quoted(shown), "accepted": accepted}
     return PydanticCustomError(_REFUSED, "{key} is {value}; accepted: {accepted}", context)
 
 
@@ -159,13 +260,14 @@ def json_schema(model: type[BaseModel], title: str) -> JsonSchema:
         model: of the file's content.
         title: of the schema.
     """
-    schema = model.model_json_schema()
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    return {**head, **_with_units(schema), "title": title}
+    schema = _with_units(model.model_json_schema())
+    about = {key: FileModel.model_json_schema()["properties"][key] for key in FileModel.about_keys}
+    return {**head, **schema, "title": title, "$defs": {**schema.get("$defs", {}), **about}}
 
 
 def _with_units(value: Any) -> Any:
-    """Return a schema whose descriptions end with the unit."""
+    """Return a schema whose descriptions end with the unit, with what all mappings may have in one place."""
     if isinstance(value, list):
         return [_with_units(item) for item in value]
     if not isinstance(value, dict):
@@ -173,6 +275,10 @@ def _with_units(value: Any) -> Any:
     named = {key: _with_units(item) for key, item in value.items()}
     if named.get("default") == math.inf:  # which JSON has no number for
         del named["default"]
+    properties = named.get("properties", {})
+    for key in FileModel.about_keys:
+        if isinstance(properties, dict) and key in properties:
+            properties[key] = {"$ref": f"#/$defs/{key}"}
     unit = value.get("unit")
     if isinstance(unit, str) and "description" in value:
         named["description"] = f"{value['description']} [{unit}]"
@@ -193,6 +299,12 @@ def unit_at(root: JsonSchema, place: Place, content: Any) -> str:
             if "unit" in schema:
                 return str(schema["unit"])
     return ""
+
+
+def path_of(model: type[BaseModel], field: str) -> str:
+    """Return the name that a field's `quantity` gives it in paths of sweeps, empty if it has none."""
+    extra = model.model_fields[field].json_schema_extra
+    return str(extra.get("path", "")) if isinstance(extra, dict) else ""
 
 
 @contextmanager
@@ -219,21 +331,20 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
         where: what contains the values, such as a file.
         content: that was validated, if it came from a file.
     """
-    schema = model.model_json_schema(by_alias=True)
-    faults = error.errors(include_url=False)
-    unknown = [fault for fault in faults if fault["type"] == "extra_forbidden"]
-    known = [fault for fault in faults if fault["type"] != "extra_forbidden"]
+    schema = model.model_json_schema()
+    faults = [(fault, _place_of(fault, content)) for fault in error.errors(include_url=False)]
+    places = [place for _, place in faults]
     lines: list[str] = []
     meant: set[Place] = set()
-    for fault in unknown:
-        *around, key = fault["loc"]
-        place = _place_in_file(tuple(around), content)
-        node = schema_at(schema, place, content)
-        near = nearest(str(key), _missing(node, value_at(content, place)))
-        meant.add((*place, near))
-        lines.append(_unknown_key(where, (*place, key), near, node))
-    for fault in known:
-        place = _place_of(fault, content)
+    for fault, place in faults:
+        if fault["type"] == _UNKNOWN_KEY:
+            node = schema_at(schema, place[:-1], content)
+            near = nearest(str(place[-1]), _missing(node, value_at(content, place[:-1])))
+            meant.add((*place[:-1], near))
+            lines.append(_unknown_key(where, place, near, node))
+    for fault, place in faults:
+        if fault["type"] == _UNKNOWN_KEY or any(inner != place and inner[: len(place)] == place for inner in places):
+            continue  # of several kinds of value, another one is meant
         if fault["type"] == "missing":
             if place in meant:
                 continue  # one mistake would be told twice

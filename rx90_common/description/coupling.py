@@ -24,8 +24,8 @@ import numpy as np
 from numba.core import types
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.entries import MAX_JOINTS
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.models import MAX_JOINTS
 from rx90_common.base.quoting import listed
 from rx90_common.kernels.compiled import by_type, inlined, kernel
 from rx90_common.kernels.lanes import Lanes, append, first, fma, lane, load, size, store

@@ -10,17 +10,15 @@ import xml.etree.ElementTree as ET
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 import pinocchio as pin
+from pydantic import Field, model_validator
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import load_yaml
-from rx90_common.base.declared import Declared
-from rx90_common.base.entries import LEFT_OUT, Number, Numbers
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Entries, Group
+from rx90_common.base.models import FileModel, Named, Triple, quantity, read_model, refusal
 from rx90_common.base.quoting import counted, plain
 from rx90_common.description.chain import RigidChain, rigid_chain
 from rx90_common.description.urdf import Placement, UrdfFile, inertia_fault
@@ -29,68 +27,65 @@ MOUNT_LINK = "tool0"
 TOOL_LINK = "tool"
 TCP_LINK = "tcp"
 _COLOR = "0.75 0.15 0.15 1"
-_Triple = tuple[float, ...]
+_Degrees: TypeAlias = Annotated[
+    tuple[Annotated[float, Field(ge=-360.0, le=360.0)], ...], Field(strict=False, min_length=3, max_length=3)
+]
 
 
-@dataclass(frozen=True)
-class Cylinder:
-    """A cylinder along z of the mount, m."""
+class Inertial(FileModel):
+    """The tool as a rigid body."""
 
-    start: float
-    end: float
-    radius: float
-
-
-def _cylinders(about: str) -> Group:
-    cylinder = Numbers("A cylinder along z of tool0: from, to, radius.", "m", count=3)
-    return Group(about, keys={"cylinders": Entries("Cylinders, by names of your own.", of=cylinder)}, default=LEFT_OUT)
-
-
-@dataclass(frozen=True)
-class Tool(Declared):
-    """A tool in the axes of link `tool0`; its inertia, kg m², is Ixx, Iyy, Izz, Ixy, Ixz, Iyz about its mass centre."""
-
-    name = "tool"
-    about = "A tool on the flange, in the axes of link tool0."
-    blocks = {"inertial": "The tool as a rigid body.", "tcp": "The tool centre point."}  # noqa: RUF012 - of Declared
-
-    mass: Annotated[float, Number("Mass.", "kg", low=0.0, above=True), "inertial.mass"]
-    center_of_mass: Annotated[_Triple, Numbers("Centre of mass.", "m", count=3), "inertial.center_of_mass"]
+    mass: Annotated[float, quantity("kg", "Mass.", gt=0.0)]
+    center_of_mass: Annotated[Triple, quantity("m", "Centre of mass.")]
     inertia: Annotated[
-        tuple[float, ...],
-        Numbers("Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass; such as a body can have.", "kg m^2", count=6),
-        "inertial.inertia",
+        Annotated[tuple[float, ...], Field(strict=False, min_length=6, max_length=6)],
+        quantity("kg m^2", "Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass; such as a body can have."),
     ]
-    tcp_position: Annotated[_Triple, Numbers("Where it is.", "m", count=3), "tcp.position"]
-    tcp_rpy_degrees: Annotated[
-        _Triple,
-        Numbers("Its roll, pitch and yaw about fixed axes.", "deg", count=3, low=-360.0, high=360.0),
-        "tcp.rpy_degrees",
-    ]
-    visual: Annotated[tuple[Cylinder, ...], _cylinders("The tool's shape, for display.")] = ()
-    collision: Annotated[tuple[Cylinder, ...], _cylinders("The tool's shape, for collision checks.")] = ()
+
+    @model_validator(mode="after")
+    def _check_inertia(self) -> Inertial:
+        fault = inertia_fault(self.inertia)
+        if fault is not None:
+            raise refusal("inertia", list(self.inertia), fault)
+        return self
 
 
-TOOL = Tool.group()
-"""What a tool file holds."""
+class ToolCentrePoint(FileModel):
+    """The tool centre point."""
+
+    position: Annotated[Triple, quantity("m", "Where it is.")]
+    rpy_degrees: Annotated[_Degrees, quantity("deg", "Its roll, pitch and yaw about fixed axes.")]
+
+
+class Cylinders(Named[Triple]):
+    """Cylinders along z of tool0, by names of your own: from, to, radius, m."""
+
+    @model_validator(mode="after")
+    def _check_shapes(self) -> Cylinders:
+        for name, (start, end, radius) in self.entries.items():
+            if not (start < end and radius > 0.0):
+                raise refusal(name, [start, end, radius], "from < to, and a radius > 0")
+        return self
+
+
+class Shape(FileModel):
+    """The tool's shape."""
+
+    cylinders: Cylinders
+
+
+class Tool(FileModel):
+    """A tool on the flange, in the axes of link tool0."""
+
+    inertial: Inertial
+    tcp: ToolCentrePoint
+    visual: Annotated[Shape | None, Field(description="The tool's shape, for display.")] = None
+    collision: Annotated[Shape | None, Field(description="The tool's shape, for collision checks.")] = None
 
 
 def load_tool(file: Path) -> Tool:
     """Read a tool file."""
-    root = load_yaml(file)
-    content = TOOL.read(root)
-    shapes: dict[str, list[Cylinder]] = {"visual": [], "collision": []}
-    for kind, found in shapes.items():
-        for name, values in content.get(kind, {"cylinders": {}})["cylinders"].items():
-            shape = Cylinder(*values)
-            if not (shape.start < shape.end and shape.radius > 0.0):
-                root.section(kind).section("cylinders").refuse(name, list(values), "from < to, and a radius > 0")
-            found.append(shape)
-    tool = Tool.of_file(content, **{kind: tuple(found) for kind, found in shapes.items()})
-    fault = inertia_fault(tool.inertia)
-    if fault is not None:
-        root.section("inertial").refuse("inertia", list(tool.inertia), fault)
-    return tool
+    return read_model(Tool, file)
 
 
 def _text(values: tuple[float, ...]) -> str:
@@ -104,15 +99,16 @@ def _fixed_joint(robot: ET.Element, child: str, xyz: tuple[float, ...], rpy: tup
     ET.SubElement(joint, "child", link=child)
 
 
-def _shape(link: ET.Element, kind: str, cylinder: Cylinder) -> ET.Element:
-    """Add a cylinder to a link as its "visual" or "collision"; return that element."""
-    element = ET.SubElement(link, kind)
-    ET.SubElement(
-        element, "origin", xyz=_text((0.0, 0.0, (cylinder.start + cylinder.end) / 2.0)), rpy=_text((0.0,) * 3)
-    )
-    geometry = ET.SubElement(element, "geometry")
-    ET.SubElement(geometry, "cylinder", radius=repr(cylinder.radius), length=repr(cylinder.end - cylinder.start))
-    return element
+def _add_shape(link: ET.Element, kind: str, shape: Shape | None) -> list[ET.Element]:
+    """Add cylinders to a link as its "visual" or "collision"; return these elements."""
+    elements = []
+    for start, end, radius in () if shape is None else shape.cylinders.entries.values():
+        element = ET.SubElement(link, kind)
+        ET.SubElement(element, "origin", xyz=_text((0.0, 0.0, (start + end) / 2.0)), rpy=_text((0.0,) * 3))
+        geometry = ET.SubElement(element, "geometry")
+        ET.SubElement(geometry, "cylinder", radius=repr(radius), length=repr(end - start))
+        elements.append(element)
+    return elements
 
 
 def attach(root: ET.Element, tool: Tool, urdf: Path) -> None:
@@ -128,18 +124,19 @@ def attach(root: ET.Element, tool: Tool, urdf: Path) -> None:
     zero = (0.0, 0.0, 0.0)
     link = ET.SubElement(root, "link", name=TOOL_LINK)
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_text(tool.center_of_mass), rpy=_text(zero))
-    ET.SubElement(inertial, "mass", value=repr(tool.mass))
+    ET.SubElement(inertial, "origin", xyz=_text(tool.inertial.center_of_mass), rpy=_text(zero))
+    ET.SubElement(inertial, "mass", value=repr(tool.inertial.mass))
     keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    ET.SubElement(inertial, "inertia", {key: repr(value) for key, value in zip(keys, tool.inertia, strict=True)})
-    for cylinder in tool.visual:
-        material = ET.SubElement(_shape(link, "visual", cylinder), "material", name="tool")
+    ET.SubElement(
+        inertial, "inertia", {key: repr(value) for key, value in zip(keys, tool.inertial.inertia, strict=True)}
+    )
+    for element in _add_shape(link, "visual", tool.visual):
+        material = ET.SubElement(element, "material", name="tool")
         ET.SubElement(material, "color", rgba=_COLOR)
-    for cylinder in tool.collision:
-        _shape(link, "collision", cylinder)
+    _add_shape(link, "collision", tool.collision)
     _fixed_joint(root, TOOL_LINK, zero, zero)
     ET.SubElement(root, "link", name=TCP_LINK)
-    _fixed_joint(root, TCP_LINK, tool.tcp_position, tuple(map(math.radians, tool.tcp_rpy_degrees)))
+    _fixed_joint(root, TCP_LINK, tool.tcp.position, tuple(map(math.radians, tool.tcp.rpy_degrees)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import listed, quoted
 from rx90_common.base.share import config_path, resolve_config
@@ -151,8 +151,8 @@ def provenance_of(files: RobotFiles) -> dict[str, list[str]]:
         path: Path | None = getattr(files, role)
         if path is None or role == "urdf":
             continue
-        root = load_yaml(path)
-        blocks = {name: root.section(name).provenance for name in root if root.holds_mapping(name)}
+        content = read_yaml(path)
+        blocks = {name: block.get("provenance") for name, block in content.items() if isinstance(block, dict)}
         texts = [f"{name} {provenance}" for name, provenance in blocks.items() if provenance]
-        found[role] = texts or [root.provenance or "not said"]
+        found[role] = texts or [str(content.get("provenance") or "not said")]
     return found

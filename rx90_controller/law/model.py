@@ -21,17 +21,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, TypeAlias
 
 import numpy as np
+from pydantic import BeforeValidator, Field
 
 from rx90_common.arm_dynamics import body_dtype, inverse_dynamics, manipulator_dtype, manipulator_record
 from rx90_common.base.arrays import Array, Record
-from rx90_common.base.config import Section
-from rx90_common.base.entries import LEFT_OUT, Text
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Group
-from rx90_common.base.quoting import plain
+from rx90_common.base.models import FileModel
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.description.coupling import ArmSize, to_motor_torque
 from rx90_common.description.drives import DriveParameters, load_drives
@@ -112,15 +111,6 @@ def model_state_dtype(arm: ArmSize) -> np.dtype[np.void]:
 ROLES: Final = ("urdf", "tool", "drives", "friction")
 """The files of a model, by their names in the block `model` and in ModelFiles."""
 
-MODEL = Group(
-    "What the controller knows of the arm, for inverse_dynamics and friction_model; it may be wrong. A relative path "
-    "is looked for in this file's folder, then in config/. A file that is left out is the robot folder's own, beside "
-    "this file. Of friction that scatters the mean is taken.",
-    keys={role: Text(f"The {DESCRIPTIONS[role]}.", default=LEFT_OUT) for role in ROLES},
-    default=LEFT_OUT,
-)
-"""The block `model` of a controller file."""
-
 
 @dataclass(frozen=True)
 class ArmModel:
@@ -146,55 +136,72 @@ class ArmModel:
         )
 
 
-@dataclass(frozen=True)
-class ModelFiles:
-    """The files of the controller's own model of arm and friction.
+def _as_text(value: Any) -> Any:
+    return str(value) if isinstance(value, Path) else value
 
-    Attributes:
-        urdf: of the arm.
-        tool: on its flange; None for none.
-        drives: rotors and springs count.
-        friction: the elements.
+
+FileName: TypeAlias = Annotated[str | None, BeforeValidator(_as_text)]
+
+
+class ModelFiles(FileModel):
+    """What the controller knows of the arm, for inverse_dynamics and friction_model; it may be wrong.
+
+    A relative path is looked for in this file's folder, then in config/. A file that is left out is the robot folder's
+    own, beside this file. Of friction that scatters the mean is taken.
     """
 
-    urdf: Path
-    tool: Path | None
-    drives: Path
-    friction: Path
+    urdf: Annotated[FileName, Field(description=f"The {DESCRIPTIONS['urdf']}.")] = None
+    tool: Annotated[FileName, Field(description=f"The {DESCRIPTIONS['tool']}.")] = None
+    drives: Annotated[FileName, Field(description=f"The {DESCRIPTIONS['drives']}.")] = None
+    friction: Annotated[FileName, Field(description=f"The {DESCRIPTIONS['friction']}.")] = None
 
-    @classmethod
-    def of(cls, root: Section) -> ModelFiles:
-        """Return the files that a controller file names, or that are in its folder; only named ones must exist."""
-        named = root.section("model") if "model" in root else Section({}, root.file, "model")
-        found: dict[str, Path | None] = {}
+    def resolved(self, controller: Path) -> ModelFiles:
+        """Return them as absolute paths, "none" for no tool; only those that are named must exist.
+
+        Args:
+            controller: the controller file that names them.
+        """
+        found: dict[str, str] = {}
         for role in ROLES:
-            if role in named:
-                name = Text("").take(named, role)
+            name = getattr(self, role)
+            path = controller.parent / FILES[role]
+            if role == "tool" and (name == NO_TOOL or (name is None and not path.is_file())):
+                found[role] = NO_TOOL
+                continue
+            if name is not None:
                 try:  # the same file from whatever folder a program is started
-                    none = (role, name) == ("tool", NO_TOOL)
-                    found[role] = None if none else resolve_config(name, root.file.parent)
+                    path = resolve_config(name, controller.parent)
                 except ConfigError:
                     accepted = "a path from this file's folder or from config/, or an absolute one"
-                    named.refuse(role, name, f"a {DESCRIPTIONS[role]}: {accepted}")
-            else:
-                default_file = root.file.parent / FILES[role]
-                found[role] = None if role == "tool" and not default_file.is_file() else default_file
-        return cls(**found)  # type: ignore[arg-type]  # None only for the tool
+                    raise ConfigError(
+                        f"{plain(controller)}: model.{role} is {quoted(name)}; accepted: a {DESCRIPTIONS[role]}: "
+                        f"{accepted}"
+                    ) from None
+            found[role] = str(path)
+        return ModelFiles(**found)
+
+    def path(self, role: str) -> Path | None:
+        """Return the path of a file, None for no tool."""
+        name = getattr(self, role)
+        return None if name in (None, NO_TOOL) else Path(name)
 
     @cached_property
     def constants(self) -> ArmModel:
         """Return the contents, read once."""
+        paths: dict[str, Path] = {}
         for role in ROLES:
-            path: Path | None = getattr(self, role)
+            path = self.path(role)
             if path is not None and not path.is_file():
                 raise ConfigError(
                     f"the feed-forward by a model needs {plain(path)}, which is not there; accepted: {FILES[role]} "
                     f"beside the controller file, or model.{role} in it"
                 )
-        robot = load_robot(self.urdf, self.tool)
-        drives = load_drives(self.drives)
-        robot.check_count(self.drives, "gear", drives.gear)
-        friction = load_friction(self.friction, drives.turning.element_names(robot.joint_names)).elements
+            if path is not None:
+                paths[role] = path
+        robot = load_robot(paths["urdf"], paths.get("tool"))
+        drives = load_drives(paths["drives"])
+        robot.check_count(paths["drives"], "gear", drives.gear)
+        friction = load_friction(paths["friction"], drives.turning.element_names(robot.joint_names)).elements
         known = tuple(element.replaced(scatter=None) for element in friction)
         return ArmModel(manipulator_record(robot.chain, drives), known, drives)
 

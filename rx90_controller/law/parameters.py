@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, TypeAlias
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import Section, load_yaml
-from rx90_common.base.declared import Declared
-from rx90_common.base.entries import PER_JOINT, REQUIRED, Number, Numbers, Switch
 from rx90_common.base.errors import ConfigError, located
+from rx90_common.base.models import FileModel, Positive, RowOf, quantity, read_model, refusal
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import Rates
 from rx90_common.description.coupling import ArmSize, gear_field
@@ -22,7 +20,7 @@ from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.kernels.elementary import exponential_less_one_of, powers
-from rx90_controller.law.model import FRICTION, INVERSE_DYNAMICS, MODEL, ModelFiles, model_dtype
+from rx90_controller.law.model import FRICTION, INVERSE_DYNAMICS, ModelFiles, model_dtype
 from rx90_controller.trajectory import JointLimits
 
 
@@ -55,142 +53,189 @@ def controller_dtype(arm: ArmSize) -> np.dtype[np.void]:
     )
 
 
-MODEL_PARTS: Final = {"inverse_dynamics": INVERSE_DYNAMICS, "friction_model": FRICTION}
-"""Switches of the feed-forward by a model of arm and friction, and their bits in `parts` of `model_dtype`."""
+MODEL_PARTS: Final = ("inverse_dynamics", "friction_model")
+"""Switches of the feed-forward by a model of arm and friction."""
 
-_each = partial(Numbers, count=PER_JOINT, low=0.0)
-_positive_each = partial(_each, above=True)
-_positive = partial(Number, low=0.0, above=True)
-_any_each = _each("")
-_any_positive_each = _positive_each("")
-_any_positive = _positive("")
+_Inertia: TypeAlias = Annotated[float, Field(gt=0.0, le=1e5)]
+_Rate: TypeAlias = Annotated[float, Field(ge=0.0, le=1e5)]
+_IntegralGain: TypeAlias = Annotated[float, Field(ge=0.0, le=1e9)]
+_Torque: TypeAlias = Annotated[float, Field(ge=0.0, le=1e6)]
+_Exponent: TypeAlias = Annotated[float, Field(ge=ALPHA_BOUNDS[0], le=ALPHA_BOUNDS[1])]
 
 
-@dataclass(frozen=True)
-class FeedForward(Declared):
-    """Terms that the set-points add to PI, each with its own switch.
+class Servo(FileModel):
+    """Gains of the loops."""
+
+    inertia: Annotated[RowOf[_Inertia], quantity("kg m^2", "Nominal inertia, rotors included.", path="inertia")]
+    kp: Annotated[RowOf[_Rate], quantity("1/s", "Proportional gain of the position loop.", path="kp")]
+    kv: Annotated[RowOf[_Rate], quantity("1/s", "Gain of the velocity loop.", path="kv")]
+    ki: Annotated[RowOf[_IntegralGain], quantity("1/s^3", "Integral gain.", path="ki")]
+    integrator_limit: Annotated[
+        RowOf[_Torque], quantity("Nm", "The most that the integrator gives.", path="integrator_limit")
+    ]
+
+
+class FeedForward(FileModel):
+    """What the set-points add beside PI, each term with its own switch.
 
     The paper's D block has the measured velocity alone (section 5, figure 4): that is `velocity=False`.
     """
 
-    name = "feed_forward"
-
     velocity: Annotated[
-        bool, Switch("The velocity set-point in the D block; the paper has the measured velocity alone."), REQUIRED
-    ] = True
-    acceleration: Annotated[bool, Switch("Inertia times acceleration of the set-point."), REQUIRED] = True
-    coulomb: Annotated[bool, Switch("Coulomb friction compensation."), REQUIRED] = True
-    viscous: Annotated[bool, Switch("Viscous friction compensation."), REQUIRED] = True
+        bool, Field(description="The velocity set-point in the D block; the paper has the measured velocity alone.")
+    ]
+    acceleration: Annotated[bool, Field(description="Inertia times acceleration of the set-point.")]
+    coulomb: Annotated[bool, Field(description="Coulomb friction compensation.")]
+    viscous: Annotated[bool, Field(description="Viscous friction compensation.")]
     inverse_dynamics: Annotated[
         bool,
-        Switch("Inverse dynamics of the model, weight included, in place of inertia times acceleration."),
+        Field(description="Inverse dynamics of the model, weight included, in place of inertia times acceleration."),
     ] = False
     friction_model: Annotated[
-        bool, Switch("Friction of the model, in place of Coulomb and viscous friction compensation.")
+        bool,
+        Field(description="Friction of the model, in place of Coulomb and viscous friction compensation."),
     ] = False
+    coulomb_torque: Annotated[RowOf[_Torque], quantity("Nm", "Coulomb friction to compensate.", path="coulomb")]
+    coulomb_velocity: Annotated[
+        float,
+        quantity(
+            "rad/s",
+            "Velocity of the set-point at which the Coulomb compensation is complete.",
+            gt=0.0,
+            le=10.0,
+            path="coulomb_velocity",
+        ),
+    ]
+    viscous_friction: Annotated[
+        RowOf[_Torque], quantity("Nm (s/rad)^viscous_exponent", "Viscous friction to compensate.", path="viscous")
+    ]
+    viscous_exponent: Annotated[
+        RowOf[_Exponent],
+        quantity("1", "Exponent of the viscous friction to compensate.", path="viscous_exponent"),
+    ] = (1.0,)
 
     @property
     def model_parts(self) -> int:
         """Return which of MODEL_PARTS are on, as `parts` of `model_dtype`."""
-        return sum(bit * getattr(self, name) for name, bit in MODEL_PARTS.items())
+        return INVERSE_DYNAMICS * self.inverse_dynamics + FRICTION * self.friction_model
 
-    @classmethod
-    def off(cls) -> FeedForward:
+    def off(self) -> FeedForward:
         """Return the block with every part switched off."""
-        return cls(velocity=False, acceleration=False, coulomb=False, viscous=False)
+        off = dict.fromkeys(("velocity", "acceleration", "coulomb", "viscous", *MODEL_PARTS), False)
+        return self.model_copy(update=off)
 
 
-@dataclass(frozen=True, kw_only=True)
-class CS7BParameters(Declared):
-    """SISO controllers; every array has a value for each motor, shape (n,), and joint-side units.
+class CurrentLoop(FileModel):
+    """Amplifiers."""
 
-    The law, joint side: torque = Mn [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward; see
-    docs/explanation/closed_loop.md.
-    """
+    bandwidth: Annotated[float, quantity("Hz", "Bandwidth of the current loop.", gt=0.0, path="current_bandwidth")]
+    slew_rate: Annotated[
+        RowOf[Positive], quantity("A/s", "The amplifier's fastest change of current.", path="current_slew")
+    ]
 
-    name = "controller"
-    about = (
-        "Gains, limits and switches of servo controllers: lists of one value for each motor, seen from its joint. "
-        "The law: torque = inertia [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward."
-    )
-    blocks = {  # noqa: RUF012 - a ClassVar of Declared
-        "servo": "Gains of the loops.",
-        "feed_forward": "What the set-points add beside PI.",
-        "current_loop": "Amplifiers.",
-        "supervision": "What cuts the power, joint by joint.",
-        "trajectory": "What is asked of set-points.",
-    }
 
-    inertia: Annotated[
-        Array,
-        _positive_each("Nominal inertia, rotors included.", "kg m^2", high=1e5),
-        _any_positive_each,
-        "servo.inertia",
-    ]
-    kp: Annotated[Array, _each("Proportional gain of the position loop.", "1/s", high=1e4), _any_each, "servo.kp"]
-    kv: Annotated[Array, _each("Gain of the velocity loop.", "1/s", high=1e5), _any_each, "servo.kv"]
-    ki: Annotated[Array, _each("Integral gain.", "1/s^3", high=1e9), _any_each, "servo.ki"]
-    integrator_limit: Annotated[
-        Array, _each("The most that the integrator gives.", "Nm", high=1e6), _any_each, "servo.integrator_limit"
-    ]
-    feed_forward: FeedForward
-    coulomb: Annotated[
-        Array, _each("Coulomb friction to compensate.", "Nm", high=1e6), _any_each, "feed_forward.coulomb_torque"
-    ]
-    coulomb_velocity: Annotated[
-        float,
-        _positive("Velocity of the set-point at which the Coulomb compensation is complete.", "rad/s", high=10.0),
-        _any_positive,
-        "feed_forward.coulomb_velocity",
-    ]
-    viscous: Annotated[
-        Array,
-        _each("Viscous friction to compensate.", "Nm (s/rad)^viscous_exponent", high=1e6),
-        _any_each,
-        "feed_forward.viscous_friction",
-    ]
-    viscous_exponent: Annotated[
-        Array,
-        Numbers(
-            "Exponent of the viscous friction to compensate.", "1",
-            count=PER_JOINT, low=ALPHA_BOUNDS[0], high=ALPHA_BOUNDS[1],
-        ),
-        "feed_forward.viscous_exponent",
-    ] = field(default_factory=lambda: np.ones(1))  # fmt: skip
-    model: Annotated[ModelFiles | None, MODEL] = None
-    current_bandwidth: Annotated[float, _positive("Bandwidth of the current loop.", "Hz"), "current_loop.bandwidth"]
-    current_slew: Annotated[
-        Array, _positive_each("The amplifier's fastest change of current.", "A/s"), "current_loop.slew_rate"
-    ]
+class Supervision(FileModel):
+    """What cuts the power, joint by joint."""
+
     following_error: Annotated[
-        Array,
-        _positive_each("Position error at which the power is cut.", "rad", high=1.0),
-        _any_positive_each,
-        "supervision.following_error",
+        RowOf[Annotated[float, Field(gt=0.0, le=1.0)]],
+        quantity("rad", "Position error at which the power is cut.", path="following_error"),
     ]
     over_speed: Annotated[
         float,
-        _positive("Speed at which the power is cut, times the nominal speed of the joint.", high=10.0),
-        _any_positive,
-        "supervision.over_speed",
-    ]
-    start_tolerance: Annotated[
-        float,
-        Number("How far a trajectory may start from the held set-point.", "rad", low=0.0),
-        "trajectory.start_tolerance",
-    ]
-    max_acceleration: Annotated[
-        Array,
-        _positive_each("The most that a set-point may ask of each joint.", "rad/s^2"),
-        "trajectory.max_acceleration",
+        quantity(
+            "1",
+            "Speed at which the power is cut, times the nominal speed of the joint.",
+            gt=0.0,
+            le=10.0,
+            path="over_speed",
+        ),
     ]
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.__dict__.update(self.fitted(len(self.inertia), "inertia").__dict__)
-        for name in MODEL_PARTS:
-            if getattr(self.feed_forward, name) and self.model is None:
-                raise ConfigError(f"{name} is true without a model; accepted: with one, or false")
+
+class TrajectoryLimits(FileModel):
+    """What is asked of set-points."""
+
+    start_tolerance: Annotated[
+        float,
+        quantity("rad", "How far a trajectory may start from the held set-point.", ge=0.0, path="start_tolerance"),
+    ]
+    max_acceleration: Annotated[
+        RowOf[Positive],
+        quantity("rad/s^2", "The most that a set-point may ask of each joint.", path="max_acceleration"),
+    ]
+
+
+class CS7BParameters(FileModel):
+    """Gains, limits and switches of servo controllers: lists of one value for each motor, seen from its joint.
+
+    The law, joint side: torque = inertia [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward; see
+    docs/explanation/closed_loop.md.
+    """
+
+    servo: Servo
+    feed_forward: FeedForward
+    current_loop: CurrentLoop
+    supervision: Supervision
+    trajectory: TrajectoryLimits
+    model: ModelFiles | None = None
+
+    @model_validator(mode="after")
+    def _check_counts(self) -> CS7BParameters:
+        joints = len(self.servo.inertia)
+        if len(self.feed_forward.viscous_exponent) == 1 < joints:
+            exponents = self.feed_forward.viscous_exponent * joints
+            self.__dict__["feed_forward"] = self.feed_forward.model_copy(update={"viscous_exponent": exponents})
+        for name, block in self:
+            for key, values in block if isinstance(block, FileModel) else ():
+                if isinstance(values, tuple) and len(values) != joints:
+                    raise refusal(f"{name}.{key}", list(values), f"{joints} numbers, as many as servo.inertia has")
+        return self
+
+    @cached_property
+    def inertia(self) -> Array:
+        """Return nominal inertias, rotors included, kg m^2."""
+        return np.array(self.servo.inertia)
+
+    @cached_property
+    def kp(self) -> Array:
+        """Return proportional gains of the position loops, 1/s."""
+        return np.array(self.servo.kp)
+
+    @cached_property
+    def kv(self) -> Array:
+        """Return gains of the velocity loops, 1/s."""
+        return np.array(self.servo.kv)
+
+    @cached_property
+    def ki(self) -> Array:
+        """Return integral gains, 1/s^3."""
+        return np.array(self.servo.ki)
+
+    @cached_property
+    def coulomb(self) -> Array:
+        """Return Coulomb friction to compensate, Nm."""
+        return np.array(self.feed_forward.coulomb_torque)
+
+    @cached_property
+    def viscous(self) -> Array:
+        """Return viscous friction to compensate, Nm (s/rad)^exponent."""
+        return np.array(self.feed_forward.viscous_friction)
+
+    @cached_property
+    def viscous_exponent(self) -> Array:
+        """Return its exponents."""
+        return np.array(self.feed_forward.viscous_exponent)
+
+    @cached_property
+    def following_error(self) -> Array:
+        """Return position errors at which the power is cut, rad."""
+        return np.array(self.supervision.following_error)
+
+    @cached_property
+    def max_acceleration(self) -> Array:
+        """Return the most that a set-point may ask of each joint, rad/s^2."""
+        return np.array(self.trajectory.max_acceleration)
 
     def limits(self, robot: RobotModel) -> JointLimits:
         """Return the limits that the set-points of an arm must keep."""
@@ -200,15 +245,16 @@ class CS7BParameters(Declared):
             robot.upper,
             robot.max_velocity,
             self.max_acceleration,
-            self.start_tolerance,
+            self.trajectory.start_tolerance,
         )
 
     def record(self, robot: RobotModel, drives: DriveParameters, rates: Rates) -> np.ndarray[Any, Any]:
         """Return the law's constants, shape (1,), of `controller_dtype`."""
         sensor = drives.current_sensor
-        if sensor.used and sensor.bandwidth != self.current_bandwidth:
+        loop = self.current_loop
+        if sensor.used and sensor.bandwidth != loop.bandwidth:
             raise ConfigError(
-                f"the current loop's bandwidth is {self.current_bandwidth:g} Hz for the controller; accepted: "
+                f"the current loop's bandwidth is {loop.bandwidth:g} Hz for the controller; accepted: "
                 f"{sensor.bandwidth:g} Hz, as current_sensor of the drives has it, for it is one loop"
             )
         record = np.zeros(1, controller_dtype(drives.turning.size))
@@ -220,23 +266,24 @@ class CS7BParameters(Declared):
         law["derivative"] = self.inertia * self.kv / gear_squared
         law["proportional"] = self.inertia * self.kv * self.kp / gear_squared
         law["integral"] = self.inertia * self.ki / gear_squared * rates.position_period
-        law["integrator_limit"] = self.integrator_limit / gear
+        law["integrator_limit"] = self.servo.integrator_limit / gear
         law["velocity_weight"] = float(switch.velocity)
         law["inertia"] = self.inertia / gear_squared * (switch.acceleration and not switch.inverse_dynamics)
         law["coulomb"] = self.coulomb / gear * (switch.coulomb and not switch.friction_model)
-        law["coulomb_velocity"] = self.coulomb_velocity * gear
+        law["coulomb_velocity"] = switch.coulomb_velocity * gear
         # A torque tau_v |v|^a of the joint, at the motor: 1/n of it, at a velocity n times as fast.
         viscous = switch.viscous and not switch.friction_model
         law["viscous"] = self.viscous / powers(np.abs(gear), 1.0 + self.viscous_exponent) * viscous
         law["viscous_exponent"] = self.viscous_exponent
         law["torque_constant"] = drives.torque_constant
         law["peak_current"] = drives.peak_current
-        law["current_step"] = self.current_slew * rates.period
-        law["current_gain"] = -exponential_less_one_of(-2.0 * math.pi * self.current_bandwidth * rates.period)
+        law["current_step"] = np.array(loop.slew_rate) * rates.period
+        law["current_gain"] = -exponential_less_one_of(-2.0 * math.pi * loop.bandwidth * rates.period)
         law["following_error"] = self.following_error * gear
-        law["over_speed"] = self.over_speed * robot.max_velocity * gear
+        law["over_speed"] = self.supervision.over_speed * robot.max_velocity * gear
         if switch.model_parts:
-            assert self.model is not None
+            if self.model is None:
+                raise ConfigError("feed_forward by a model, without one; accepted: with one, or both switches off")
             model = law["model"]
             model["parts"] = switch.model_parts
             self.model.constants.fill(model, rates.position_period)
@@ -247,25 +294,21 @@ class CS7BParameters(Declared):
         return record
 
 
-CONTROLLER = CS7BParameters.group()
-"""What a controller file holds."""
-
-
 def load_controller(path: Path) -> CS7BParameters:
-    """Read a controller file."""
-    return read_controller(load_yaml(path))
+    """Read a controller file, and what the files of its model hold, if it names any or needs them."""
+    law = read_model(CS7BParameters, path)
+    return with_model(law, (law.model or ModelFiles()).resolved(path), plain(path))
 
 
-def read_controller(root: Section, model: ModelFiles | None = None) -> CS7BParameters:
-    """Check and return the content of a controller file.
+def with_model(law: CS7BParameters, model: ModelFiles, where: str) -> CS7BParameters:
+    """Return parameters with the files of a model, which are read once if the law needs them, or has any named.
 
     Args:
-        root: the file's content.
-        model: replaces the file's entry for the model.
+        law: the parameters.
+        model: resolved.
+        where: what names it, for messages.
     """
-    content = CONTROLLER.read(root)
-    model = model or ModelFiles.of(root)
-    if "model" in root or any(content["feed_forward"][name] for name in MODEL_PARTS):
-        with located(plain(root.file)):
-            _ = model.constants  # read once
-    return CS7BParameters.of_file(content, model=model)
+    if law.model is not None or law.feed_forward.model_parts:
+        with located(where):
+            _ = model.constants
+    return law.model_copy(update={"model": model})

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import ClassVar, NamedTuple, Protocol
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
+from pydantic import Field
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import Section, load_yaml
-from rx90_common.base.entries import LEFT_OUT, ListOf, Number, Numbers, Text
 from rx90_common.base.errors import LineError, located
-from rx90_common.base.groups import Group
-from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
+from rx90_common.base.models import FileModel, Row, Triple, quantity, read_model
+from rx90_common.description.branch import Branch
 from rx90_common.description.kinematics import PathError, Pose, path_error
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.description.rotations import axis_rotation, length, product, rpy_rotation, turn_between
@@ -31,48 +29,91 @@ SETTLING = 0.2
 USUAL_SPEED = 0.1
 USUAL_ACCELERATION = 1.0
 """What a line has whose speed and acceleration nobody names, m/s and m/s²."""
-_angles = partial(Numbers, count=3, low=-360.0, high=360.0)
-_rest = partial(Number, low=0.0, high=LONGEST_REST, default=LEFT_OUT)
 
-TASK = Group(
-    "A straight line of the tool centre point.",
-    keys={
-        "line": Group(
-            "The line and the motion along it.",
-            keys={
-                "start": Numbers("Start, in base_link.", "m", count=3),
-                "end": Numbers("End, in base_link.", "m", count=3),
-                "speed": Number("Speed along the line.", "m/s", low=0.0, above=True),
-                "acceleration": Number("Acceleration of both ramps.", "m/s^2", low=0.0, above=True),
-                "tool_rpy_degrees": _angles("Roll, pitch and yaw of the tool about fixed axes of base_link.", "deg"),
-                "end_tool_rpy_degrees": _angles(
-                    "The same at the end, where the tool turns on the way.", "deg", default=LEFT_OUT
-                ),
-                "rest_before": _rest("Time at rest before the line; 0.5 s if left out.", "s"),
-                "rest_after": _rest("Time at rest after the line; 0.5 s if left out.", "s"),
-                "singularity_margin": Number(
-                    "Smallest accepted distance from a singularity; 0.05 if left out.", "1",
-                    low=MARGIN_RANGE[0], high=MARGIN_RANGE[1], default=LEFT_OUT,
-                ),
-                "start_posture": ListOf(
-                    "Joint positions near which an arm without a spherical wrist starts; the middle of the joints' "
-                    "ranges if left out.", "rad", item=Number("A joint's position.", "rad"),
-                    accepted="a list of numbers, one per joint", default=LEFT_OUT,
-                ),
-            },
+_Rest: TypeAlias = Annotated[
+    float, quantity("s", "Time at rest before, or after, the motion.", ge=0.0, le=LONGEST_REST)
+]
+Angles: TypeAlias = Annotated[
+    tuple[Annotated[float, Field(ge=-360.0, le=360.0)], ...], Field(strict=False, min_length=3, max_length=3)
+]
+"""Roll, pitch and yaw about fixed axes, degrees."""
+
+
+class Posture(FileModel):
+    """Which solution of the inverse kinematics; of no meaning to an arm without a spherical wrist."""
+
+    shoulder: Annotated[Literal["front", "back"], Field(description="The side of the shoulder.")]
+    elbow: Annotated[Literal["positive", "negative"], Field(description="Sign of joint 3.")]
+    wrist: Annotated[Literal["positive", "negative"], Field(description="Sign of joint 5.")]
+
+
+class TipMotion(FileModel):
+    """What the motions along lines and along other paths have alike."""
+
+    speed: Annotated[float, quantity("m/s", "Speed along the path.", gt=0.0)]
+    acceleration: Annotated[float, quantity("m/s^2", "Largest acceleration along the path.", gt=0.0)]
+    tool_rpy_degrees: Annotated[
+        Angles, quantity("deg", "Roll, pitch and yaw of the tool at the start, about fixed axes of base_link.")
+    ]
+    rest_before: _Rest = 0.5
+    rest_after: _Rest = 0.5
+    singularity_margin: Annotated[
+        float,
+        quantity("1", "Smallest accepted distance from a singularity.", ge=MARGIN_RANGE[0], le=MARGIN_RANGE[1]),
+    ] = 0.05
+    start_posture: Annotated[
+        Row | None,
+        quantity(
+            "rad",
+            "Joint positions near which an arm without a spherical wrist starts; the middle of the joints' ranges if "
+            "left out.",
+            accepted="a list of numbers, one per joint",
         ),
-        "posture": Group(
-            "Which solution of the inverse kinematics; of no meaning to an arm without a spherical wrist.",
-            keys={
-                "shoulder": Text("The side of the shoulder.", choices=SHOULDERS),
-                "elbow": Text("Sign of joint 3.", choices=SIGNS),
-                "wrist": Text("Sign of joint 5.", choices=SIGNS),
-            },
-            default=LEFT_OUT,
-        ),
-    },
-)  # fmt: skip
-"""What a task file holds."""
+    ] = None
+
+    def values(self, posture: Posture | None) -> dict[str, Any]:
+        """Return them as the fields of a TipTask."""
+        branch = DEFAULT_BRANCH
+        if posture is not None:
+            branch = Branch(posture.shoulder, posture.elbow, posture.wrist)
+        return {
+            "speed": self.speed,
+            "acceleration": self.acceleration,
+            "start_rpy": radians(self.tool_rpy_degrees),
+            "rest_before": self.rest_before,
+            "rest_after": self.rest_after,
+            "branch": branch,
+            "singularity_margin": self.singularity_margin,
+            "start_posture": self.start_posture,
+        }
+
+
+class LineMotion(TipMotion):
+    """The line and the motion along it."""
+
+    start: Annotated[Triple, quantity("m", "Start, in base_link.")]
+    end: Annotated[Triple, quantity("m", "End, in base_link.")]
+    end_tool_rpy_degrees: Annotated[
+        Angles | None, quantity("deg", "tool_rpy_degrees at the end, where the tool turns on the way.")
+    ] = None
+
+
+class TaskFile(FileModel):
+    """A straight line of the tool centre point."""
+
+    line: LineMotion
+    posture: Posture | None = None
+
+    def task(self, file: Path) -> LineTask:
+        """Return the line that the file means.
+
+        Raises:
+            LineError: if the values do not make a line.
+        """
+        line = self.line
+        end_rpy = radians(line.end_tool_rpy_degrees or line.tool_rpy_degrees)
+        with located(file, LineError):
+            return LineTask(start=line.start, end=line.end, end_rpy=end_rpy, **line.values(self.posture))
 
 
 class PathMotion(NamedTuple):
@@ -330,23 +371,7 @@ def load_task(name: Path | str | None = None, *, robot: Path | str | None = None
     folder = None if robot is None else str(robot)
     own = None if name is None else str(name)
     file = RobotFiles.named(folder, task=own).required("task")
-    return task_of(file, load_yaml(file))
-
-
-def task_of(file: Path, root: Section) -> LineTask:
-    """Return the line that the content of a task file means, as `load_task` does."""
-    content = TASK.read(root)
-    line = content["line"]
-    start_rpy = line.pop("tool_rpy_degrees")
-    end_rpy = line.pop("end_tool_rpy_degrees", start_rpy)
-    posture = content.get("posture", {})
-    with located(file, LineError):
-        return LineTask(
-            **line,
-            start_rpy=radians(start_rpy),
-            end_rpy=radians(end_rpy),
-            branch=Branch(**posture),
-        )
+    return read_model(TaskFile, file).task(file)
 
 
 def radians(degrees: tuple[float, ...]) -> tuple[float, ...]:

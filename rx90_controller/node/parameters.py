@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -13,17 +12,23 @@ from typing import Any, Final
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 
-from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.declared import option
-from rx90_common.base.entries import Numbers
-from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Group
+from rx90_common.base.errors import ConfigError, located
+from rx90_common.base.models import FileModel, unit_of
 from rx90_common.base.quoting import quoted
 from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.parameters import Effective, declare, declare_options
 from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS
 from rx90_controller.law.cs7b import CS7B
-from rx90_controller.law.parameters import CONTROLLER, CS7BParameters, read_controller
+from rx90_controller.law.model import ModelFiles
+from rx90_controller.law.parameters import (
+    CS7BParameters,
+    FeedForward,
+    Servo,
+    Supervision,
+    load_controller,
+    with_model,
+)
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, constraint_parameters
 from rx90_controller.trajectory.stream import StreamOptions
@@ -39,7 +44,6 @@ _UNUSED_PARAMETERS = re.compile(
 )
 _SIMULATED_RATE: Final = "in simulated time, Hz; every whole number of position ticks"
 _OF_JOINTS: Final = "; one value for each motor, seen from its joint"
-_CHANGEABLE: Final = ("servo", "feed_forward", "supervision")
 
 
 def declare_own(node: Node) -> tuple[float, int]:
@@ -159,12 +163,12 @@ def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:
     node.changes.allow(tuple(constraint_parameters(names)), tolerances, setter("tolerances"))
 
 
-LAW_ENTRIES: Final = {
-    f"{section}.{key}": shape
-    for section, group in CONTROLLER.keys.items()
-    if section in _CHANGEABLE and isinstance(group, Group)
-    for key, shape in group.keys.items()
-}
+LAW_ENTRIES: Final = tuple(
+    f"{section}.{key}"
+    for section, block in (("servo", Servo), ("feed_forward", FeedForward), ("supervision", Supervision))
+    for key in block.model_fields
+    if key not in FileModel.about_keys
+)
 """Keys of a controller file whose values may change while the loops run, as `section.key`, with their ranges."""
 
 
@@ -182,30 +186,28 @@ def declare_law(node: Node, path: Path) -> tuple[CS7BParameters, Callable[[Mappi
         The file's parameters, overridden by those given at the start, and a function that returns them
         with other values of LAW_ENTRIES and raises ConfigError.
     """
-    root = load_yaml(path)
-    model = read_controller(root).model  # whose files are read once
-    of_file = CONTROLLER.read(root)
-    joints = len(of_file["servo"]["inertia"])
+    law = load_controller(path)
 
     def read(values: Mapping[str, Any]) -> CS7BParameters:
-        content = copy.deepcopy(of_file)
+        changes: dict[str, dict[str, Any]] = {}
         for name, value in values.items():
-            section, _, key = name.partition(".")
-            if isinstance(LAW_ENTRIES[name], Numbers) and len(value) != joints:
-                accepted = f"{joints} numbers, as many as inertia has"
-                raise ConfigError(f"parameter: {name} is {quoted(list(value))}; accepted: {accepted}")
-            content[section][key] = value if isinstance(value, bool | float) else list(value)
-        return read_controller(Section(content, Path("parameter")), model)
+            block, _, key = name.partition(".")
+            changes.setdefault(block, {})[key] = value if isinstance(value, bool | float) else list(value)
+        with located("parameter"):
+            changed = law.replaced(**changes)
+        return with_model(changed, changed.model or ModelFiles(), "parameter")
 
     given: dict[str, Any] = {}
-    for name, shape in LAW_ENTRIES.items():
-        section, _, key = name.partition(".")
-        value = of_file[section][key]
-        unit = f", {shape.unit}" if len(shape.unit) > 1 else ""
-        if not isinstance(value, bool):
-            value = [float(each) for each in value] if isinstance(value, tuple) else float(value)
-        if isinstance(value, list) and len(value) == 1:  # a default, for all motors
-            value *= joints
-        about = f"{shape.about[:-1]}{unit}{_OF_JOINTS if isinstance(shape, Numbers) else ''}"
+    for name in LAW_ENTRIES:
+        block, _, key = name.partition(".")
+        holder = getattr(law, block)
+        value = getattr(holder, key)
+        unit = unit_of(type(holder), key)
+        about = str(type(holder).model_fields[key].description)[:-1]
+        if len(unit) > 1:
+            about += f", {unit}"
+        if isinstance(value, tuple):
+            value = list(value)
+            about += _OF_JOINTS
         given[name] = declare(node, name, value, about)
     return read(given), read

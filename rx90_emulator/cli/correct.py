@@ -143,13 +143,13 @@ def _trials(learner: Learner, options: argparse.Namespace) -> LearnedCorrection:
 
 def _path(name: str, setup: Setup) -> CorrectablePath:
     """Return the path of a file: a path file, a task of a line, or a trajectory."""
-    from rx90_common.base.config import load_yaml
+    from rx90_common.base.config import read_yaml
     from rx90_emulator.correction.path import TrajectoryPath
     from rx90_emulator.loop.line import plan_path
     from rx90_emulator.loop.path_file import load_motion, load_trajectory
 
     file = Path(name)
-    if file.is_file() and "joint_names" in load_yaml(file, first=True):
+    if file.is_file() and "joint_names" in read_yaml(file, first=True):
         return TrajectoryPath.of(setup, load_trajectory(file, setup.robot.joint_names))
     return plan_path(setup, load_motion(name))
 
@@ -168,9 +168,9 @@ def _show(options: argparse.Namespace) -> None:
     head = found.head
     offsets = found.correction.offsets
     period = found.correction.period
-    print(f"robot {plain(head['robot'])}, {head['payload']['mass']:.4g} kg on the last joint")
-    print(f"path of {head['path']['duration']:.3f} s, up to {head['path']['speed'] * 1e3:.4g} mm/s")
-    print(f"learned by {plain(head['method'])}")
+    print(f"robot {plain(head.robot)}, {head.payload.mass:.4g} kg on the last joint")
+    print(f"path of {head.path.duration:.3f} s, up to {head.path.speed * 1e3:.4g} mm/s")
+    print(f"learned by {plain(head.method)}")
     for number, (how, worst) in enumerate(zip(found.measurements, found.worst, strict=True)):
         print(f"trial {number}, {how}: worst {worst * 1e3:.4f} mm")
     rate = float(np.abs(np.diff(offsets, axis=0)).max(initial=0.0)) / period

@@ -10,23 +10,23 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Field, ValidationError
 
 from friction_bench.rig.rig_file import RIG, load_rig
-from rx90_common.bags.mapping import MAPPING, LogMapping
-from rx90_common.bags.tolerance import TOLERANCES, load_rules
-from rx90_common.base.config import Section, load_yaml
+from rx90_common.bags.mapping import LogMapping, SignalMapFile
+from rx90_common.bags.tolerance import TolerancesFile, load_rules
+from rx90_common.base.config import Section
 from rx90_common.base.entries import JsonSchema
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import DEFINITIONS
 from rx90_common.base.models import FileModel, Model, Named, fault_lines, json_schema, quantity, read_model
 from rx90_common.base.quoting import plain
-from rx90_common.description.drives import DRIVES, load_drives
-from rx90_common.description.robot import TOOL, load_tool
+from rx90_common.description.drives import DriveParameters, load_drives
+from rx90_common.description.robot import Tool, load_tool
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_controller.law.parameters import CONTROLLER, load_controller
-from rx90_controller.lines.task import TASK, load_task
-from rx90_emulator.correction.file import CORRECTION, load_correction
-from rx90_emulator.identification.experiments.plan import EXPERIMENTS, POSES, Poses, read_index
-from rx90_emulator.loop.path_file import PATH, TRAJECTORY, load_path, load_trajectory
-from rx90_emulator.sweep.plan import PLAN, load_sweep_plan
+from rx90_controller.law.parameters import CS7BParameters, load_controller
+from rx90_controller.lines.task import TaskFile, load_task
+from rx90_emulator.correction.file import CorrectionHead, load_correction
+from rx90_emulator.identification.experiments.plan import ExperimentsFile, Poses, PosesFile, read_index
+from rx90_emulator.loop.path_file import PathFile, TrajectoryFile, load_path, load_trajectory
+from rx90_emulator.sweep.plan import PlanFile, load_sweep_plan
 
 NODE_PARAMETERS = "node_parameters"
 """The name of the kind of the nodes' parameter files."""
@@ -104,25 +104,25 @@ class FileKind:
 
 
 KINDS = (
-    FileKind("drives", DRIVES, load_drives),
-    FileKind("tool", TOOL, load_tool),
+    FileKind("drives", DriveParameters, load_drives),
+    FileKind("tool", Tool, load_tool),
     FileKind("friction", FrictionFile, FrictionFile.read),
-    FileKind("controller", CONTROLLER, load_controller),
-    FileKind("task", TASK, load_task),
-    FileKind("path", PATH, load_path),
-    FileKind("poses", POSES, Poses.load),
+    FileKind("controller", CS7BParameters, load_controller),
+    FileKind("task", TaskFile, load_task),
+    FileKind("path", PathFile, load_path),
+    FileKind("poses", PosesFile, Poses.load),
     FileKind("moveit_limits", MoveItLimits, lambda path: read_model(MoveItLimits, path)),
     FileKind("rig", RIG, load_rig),
-    FileKind("sweep_plan", PLAN, _read_sweep),
+    FileKind("sweep_plan", PlanFile, _read_sweep),
     FileKind(
         "trajectory",
-        TRAJECTORY,
-        lambda path: load_trajectory(path, TRAJECTORY.read(load_yaml(path, first=True))["joint_names"]),
+        TrajectoryFile,
+        lambda path: load_trajectory(path, read_model(TrajectoryFile, path, first=True).joint_names),
     ),
-    FileKind("log_mapping", MAPPING, LogMapping.load),
-    FileKind("tolerances", TOLERANCES, load_rules),
-    FileKind("correction", CORRECTION, load_correction),
-    FileKind("experiments", EXPERIMENTS, lambda path: read_index(path.parent)),
+    FileKind("log_mapping", SignalMapFile, LogMapping.load),
+    FileKind("tolerances", TolerancesFile, load_rules),
+    FileKind("correction", CorrectionHead, load_correction),
+    FileKind("experiments", ExperimentsFile, lambda path: read_index(path.parent)),
 )
 """All kinds but the nodes' parameter files, which need ROS: see nodes.py.
 

@@ -7,7 +7,7 @@ files take: `NODE: {ros__parameters: {…}}`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,7 +26,6 @@ from rx90_common.exchange.lifecycle import declare_autostart
 from rx90_common.exchange.parameters import OF_ROS, declare_rates, declare_robot_files
 from rx90_controller.node.parameters import FILE_PARAMETERS as CONTROLLER_FILES
 from rx90_controller.node.parameters import (
-    LAW_ENTRIES,
     declare_goal_parameters,
     declare_law,
     declare_own,
@@ -117,8 +116,6 @@ def _declare_controller(node: Any) -> None:
     files = declare_robot_files(node, *CONTROLLER_FILES)
     declare_own(node)
     declare_law(node, files.controller)
-    for name, entry in LAW_ENTRIES.items():  # which say more than a descriptor: the range of each number
-        node.entries[name] = replace(entry, default=node.entries[name].default)
     declare_goal_parameters(node, load_robot(files.urdf).joint_names)
 
 

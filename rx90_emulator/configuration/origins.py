@@ -17,6 +17,7 @@ from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import FILES, NO_TOOL, RobotFiles
 from rx90_common.friction.signs import SIGNS
 from rx90_controller.law.model import ROLES, ModelFiles
+from rx90_controller.law.parameters import load_controller
 from rx90_emulator.configuration.kinds import KINDS
 from rx90_emulator.loop.setup import Setup
 
@@ -174,12 +175,12 @@ def setup_values(files: RobotFiles, chosen: Mapping[str, str]) -> list[ShownValu
     for role in FILES:
         if role != "urdf" and (path := getattr(files, role)) is not None:
             found += file_values(role, path)
-    model = ModelFiles.of(load_yaml(files.controller))
+    model = load_controller(files.controller).model or ModelFiles()
     origin = f"beside {place_of(files.controller)}"
     named = {one.name for one in found}
     for role in ROLES:
         name = f"controller.model.{role}"
-        own = getattr(model, role)
+        own = model.path(role)
         if name not in named and (own is None or own.is_file()):
             found.append(ShownValue(name, NO_TOOL if own is None else place_of(own), "", origin))
     return found

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -43,7 +43,9 @@ TIP = "tip"
 ENGINE = "engine"
 NODES = "nodes"
 RECORD = "record"
-MEASUREMENTS: Final = tuple(f"{what}, {where}" for what in (ENCODERS, TIP) for where in (ENGINE, NODES, RECORD))
+Measurement: TypeAlias = Literal[
+    "encoders, engine", "encoders, nodes", "encoders, record", "tip, engine", "tip, nodes", "tip, record"
+]
 """By what and where a trial was measured; path errors that were measured in another way cannot be compared."""
 _LONGEST = 600_000  # set-points: the feedback of norm-optimal takes 1.5 kB for each
 MAX_WORSE_TRIALS: Final = 4
@@ -156,7 +158,7 @@ class Learner:
         self._gain = 0.5**self._worse
 
     def measurement(self, where: str) -> str:
-        """Return by what and where trials are measured, in the form of MEASUREMENTS."""
+        """Return by what and where trials are measured, see Measurement."""
         return f"{TIP if self.tip else ENCODERS}, {where}"
 
     @property
@@ -236,7 +238,7 @@ class LearnedCorrection:
         setup: the arm in the method's model.
         path: the corrected path.
         method: of learning.
-        measurement: by what and where the trials were measured, of MEASUREMENTS.
+        measurement: by what and where the trials were measured, see Measurement.
         correction: the best one; after a record, the one for the next trial.
         trials: all of them; the first is without correction, or with the one that learning continued from.
         best_offsets: of the best trial, rad, shape (n, j).

@@ -136,7 +136,7 @@ def response(setup: Setup, setpoints: Array) -> tuple[Array, Array, int]:
     joints = setpoints.shape[2]
     viscous = elements.T @ np.diag([element.c2 for element in setup.friction.elements]) @ elements
     # The velocity observer, critically damped, lags by twice its time constant; a set-point is constant for its period.
-    lag = (1.0 / controller.current_bandwidth + 2.0 / setup.drives.velocity_bandwidth) / (2.0 * math.pi)
+    lag = (1.0 / controller.current_loop.bandwidth + 2.0 / setup.drives.velocity_bandwidth) / (2.0 * math.pi)
     lag += 0.5 * setup.rates.period
     proportional = np.diag(controller.inertia * (controller.kv * controller.kp)) @ turns
     derivative = np.diag(controller.inertia * controller.kv) @ turns

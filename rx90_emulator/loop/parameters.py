@@ -20,15 +20,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from rx90_common.base.declared import Declared, declarations
-from rx90_common.base.entries import Integer, ListOf, Number, Other, Rows, Switch
 from rx90_common.base.errors import ConfigError, check_type, located
-from rx90_common.base.models import FileModel, Model, unit_of
+from rx90_common.base.models import AnyModel, Model, path_of, unit_of
 from rx90_common.base.quoting import nearest, question, quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
 from rx90_common.friction.parts.scatter import LARGEST_SEED
-from rx90_common.friction.signs import SIGNS, BySign
+from rx90_common.friction.signs import BySign
 from rx90_controller.lines.task import LineTask
 from rx90_controller.paths.path import Path
 from rx90_emulator.loop.setup import Setup
@@ -108,51 +106,43 @@ class Catalogue:
         self._values: dict[Key, Any] = {}
         self._leaves: dict[Key, tuple[Key, ...]] = {}  # what a path names, each by its place in the models
         self._add(("arm", "seed"), setup.seed, "1")
-        self._add_declared(("drives",), setup.drives)
-        self._add_declared(("controller",), setup.controller)
+        self._add_model(("drives",), ("drives",), setup.drives)
+        self._add_model(("controller",), ("controller",), setup.controller)
         for field, unit in TASK_UNITS.items():
             if hasattr(task, field):
                 self._add(("task", field), getattr(task, field), unit)
         for name, element in zip(setup.friction.names, setup.friction.elements, strict=True):
-            self._add_model(("friction", name), element)
+            self._add_model(("friction", name), ("friction", name), element)
         for i, (field, unit) in itertools.product(range(len(setup.robot.joint_names)), ARM_UNITS.items()):
             self._add(("arm", f"link_{i + 1}", field), getattr(setup.robot.chain, field)[i], unit)
 
-    def _add(self, key: Key, value: Any, unit: str, path: Key | None = None) -> None:
+    def _add(self, key: Key, value: Any, unit: str, path: Key = ()) -> None:
         self._units[key] = unit
         self._values[key] = value
         self._leaves[path or key] = (key,)
 
-    def _add_model(self, prefix: Key, model: Model) -> None:
-        """Add all numbers and switches of a model, and of the models in it."""
-        for name, value in model:
-            key = (*prefix, name)
-            if name in FileModel.about_keys:
-                continue
-            if isinstance(value, BySign) and isinstance(value.positive, float):
-                unit = unit_of(type(model), name) or "1"
-                for sign, number in value:
-                    if sign in SIGNS:
-                        self._add((*key, sign), number, unit, (*prefix, f"{name}_{sign}"))
-                self._leaves[key] = tuple((*key, sign) for sign in SIGNS)
-            elif isinstance(value, Model):
-                self._add_model(key, value)
-            elif isinstance(value, bool):
-                self._add(key, value, SWITCH)
-            elif isinstance(value, int | float) or (isinstance(value, tuple) and value):
-                self._add(key, value, unit_of(type(model), name) or "1")
+    def _add_model(self, around: Key, path: Key, model: Model) -> None:
+        """Add all numbers and switches of a model, and of the models in it.
 
-    def _add_declared(self, prefix: Key, holder: Declared) -> None:
-        """Add all numbers and switches that a declared object holds, and what it holds of others."""
-        for one in declarations(type(holder)).values():
-            value = getattr(holder, one.name)
-            key = (*prefix, one.name)
-            if isinstance(value, Declared):
-                self._add_declared(key, value)
-            elif isinstance(one.entry, Switch):
-                self._add(key, value, SWITCH)
-            elif isinstance(one.entry, Number | Integer | Rows | ListOf | Other) and np.size(value):
-                self._add(key, value, one.entry.unit or "1")
+        Args:
+            around: the place of the model.
+            path: that leads to it.
+            model: with the values.
+        """
+        for name, value in model:
+            key = (*around, name)
+            if isinstance(value, BySign) and isinstance(value.positive, float):
+                unit = unit_of(type(model), name)
+                self._add((*key, "positive"), value.positive, unit, (*path, f"{name}_positive"))
+                self._add((*key, "negative"), value.negative, unit, (*path, f"{name}_negative"))
+                self._leaves[(*path, name)] = ((*key, "positive"), (*key, "negative"))
+            elif isinstance(value, Model):
+                self._add_model(key, (*path, name), value)
+            elif isinstance(value, bool):
+                self._add(key, value, SWITCH, (*path, name))
+            elif value is not None and np.size(value) and (unit := unit_of(type(model), name)):
+                short = path_of(type(model), name)
+                self._add(key, value, unit, (path[0], short) if short else (*path, name))
 
     def value(self, leaf: Leaf) -> Value:
         """Return a value as the files have it."""
@@ -254,7 +244,36 @@ def apply(setup: Setup, task: Motion, values: Mapping[Leaf, Value]) -> tuple[Set
         ConfigError, LineError: if a value is out of range.
     """
     tree = _tree(values)
-    return _changed(setup, tree), replace(task, **_fields(task, tree["task"])) if "task" in tree else task
+    return _changed(setup, tree), replace(task, **_changes(task, tree["task"])) if "task" in tree else task
+
+
+def _changes(holder: Any, tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the changed fields, of a model in it a mapping of its own."""
+    changes: dict[str, Any] = {}
+    for name, entries in tree.items():
+        old = getattr(holder, name)
+        changes[name] = _changes(old, entries) if isinstance(old, Model) else _with_entries(old, entries)
+    return changes
+
+
+def _changed_model(where: str, model: AnyModel, tree: Mapping[str, Any]) -> AnyModel:
+    """Return a file's content with some values changed."""
+    if not tree:
+        return model
+    with located(where):
+        return model.replaced(**_changes(model, tree))
+
+
+def _with_entries(old: Any, entries: Mapping[Index, Value]) -> Any:
+    """Return a value, or rows of values, with some of them changed."""
+    if () in entries:
+        value = entries[()]
+        whole = type(old) is int and isinstance(value, float) and value.is_integer()
+        return int(value) if whole else value
+    numbers = np.array(old, dtype=np.float64)
+    for index, value in entries.items():
+        numbers[index] = value
+    return tuple(numbers.tolist())
 
 
 def _tree(values: Mapping[Leaf, Value]) -> dict[str, Any]:
@@ -269,10 +288,14 @@ def _tree(values: Mapping[Leaf, Value]) -> dict[str, Any]:
 
 
 def _changed(setup: Setup, tree: Mapping[str, Any]) -> Setup:
-    new = {name: _replaced(name, getattr(setup, name), tree[name]) for name in ("drives", "controller") if name in tree}
+    new: dict[str, Any] = {}
+    if "drives" in tree:
+        new["drives"] = _changed_model("drives", setup.drives, tree["drives"])
+    if "controller" in tree:
+        new["controller"] = _changed_model("controller", setup.controller, tree["controller"])
     if "friction" in tree:
         elements = zip(setup.friction.names, setup.friction.elements, strict=True)
-        changed = [_replaced(f"friction.{name}", one, tree["friction"].get(name, {})) for name, one in elements]
+        changed = [_changed_model(f"friction.{name}", one, tree["friction"].get(name, {})) for name, one in elements]
         new["friction"] = replace(setup.friction, elements=tuple(changed))
     links = dict(tree.get("arm", {}))
     if (seed := links.pop("seed", {(): None})[()]) is not None:
@@ -282,32 +305,6 @@ def _changed(setup: Setup, tree: Mapping[str, Any]) -> Setup:
     if links:
         new["robot"] = _robot(setup.robot, links)
     return replace(setup, **new) if new else setup
-
-
-def _replaced(where: str, holder: Any, tree: Mapping[str, Any]) -> Any:
-    """Return a dataclass with changed values of its own, and of the dataclasses in it, such as parts of an element."""
-    if not tree:
-        return holder
-    changes = _fields(holder, tree, where)
-    with located(where):
-        return holder.replaced(**changes) if isinstance(holder, Model) else replace(holder, **changes)
-
-
-def _fields(holder: object, tree: Mapping[str, Any], where: str = "") -> dict[str, Any]:
-    """Return the changed fields of a dataclass; those that hold several numbers keep their other ones."""
-    fields: dict[str, Any] = {}
-    for name, entries in tree.items():
-        old = getattr(holder, name)
-        if () in entries:
-            fields[name] = entries[()]
-        elif isinstance(next(iter(entries)), str):
-            fields[name] = _replaced(f"{where}.{name}" if isinstance(old, Model) else where, old, entries)
-        else:
-            numbers = np.array(old, dtype=np.float64)
-            for index, value in entries.items():
-                numbers[index] = value
-            fields[name] = tuple(numbers.tolist()) if isinstance(old, tuple) else numbers
-    return fields
 
 
 def _robot(robot: RobotModel, links: Mapping[str, Any]) -> RobotModel:

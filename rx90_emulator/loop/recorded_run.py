@@ -26,8 +26,6 @@ from rx90_emulator.loop.setup import Setup
 
 OF_LAW = ("servo.", "feed_forward.", "supervision.")
 """How the names of parameters begin that are constants of the law: the sections of the controller file."""
-_ATTRIBUTES = {"coulomb_torque": "coulomb", "viscous_friction": "viscous"}
-"""Keys of the controller file whose attributes have other names."""
 _AT_REST = 0.01  # rad/s
 _LATEST_BEGIN = 100.0  # s of simulated time before the bag begins; the loop runs through it
 
@@ -118,9 +116,8 @@ def _is_other(name: str, value: Any, law: CS7BParameters) -> bool:
     """Return whether a parameter of the controller node had another value than the setup's law, or than its default."""
     if not name.startswith(OF_LAW):
         return value is True and name in {field.name for field in fields(GoalOptions)}
-    key = name.partition(".")[2]
-    holder = law.feed_forward if name.startswith("feed_forward.") and hasattr(law.feed_forward, key) else law
-    return not np.array_equal(np.asarray(value), getattr(holder, _ATTRIBUTES.get(key, key)))
+    block, _, key = name.partition(".")
+    return not np.array_equal(value, getattr(getattr(law, block), key))
 
 
 def _position_at_rest(bag: Path | str, states: JointSeries, names: Sequence[str]) -> Array:

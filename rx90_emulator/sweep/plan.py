@@ -8,20 +8,18 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import KW_ONLY, asdict, dataclass, field, replace
-from functools import partial
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import KW_ONLY, asdict, dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
+from pydantic import Field, model_validator
 
-from rx90_common.base.config import Section, load_yaml
-from rx90_common.base.entries import LEFT_OUT, Entry, Integer, ListOf, Number, Numbers, Other, Switch, Text
-from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Either, Entries, Group
+from rx90_common.base.errors import ConfigError, located
+from rx90_common.base.models import FileModel, OneOf, Some, Triple, quantity, read_model
+from rx90_common.base.quoting import plain
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import DESCRIPTIONS, FILES, MODEL_FILES, RobotFiles
@@ -32,7 +30,6 @@ MOST_RUNS = 10_000_000
 LARGEST_SEED = 2**63 - 1
 _ROLES = (*MODEL_FILES, "task")
 _LEAST_SHARE = 1e-3
-_Thing = TypeVar("_Thing")
 
 
 @dataclass(frozen=True)
@@ -332,120 +329,180 @@ _DRAWN = (
     "{normal: {mean: x, deviation: x, low: x, high: x}} (the bounds may be left out)"
 )
 
-_KINDS: dict[str, Callable[..., Values | Distribution]] = {
-    "linspace": Values.linspace, "geomspace": Values.geomspace, "uniform": Uniform, "loguniform": LogUniform,
-}  # fmt: skip
+_Pair: TypeAlias = Annotated[tuple[float, ...], Field(strict=False, min_length=2, max_length=2)]
+_Value: TypeAlias = Annotated[bool | float, Field(json_schema_extra={"accepted": "finite numbers, or true and false"})]
 
 
-_VALUE = Other(
-    "A value.",
-    accepted="finite numbers, or true and false",
-    good=lambda value: isinstance(value, int | float) and abs(value) <= sys.float_info.max,
-    fragment={"anyOf": [Number("").rules(), Switch("").rules()]},
-)
-_spaced = partial(Numbers, count=3, default=LEFT_OUT)
-_SPACED = Group(
-    "Values at even distances or ratios, both ends included.",
-    keys={
-        "linspace": _spaced("Start, stop and count of evenly spaced values."),
-        "geomspace": _spaced("Start, stop and count of values with a constant ratio."),
-    },
-    one_of=("linspace", "geomspace"),
-)
-_VALUES = Either(
-    "The values, in their order.",
-    mapping=_SPACED,
-    plain=ListOf("The values.", item=_VALUE, least=1, accepted=_SPACES),
-    default=LEFT_OUT,
-)
-_DISTRIBUTION = Group(
-    "The distribution that values are drawn from.",
-    keys={
-        "uniform": Numbers("Bounds; every value between them is as likely.", count=2, default=LEFT_OUT),
-        "loguniform": Numbers("Bounds, above 0; the logarithm is uniform.", count=2, default=LEFT_OUT),
-        "normal": Group(
-            "A normal distribution, cut off at the bounds.",
-            keys={
-                "mean": Number("Mean."),
-                "deviation": Number("Standard deviation.", low=0.0, above=True),
-                "low": Number("Lower bound; none if left out.", default=LEFT_OUT),
-                "high": Number("Upper bound; none if left out.", default=LEFT_OUT),
-            },
-            default=LEFT_OUT,
+class SpacedValues(OneOf):
+    """Values at even distances or ratios, both ends included."""
+
+    one_of = ("linspace", "geomspace")
+
+    linspace: Annotated[Triple | None, Field(description="Start, stop and count of evenly spaced values.")] = None
+    geomspace: Annotated[Triple | None, Field(description="Start, stop and count of values with a constant ratio.")] = (
+        None
+    )
+
+    def space(self) -> Values:
+        """Return the values."""
+        if self.linspace is not None:
+            return Values.linspace(*self.linspace)
+        assert self.geomspace is not None
+        return Values.geomspace(*self.geomspace)
+
+
+class NormalDistribution(FileModel):
+    """A normal distribution, cut off at the bounds."""
+
+    mean: Annotated[float, Field(description="Mean.")]
+    deviation: Annotated[float, Field(gt=0.0, description="Standard deviation.")]
+    low: Annotated[float | None, Field(description="Lower bound; none if left out.")] = None
+    high: Annotated[float | None, Field(description="Upper bound; none if left out.")] = None
+
+
+class DrawnValues(OneOf):
+    """The distribution that values are drawn from."""
+
+    one_of = ("uniform", "loguniform", "normal")
+
+    uniform: Annotated[_Pair | None, Field(description="Bounds; every value between them is as likely.")] = None
+    loguniform: Annotated[_Pair | None, Field(description="Bounds, above 0; the logarithm is uniform.")] = None
+    normal: NormalDistribution | None = None
+
+    def space(self) -> Distribution:
+        """Return the distribution."""
+        if self.uniform is not None:
+            return Uniform(*self.uniform)
+        if self.loguniform is not None:
+            return LogUniform(*self.loguniform)
+        assert self.normal is not None
+        low = -math.inf if self.normal.low is None else self.normal.low
+        high = math.inf if self.normal.high is None else self.normal.high
+        return Normal(self.normal.mean, self.normal.deviation, low, high)
+
+
+_Listed: TypeAlias = Annotated[
+    Annotated[tuple[_Value, ...], Field(strict=False, min_length=1)] | SpacedValues,
+    Field(json_schema_extra={"accepted": _SPACES}),
+]
+_Drawn: TypeAlias = Annotated[DrawnValues, Field(json_schema_extra={"accepted": _DRAWN})]
+_Space: TypeAlias = tuple[Value, ...] | SpacedValues | DrawnValues
+
+
+class _Swept(OneOf):
+    """A swept quantity; its name is the path that it sets, unless there are paths."""
+
+    one_of = ("value", "factor")
+
+    paths: Annotated[
+        tuple[str, ...] | None,
+        Field(
+            strict=False, min_length=1, description="Paths, such as friction.*.c0, that are all set to the same value."
         ),
-    },
-    one_of=("uniform", "loguniform", "normal"),
-    accepted=_DRAWN,
-    default=LEFT_OUT,
-)
+    ] = None
+    each: Annotated[
+        bool, Field(description="Whether every place that a * stands for is drawn on its own; of random draws only.")
+    ] = False
+
+    def _parameter(self, where: str, name: str, value: _Space | None, factor: _Space | None) -> SweptParameter:
+        given = factor if value is None else value
+        with located(f"{where}.{'factor' if value is None else 'value'}"):
+            space = given.space() if isinstance(given, SpacedValues | DrawnValues) else Values(given or ())
+        with located(where):
+            return SweptParameter(name, paths=self.paths or (), factor=value is None, space=space, each=self.each)
 
 
-def _swept(space: Entry) -> Group:
-    path = Text("A path, such as friction.*.c0.")
-    each = "Whether every place that a * stands for is drawn on its own; of random draws only."
-    return Group(
-        "A swept quantity; its name is the path that it sets, unless there are paths.",
-        keys={
-            "paths": ListOf(
-                "Paths that are all set to the same value.", item=path, least=1, accepted="at least one path",
-                default=LEFT_OUT,
-            ),
-            "value": replace(space, about=f"{space.about} They replace what the files have."),
-            "factor": replace(space, about=f"{space.about} They multiply what the files have."),
-            "each": Switch(each, default=False),
-        },
-        one_of=("value", "factor"),
-    )  # fmt: skip
+class GridParameter(_Swept):
+    """A quantity with a list of values; its name is the path that it sets, unless there are paths."""
+
+    value: Annotated[_Listed | None, Field(description="The values, which replace what the files have.")] = None
+    factor: Annotated[_Listed | None, Field(description="The values, which multiply what the files have.")] = None
+
+    def parameter(self, where: str, name: str) -> SweptParameter:
+        """Return the quantity of this name; `where` names it in refusals."""
+        return self._parameter(where, name, self.value, self.factor)
 
 
-def _name(role: str) -> Text:
+class DrawnParameter(_Swept):
+    """A quantity with a distribution; its name is the path that it sets, unless there are paths."""
+
+    value: Annotated[_Drawn | None, Field(description="Distribution of what replaces the files' value.")] = None
+    factor: Annotated[_Drawn | None, Field(description="Distribution of what multiplies the files' value.")] = None
+
+    def parameter(self, where: str, name: str) -> SweptParameter:
+        """Return the quantity of this name; `where` names it in refusals."""
+        return self._parameter(where, name, self.value, self.factor)
+
+
+class BlockFile(FileModel):
+    """All combinations of the grid's values, each with the same random draws."""
+
+    grid: Annotated[
+        Some[GridParameter] | None,
+        Field(description="Parameters with lists of values, the last one varying fastest."),
+    ] = None
+    random: Annotated[Some[DrawnParameter] | None, Field(description="Parameters with distributions.")] = None
+    draws: Annotated[int | None, Field(ge=1, le=MOST_RUNS, description="How often the random ones are drawn.")] = None
+
+    @model_validator(mode="after")
+    def _check_parts(self) -> BlockFile:
+        if self.grid is None and self.random is None:
+            raise ValueError("has no parameters; accepted: one or both of grid, random")
+        if self.random is not None and self.draws is None:
+            raise ValueError(f"draws is missing beside random; accepted: an integer in [1, {MOST_RUNS}]")
+        return self
+
+    def block(self, where: str, name: str) -> Block:
+        """Return the block of this name; `where` names it in refusals."""
+        listed = {} if self.grid is None else self.grid.entries
+        drawn = {} if self.random is None else self.random.entries
+        grid = tuple(swept.parameter(f"{where}.grid.{key}", key) for key, swept in listed.items())
+        random = tuple(swept.parameter(f"{where}.random.{key}", key) for key, swept in drawn.items())
+        with located(where):
+            return Block(name, grid, random, 1 if self.draws is None else self.draws)
+
+
+def _file(role: str) -> Any:
     about = f"{DESCRIPTIONS[role][0].upper()}{DESCRIPTIONS[role][1:]}"
-    return Text(f"{about}: beside the plan, or a shipped one; the robot's {FILES[role]} if left out.", default=LEFT_OUT)
+    return Field(description=f"{about}: beside the plan, or a shipped one; the robot's {FILES[role]} if left out.")
 
 
-_rate = partial(Integer, unit="Hz", low=1, high=10**9)
-PLAN = Group(
-    "A plan of many closed-loop runs, for rx90_sweep.",
-    keys={
-        "seed": Integer("Seed of all random draws.", low=0, high=LARGEST_SEED, default=0),
-        "base": Group(
-            "What every run starts from.",
-            keys={
-                "robot": Text("A shipped robot, or a robot folder; the RX90B if left out.", default=LEFT_OUT),
-                **{role: _name(role) for role in _ROLES},
-                "base_rate": _rate("Rate of plant and velocity loop.", default=Rates.base_hz),
-                "position_rate": _rate("Rate of the position loop.", default=Rates.position_hz),
-                "substeps": Integer(
-                    "Plant steps in a tick; left out: as many as the arm of each run needs.",
-                    low=1, high=1000, default=LEFT_OUT,
-                ),
-            },
-            default=LEFT_OUT,
-        ),
-        "blocks": Entries(
-            "Blocks of runs, by names of your own.",
-            of=Group(
-                "All combinations of the grid's values, each with the same random draws.",
-                keys={
-                    "grid": Entries(
-                        "Parameters with lists of values, the last one varying fastest.",
-                        of=_swept(_VALUES), least=1, what="parameter", default=LEFT_OUT,
-                    ),
-                    "random": Entries(
-                        "Parameters with distributions.", of=_swept(_DISTRIBUTION), least=1, what="parameter",
-                        default=LEFT_OUT,
-                    ),
-                    "draws": Integer("How often the random ones are drawn.", low=1, high=MOST_RUNS, default=1),
-                },
-                some_of=("grid", "random"),
-                needed_by={"random": "draws"},
-            ),
-            least=1,
-            what="block",
-        ),
-    },
-)  # fmt: skip
-"""What a sweep plan holds."""
+class BaseFile(FileModel):
+    """What every run starts from."""
+
+    robot: Annotated[str | None, Field(description="A shipped robot, or a robot folder; the RX90B if left out.")] = None
+    urdf: Annotated[str | None, _file("urdf")] = None
+    tool: Annotated[str | None, _file("tool")] = None
+    drives: Annotated[str | None, _file("drives")] = None
+    friction: Annotated[str | None, _file("friction")] = None
+    controller: Annotated[str | None, _file("controller")] = None
+    task: Annotated[str | None, _file("task")] = None
+    base_rate: Annotated[int, quantity("Hz", "Rate of plant and velocity loop.", ge=1, le=10**9)] = Rates.base_hz
+    position_rate: Annotated[int, quantity("Hz", "Rate of the position loop.", ge=1, le=10**9)] = Rates.position_hz
+    substeps: Annotated[
+        int | None,
+        Field(ge=1, le=1000, description="Plant steps in a tick; left out: as many as the arm of each run needs."),
+    ] = None
+
+    def base(self, file: Path, robot: str | None) -> SweepBase:
+        """Return what runs start from; its files are beside the plan, in the working folder, or shipped ones."""
+        names = self.model_dump(include={"robot", *_ROLES}, exclude_none=True)
+        for role, name in names.items():
+            if (file.parent / name).exists():
+                names[role] = str(file.parent / name)
+        planned = names.pop("robot", None)
+        with located(f"{plain(file)}: base.robot"):
+            files = RobotFiles.named(planned if robot is None else robot, **names)
+        with located(f"{plain(file)}: base.base_rate"):
+            return SweepBase(files, Rates(self.base_rate, self.position_rate), self.substeps)
+
+
+class PlanFile(FileModel):
+    """A plan of many closed-loop runs, for rx90_sweep."""
+
+    seed: Annotated[int, Field(ge=0, le=LARGEST_SEED, description="Seed of all random draws.")] = 0
+    base: BaseFile = BaseFile()
+    blocks: Annotated[Some[BlockFile], Field(description="Blocks of runs, by names of your own.")]
 
 
 def load_sweep_plan(name: Path | str, *, robot: Path | str | None = None) -> SweepPlan:
@@ -458,57 +515,10 @@ def load_sweep_plan(name: Path | str, *, robot: Path | str | None = None) -> Swe
     Raises:
         ConfigError: naming file, key, value and what is accepted.
     """
-    root = load_yaml(resolve_config(str(name)))
-    content = PLAN.read(root)
-    given = None if robot is None else str(robot)
-    base = SweepBase(RobotFiles.named(given))
-    if "base" in content:
-        base = _base(root.section("base"), content["base"], given)
-    blocks = tuple(_block(root.section("blocks"), name, block) for name, block in content["blocks"].items())
-    return _built(root, "blocks", lambda: SweepPlan(blocks, content["seed"], base))
-
-
-def _base(section: Section, content: dict[str, Any], robot: str | None) -> SweepBase:
-    """Return what runs start from; its files are beside the plan, in the working folder, or shipped ones."""
-    names = {}
-    for role in ("robot", *_ROLES):
-        if role in content:
-            beside = section.file.parent / content[role]
-            names[role] = str(beside) if beside.exists() else content[role]
-    own = names.pop("robot", None) if robot is None else robot
-    files = _built(section, "robot", lambda: RobotFiles.named(own, **names))
-    rates = _built(section, "base_rate", lambda: Rates(content["base_rate"], content["position_rate"]))
-    return SweepBase(files, rates, content.get("substeps"))
-
-
-def _block(blocks: Section, name: str, content: dict[str, Any]) -> Block:
-    parts = {
-        part: tuple(_parameter(blocks.section(name).section(part), key, one) for key, one in content[part].items())
-        for part in ("grid", "random")
-        if part in content
-    }
-    return _built(blocks, name, lambda: Block(name, draws=content["draws"], **parts))
-
-
-def _parameter(part: Section, name: str, content: dict[str, Any]) -> SweptParameter:
-    mode = "factor" if "factor" in content else "value"
-    made = partial(SweptParameter, name, paths=content.get("paths", ()), factor=mode == "factor", each=content["each"])
-    space = _built(part.section(name), mode, lambda: _space(content[mode]))
-    return _built(part, name, lambda: made(space=space))
-
-
-def _space(given: tuple[Value, ...] | dict[str, Any]) -> Values | Distribution:
-    if not isinstance(given, dict):
-        return Values(tuple(value if isinstance(value, bool) else float(value) for value in given))
-    (kind, how), *_ = given.items()
-    return Normal(**how) if kind == "normal" else _KINDS[kind](*how)
-
-
-def _built(section: Section, key: str, build: Callable[[], _Thing]) -> _Thing:
-    """Build something; let a refusal that does not name the file yet name file and key."""
-    try:
-        return build()
-    except ConfigError as error:
-        if str(error).startswith(str(section.file)):
-            raise
-        raise ConfigError(f"{section.where(key)}: {error}") from error
+    file = resolve_config(str(name))
+    plan = read_model(PlanFile, file)
+    base = plan.base.base(file, None if robot is None else str(robot))
+    where = f"{plain(file)}: blocks"
+    blocks = tuple(block.block(f"{where}.{plain(key)}", key) for key, block in plan.blocks.entries.items())
+    with located(where):
+        return SweepPlan(blocks, plan.seed, base)

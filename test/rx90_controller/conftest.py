@@ -11,10 +11,10 @@ import pytest
 from joint_moves import HOME, LIMITS, PERIOD
 from numpy.typing import NDArray
 from servo_rig import Rig
+from unchecked import unchecked
 
 from rx90_common.base.rates import Rates
 from rx90_controller.law.cs7b import CS7B
-from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_controller.trajectory import TrajectoryGenerator
 from rx90_emulator.loop.setup import Setup
 
@@ -58,28 +58,27 @@ def servo(shipped: Setup) -> Callable[..., Servo]:
 
     def make(rates: Rates | None = None, inertia: float = 2.0, peak: float = FREE, **changed: Any) -> Servo:
         six = np.ones(6)
-        drives = dataclasses.replace(shipped.drives, gear=six, torque_constant=0.5 * six, peak_current=2.0 * peak * six)
-        parameters: dict[str, Any] = {
-            "inertia": inertia * six,
-            "kp": 40.0 * six,
-            "kv": 300.0 * six,
-            "ki": 1e5 * six,
-            "integrator_limit": FREE * six,
-            "coulomb": 0.0 * six,
-            "coulomb_velocity": 0.01,
-            "viscous": 0.0 * six,
-            "feed_forward": dataclasses.replace(FeedForward.off(), velocity=True),
-            "current_bandwidth": 800.0,
-            "current_slew": FREE * six,
-            "following_error": FREE * six,
-            "over_speed": FREE,
-            "start_tolerance": 10.0,
-            "max_acceleration": FREE * six,
-        }
+        drives = shipped.drives.replaced(
+            transmission={"gear": six}, motor={"torque_constant": 0.5 * six, "peak_current": 2.0 * peak * six}
+        )
+        law = unchecked(
+            shipped.controller,
+            servo={
+                "inertia": inertia * six,
+                "kp": 40.0 * six,
+                "kv": 300.0 * six,
+                "ki": 1e5 * six,
+                "integrator_limit": FREE * six,
+            },
+            feed_forward={"acceleration": False, "coulomb": False, "viscous": False},
+            current_loop={"bandwidth": 800.0, "slew_rate": FREE * six},
+            supervision={"following_error": FREE * six, "over_speed": FREE},
+            trajectory={"start_tolerance": 10.0, "max_acceleration": FREE * six},
+        )
         controller = CS7B(
             dataclasses.replace(shipped.robot, lower=-100 * six, upper=100 * six, max_velocity=1000 * six),
             drives,
-            CS7BParameters(**(parameters | changed)),
+            unchecked(law, **changed),
             rates or Rates(),
         )
         return Servo(controller, inertia * six)
@@ -96,5 +95,5 @@ def generator() -> TrajectoryGenerator:
 @pytest.fixture
 def rig(shipped: Setup) -> Rig:
     """Return a servo loop that has seen nothing yet; its motors may stand still while the set-points move."""
-    controller = dataclasses.replace(shipped.controller, following_error=np.full(6, 0.3))
+    controller = shipped.controller.replaced(supervision={"following_error": np.full(6, 0.3)})
     return Rig(dataclasses.replace(shipped, controller=controller))

@@ -41,7 +41,7 @@ def test_what_needs_a_model_takes_the_files_beside(
     law = load_controller(path)
     assert getattr(law.feed_forward, switch)
     assert law.model is not None
-    assert (law.model.friction, law.model.tool) == (path.parent / "friction.yaml", None)
+    assert (law.model.path("friction"), law.model.path("tool")) == (path.parent / "friction.yaml", None)
 
 
 def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: Edit, tmp_path: Path) -> None:
@@ -52,11 +52,11 @@ def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: 
     named = edited_yaml(shipped_files.controller, ("model",), {**shared, "tool": "none", "friction": "other.yaml"})
     model = load_controller(named).model
     assert model is not None
-    assert (model.tool, model.friction, model.drives) == (None, other, shipped_files.drives)
+    assert [model.path(role) for role in ("tool", "friction", "drives")] == [None, other, shipped_files.drives]
     for role, name, accepted in (
         ("friction", "nowhere.yaml", "is 'nowhere.yaml'; accepted: a friction file: a path from this file's folder"),
         ("drives", 3, "is 3; accepted: a text"),
-        ("gears", "x", "is not a known key; accepted: drives, friction, tool, urdf"),
+        ("gears", "x", "is not a known key; accepted: urdf, tool, drives, friction"),
     ):
         said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, role: name}))
         assert f"model.{role} {accepted}" in said

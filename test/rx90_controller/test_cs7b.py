@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from unchecked import unchecked
 
 from rx90_common.base.errors import SupervisionError
 from rx90_common.base.rates import Rates
-from rx90_controller.law.parameters import FeedForward
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
@@ -92,7 +92,7 @@ def test_ramp_response(servo: MakeServo, damped: str) -> None:
     """A ramp is followed as the sampled loop does, and in the end without position error if D has the set-point's."""
     speed = np.array([0.5, -0.4, 0.3, 0.2, 0.0, 0.1])
     forward = damped == "velocity error"
-    loop = servo(inertia=INERTIA, feed_forward=dataclasses.replace(FeedForward.off(), velocity=forward))
+    loop = servo(inertia=INERTIA, feed_forward={"velocity": forward})
     ramp(loop, speed, 2.0)
     got, _ = loop.run(4000)
     unit, *_ = written_loop(lambda row: (row * 1e-3, float(forward)), 4000, Rates())
@@ -105,7 +105,7 @@ def test_ramp_response(servo: MakeServo, damped: str) -> None:
 
 def test_the_amplifier_slews_no_faster_than_it_can(servo: MakeServo) -> None:
     """A large change of current runs at the slew rate, then settles by the lag; the torque is k_t i."""
-    loop = servo(current_slew=np.full(6, 8000.0))
+    loop = servo(current_loop={"slew_rate": np.full(6, 8000.0)})
     controller, rest = loop.controller, np.zeros(6)
     controller.state["feed_forward"][0] = 6.0  # 12 A at 0.5 Nm/A: six ticks of 2 A
     currents = []
@@ -137,7 +137,7 @@ def test_saturation_and_recovery(servo: MakeServo) -> None:
 def test_the_integrator_has_a_limit(servo: MakeServo) -> None:
     """Under a load beyond its limit the integrator stops there, of either sign, and comes back without delay."""
     for load in (9.0, -9.0):
-        loop = servo(inertia=INERTIA, integrator_limit=np.full(6, 4.0))
+        loop = servo(inertia=INERTIA, servo={"integrator_limit": np.full(6, 4.0)})
         loop.run(8000, load=load)
         integrator = loop.controller.state["integrator"][0]
         assert np.all(integrator == -math.copysign(4.0, load))
@@ -149,19 +149,20 @@ def test_the_integrator_has_a_limit(servo: MakeServo) -> None:
 
 
 PARTS = {
-    "none": FeedForward.off(),
-    "acceleration": dataclasses.replace(FeedForward.off(), acceleration=True),
-    "coulomb": dataclasses.replace(FeedForward.off(), coulomb=True),
-    "viscous": dataclasses.replace(FeedForward.off(), viscous=True),
-    "all": FeedForward(),
+    "none": {},
+    "acceleration": {"acceleration": True},
+    "coulomb": {"coulomb": True},
+    "viscous": {"viscous": True},
+    "all": {"velocity": True, "acceleration": True, "coulomb": True, "viscous": True},
 }
 
 
 @pytest.mark.parametrize("part", PARTS)
 def test_each_part_of_the_feed_forward_has_its_switch(shipped: Setup, part: str) -> None:
     """Each switch adds its own torque, by motor, from the set-points alone: inertia, Coulomb, viscous."""
-    switch, given = PARTS[part], shipped.controller
-    controller = dataclasses.replace(shipped, controller=dataclasses.replace(given, feed_forward=switch)).cs7b()
+    given = shipped.controller
+    switch = given.feed_forward.off().replaced(**PARTS[part])
+    controller = dataclasses.replace(shipped, controller=given.replaced(feed_forward=switch)).cs7b()
     goal = [0.5, -0.4, 0.3, 0.6, -0.5, 0.7]
     controller.trajectory.accept(
         TrajectoryPoints.create(NAMES, NAMES, [1.0], [goal], [[0.0] * 6], [[0.0] * 6]), 0, None
@@ -176,7 +177,7 @@ def test_each_part_of_the_feed_forward_has_its_switch(shipped: Setup, part: str)
         # Motor 6 is seen from its own gear's output, which turns with q5 + q6.
         rate = COUPLING @ goal * (30 * s**2 - 60 * s**3 + 30 * s**4)
         acceleration = COUPLING @ goal * (60 * s - 180 * s**2 + 120 * s**3)
-        sign = np.clip(rate / given.coulomb_velocity, -1.0, 1.0)
+        sign = np.clip(rate / given.feed_forward.coulomb_velocity, -1.0, 1.0)
         want = (
             switch.acceleration * given.inertia * acceleration
             + switch.coulomb * given.coulomb * sign
@@ -195,7 +196,7 @@ def test_gains_are_given_for_the_joint_and_used_at_the_motor(shipped: Setup) -> 
     law.step(-error * gear, rate * gear)
     pi = given.inertia * (given.kv * given.kp + given.ki * 1e-3) * error
     damping = -given.inertia * given.kv * rate
-    gain = 1 - math.exp(-2 * math.pi * given.current_bandwidth / 4000)
+    gain = 1 - math.exp(-2 * math.pi * given.current_loop.bandwidth / 4000)
     assert law.state["position_torque"][0] * gear == pytest.approx(pi, rel=1e-12)
     assert law.state["command"][0] * gear == pytest.approx(gain * (pi + damping), rel=1e-9)
     at_joint = law.tracking_error()
@@ -249,8 +250,8 @@ def test_each_joint_has_its_limits(shipped: Setup, joint: int, quantity: str, si
 
 def weak(setup: Setup, following_error: float) -> Setup:
     """Return a setup whose motor 2 is too weak for the motion, with another limit of the following error."""
-    drives = dataclasses.replace(setup.drives, peak_current=setup.drives.peak_current * [1, 0.15, 1, 1, 1, 1])
-    controller = dataclasses.replace(setup.controller, following_error=np.full(6, following_error))
+    drives = setup.drives.replaced(motor={"peak_current": setup.drives.peak_current * [1, 0.15, 1, 1, 1, 1]})
+    controller = unchecked(setup.controller, supervision={"following_error": np.full(6, following_error)})
     return dataclasses.replace(setup, drives=drives, controller=controller)
 
 

@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 
 import rx90_emulator as rx
 from rx90_common.description.coupling import RX_WRIST
-from rx90_common.description.drives import Windings
+from rx90_common.description.drives import COLD
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
@@ -35,7 +35,7 @@ INPUTS = RX_WRIST.element_matrix
 def lead(setup: Setup) -> float:
     """Return how much later than its set-point a torque acts in the mean, s: held, and behind the current loop."""
     rates = setup.rates
-    gain = 1.0 - math.exp(-2.0 * math.pi * setup.controller.current_bandwidth * rates.period)
+    gain = 1.0 - math.exp(-2.0 * math.pi * setup.controller.current_loop.bandwidth * rates.period)
     shares = gain * (1.0 - gain) ** np.arange(200)  # of the answer to a pulse
     return 0.5 * rates.position_period + rates.period * float(np.arange(200) @ shares)
 
@@ -72,9 +72,9 @@ def test_the_inverse_dynamics_are_those_of_the_model(request: pytest.FixtureRequ
     a = rng.uniform(-20.0, 20.0, (50, 6))
     got = fed_forward(by_model(setup, friction_model=False), np.stack([q, v, a], axis=1))
     own = setup.controller
-    without = dataclasses.replace(own.feed_forward, acceleration=False)
+    without = own.feed_forward.replaced(acceleration=False)
     friction = fed_forward(
-        dataclasses.replace(setup, controller=dataclasses.replace(own, feed_forward=without)),
+        dataclasses.replace(setup, controller=own.replaced(feed_forward=without)),
         np.stack([q, v, a], axis=1),
     )
     drives, model = setup.drives, setup.robot.model
@@ -108,8 +108,8 @@ def test_the_friction_that_is_fed_forward_is_the_one_met_half_a_period_later(shi
         axis=1,
     )
     setup = by_model(shipped, inverse_dynamics=False)
-    plain = dataclasses.replace(setup.controller.feed_forward, acceleration=False)
-    setup = dataclasses.replace(setup, controller=dataclasses.replace(setup.controller, feed_forward=plain))
+    plain = setup.controller.feed_forward.replaced(acceleration=False)
+    setup = dataclasses.replace(setup, controller=setup.controller.replaced(feed_forward=plain))
     got = fed_forward(setup, setpoints)
     oracle = LuGreOracle(shipped.friction.elements)
 
@@ -253,8 +253,8 @@ def parted(setup: Setup, path: Path, **parts: Any) -> tuple[CS7B, tuple[Friction
     """Return a controller whose friction model alone is on, each element with these parts, and the elements."""
     elements = tuple(element.replaced(**parts) for element in setup.friction.elements)
     by_friction = by_model(setup, inverse_dynamics=False)
-    plain = dataclasses.replace(by_friction.controller.feed_forward, acceleration=False)
-    alone = dataclasses.replace(by_friction, controller=dataclasses.replace(by_friction.controller, feed_forward=plain))
+    plain = by_friction.controller.feed_forward.replaced(acceleration=False)
+    alone = dataclasses.replace(by_friction, controller=by_friction.controller.replaced(feed_forward=plain))
     return with_friction(alone, elements, path / "friction.yaml").cs7b(), elements
 
 
@@ -309,11 +309,17 @@ def temperatures(controller: CS7B) -> Array:
 def test_the_model_warms_by_its_friction_and_its_motors(shipped: Setup, tmp_path: Path) -> None:
     """Its temperatures are those of SciPy's solution with the friction and the motors' torques of a steady motion."""
     part = WARM.replaced(capacity=2.0, resistance=3.0, static_slope=0.0, speed_slope=0.0)
-    winding = Windings(np.full(6, 1.3), np.full(6, 1.0), np.full(6, 50.0), derating=100.0, limit=130.0)
+    winding = COLD.replaced(
+        resistance=np.full(6, 1.3),
+        thermal_resistance=np.full(6, 1.0),
+        heat_capacity=np.full(6, 50.0),
+        derating=100.0,
+        limit=130.0,
+    )
     setup = shipped
     controller, elements = parted(setup, tmp_path, temperature=part)
     assert setup.controller.model is not None
-    model = ArmModel(setup.controller.model.constants.arm, elements, dataclasses.replace(setup.drives, winding=winding))
+    model = ArmModel(setup.controller.model.constants.arm, elements, setup.drives.replaced(winding=winding))
     model.fill(controller.law["model"][0], setup.rates.position_period)
     ticks, drives = 4000, setup.drives
     velocity = 6.0 * VELOCITY

@@ -5,13 +5,13 @@ Where the motors of the rig stand still, the error of a joint is its set-point: 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from joint_moves import trajectory
 from servo_rig import Rig
+from unchecked import unchecked
 
 from rx90_controller.trajectory.request import Feedback, GoalTolerances, JoinedAhead, State, TrajectoryRequest
 from rx90_emulator.loop.setup import Setup
@@ -315,15 +315,15 @@ def test_what_is_held_to_constraints(held: Callable[..., Rig]) -> None:
     assert len(aborted(rig)) == 2
 
 
-@pytest.mark.parametrize("field", ["kp", "ki", "viscous"])
-def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, field: str) -> None:
+@pytest.mark.parametrize(("block", "field"), [("servo", "kp"), ("servo", "ki"), ("feed_forward", "viscous_friction")])
+def test_a_torque_that_is_no_number_stops_the_arm(shipped: Setup, rig: Rig, block: str, field: str) -> None:
     """One line names the joint, no torque that is not finite goes out, and enable after mending goes on.
 
     The value comes past the checks, as one would by Python.
     """
-    huge = np.array(getattr(shipped.controller, field))
+    huge = np.array(getattr(getattr(shipped.controller, block), field))
     huge[3] = 1e308 if field == "kp" else np.inf
-    object.__setattr__(absurd := dataclasses.replace(shipped.controller), field, huge)
+    absurd = unchecked(shipped.controller, **{block: {field: huge}})
     good = rig.cs7b.law.copy()
     rig.loop.hold(rig.states(0))
     assert all(rig.run(0, 8))

@@ -40,7 +40,7 @@ def test_brakes_that_close_hold_within_torque_over_stiffness(shipped: Setup) -> 
         load = np.abs(np.linalg.solve(WRIST.T, plant.state["bias"][0]))
         moved = np.abs(WRIST @ (plant.joint_states()[0] - closed_at))
         # A neighbour's jerk passes on some of its own way.
-        give = load / shipped.drives.brake_stiffness
+        give = load / shipped.drives.brake.stiffness
         assert np.all(moved <= 1.01 * give + 0.3 * give.max())
         assert np.abs(plant.joint_states()[1]).max() < 1e-6
 
@@ -63,7 +63,7 @@ def test_brakes_stop_a_moving_arm(shipped: Setup) -> None:
     way = np.abs(plant.joint_states()[0] - start)
     energy = 0.5 * speed @ mass @ speed
     # The work of gravity on the way is less than what the margin of the brakes takes.
-    margin = shipped.drives.brake_torque - np.abs(bias) * 1.5
+    margin = shipped.drives.brake.torque - np.abs(bias) * 1.5
     assert np.all(way <= energy / margin)
     rest = plant.joint_states()[0].copy()
     for _ in range(4000):
@@ -73,7 +73,7 @@ def test_brakes_stop_a_moving_arm(shipped: Setup) -> None:
 
 def beyond_a_stop(shipped: Setup, frictionless: FrictionSet, side: float, joint: int = 0) -> Plant:
     """Return an arm without weight and friction, a joint of which is 1 mrad beyond its upper or lower limit."""
-    drives = dataclasses.replace(shipped.drives, spring_torque=np.zeros(6))
+    drives = shipped.drives.replaced(spring={"torque": np.zeros(6)})
     robot = dataclasses.replace(shipped.robot, chain=shipped.robot.chain._replace(gravity=np.zeros(3)))
     plant = dataclasses.replace(shipped, friction=frictionless, robot=robot, drives=drives).plant()
     pose = np.zeros(6)
@@ -103,7 +103,7 @@ def test_an_end_stop_is_a_spring_and_a_damper(
     plant.state["v"][0, joint] = side * 0.1
     plant.step(np.zeros(6))
     depth = 1e-3 + 0.5 * period * 0.1
-    push = shipped.drives.stop_stiffness[joint] * depth + shipped.drives.stop_damping[joint] * 0.1
+    push = shipped.drives.end_stops.stiffness[joint] * depth + shipped.drives.end_stops.damping[joint] * 0.1
     slower = np.linalg.inv(plant.state["mass_matrix"][0])[joint, joint] * push * period
     assert 0.1 - side * plant.joint_states()[1][joint] == pytest.approx(slower, rel=0.02)
 

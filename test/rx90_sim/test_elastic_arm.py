@@ -79,7 +79,9 @@ def test_eigenfrequencies_are_those_of_mass_and_stiffness(shipped: Setup, pose: 
     setup = elastic(floating(shipped), SOFT)
     mass, stiffness = link_mass(setup, np.array(pose)), np.diag(SOFT)
     if locked:
-        setup = dataclasses.replace(setup, drives=dataclasses.replace(setup.drives, rotor_inertia=np.full(6, 1e12)))
+        setup = dataclasses.replace(
+            setup, drives=setup.drives.replaced(transmission={"rotor_inertia": np.full(6, 1e12)})
+        )
         squares = linalg.eigh(WRIST.T @ stiffness @ WRIST, mass, eigvals_only=True)
     else:
         coupled = stiffness @ WRIST
@@ -167,7 +169,7 @@ def test_the_arm_begins_at_rest_in_its_gears(shipped: Setup, backlash: float, si
             plant.step(None)
         assert np.abs(plant.joint_states()[0] - links).max() < 1e-11
         weight = np.linalg.solve(WRIST.T, plant.state["bias"][0])
-        half = 0.5 * setup.drives.elasticity.backlash
+        half = 0.5 * np.array(setup.drives.elasticity.backlash)
         assert contact_torque(twist, np.zeros(6), SOFT, 0.0, half) == pytest.approx(weight, abs=1e-9)
         encoders = plant.motor_states()[0]
         count = 2.0 * np.pi / setup.drives.encoder_counts
@@ -202,7 +204,7 @@ def test_brakes_hold_the_motors_and_stops_the_links(shipped: Setup, side: str) -
     for _ in range(16000):
         plant.step(push)
     torque = push[0] * setup.drives.gear[0]
-    assert state["q"][0] == pytest.approx(torque / setup.drives.stop_stiffness[0], rel=0.02)
+    assert state["q"][0] == pytest.approx(torque / setup.drives.end_stops.stiffness[0], rel=0.02)
     assert state["transmission"]["twist"][0] == pytest.approx(torque / SOFT[0], rel=0.02)
 
 
@@ -260,9 +262,9 @@ def test_ten_thousand_random_cycles_create_no_energy(shipped: Setup, damping: fl
 
 def test_a_light_rotor_is_refused_where_it_would_have_no_inertia(shipped: Setup) -> None:
     """An elastic drive needs a rotor with inertia; a rigid one does not."""
-    drives = dataclasses.replace(shipped.drives, rotor_inertia=shipped.drives.rotor_inertia * [1, 1, 0, 1, 1, 1])
+    drives = shipped.drives.replaced(transmission={"rotor_inertia": shipped.drives.rotor_inertia * [1, 1, 0, 1, 1, 1]})
     setup = dataclasses.replace(shipped, drives=drives)
-    with pytest.raises(ConfigError, match=r"rotor_inertia\[2\] is 0; accepted: a number > 0 where .* elastic"):
+    with pytest.raises(ConfigError, match=r"rotor_inertia\[2\] is 0.0; accepted: a number > 0 where .* elastic"):
         elastic(setup, SOFT)
     elastic(setup, np.where(np.arange(6) == 2, np.inf, SOFT)).plant()
 
@@ -318,10 +320,11 @@ def one_joint(shipped: Setup, rotor: float, gear: tuple[float, float, float], su
     setup = elastic(floating(shipped), stiffness, damping, backlash)
     heavy, ones = np.full(6, 1e12), np.ones(6)
     heavy[0] = rotor
-    drives = dataclasses.replace(
-        setup.drives, rotor_inertia=heavy, gear=ones, torque_constant=ones, peak_current=1e9 * ones,
-        brake_stiffness=ones, brake_damping=ones,
-    )  # fmt: skip
+    drives = setup.drives.replaced(
+        transmission={"rotor_inertia": heavy, "gear": ones},
+        motor={"torque_constant": ones, "peak_current": 1e9 * ones},
+        brake={"stiffness": ones, "damping": ones},
+    )
     return dataclasses.replace(setup, drives=drives).plant(substeps)
 
 

@@ -145,7 +145,7 @@ def warm(setup: Setup, part: TemperaturePart = PART, **windings: float) -> Setup
     )
     cold = {"heat_capacity": np.full(6, 1e9), "thermal_resistance": np.full(6, 1.0)}
     values = {"ambient": 20.0, "initial": 20.0, "derating": 150.0, "limit": 170.0, **cold, **windings}
-    drives = dataclasses.replace(setup.drives, winding=Windings(np.arange(2.0, 8.0), **values))  # type: ignore[arg-type]
+    drives = setup.drives.replaced(winding=Windings(resistance=np.arange(2.0, 8.0), **values))  # type: ignore[arg-type]
     return dataclasses.replace(setup, drives=drives, friction=dataclasses.replace(setup.friction, elements=elements))
 
 

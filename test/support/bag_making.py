@@ -10,7 +10,6 @@ from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from rx90_common.bags.batch import MessageBatch
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import BagWriter
 
@@ -51,7 +50,7 @@ def write_ros2(path: Path, messages: list[tuple[str, int, Any]], storage: str = 
 
 def write_one(bag: BagWriter, connection: Any, log_ns: int, cdr: bytes) -> None:
     """Write a serialised message by our own writer."""
-    bag.write_many(np.array([connection.id]), np.array([log_ns]), MessageBatch.of([cdr]))
+    bag.write_many(np.array([connection.id]), np.array([log_ns]), [cdr])
 
 
 def write_ros1(path: Path, messages: list[tuple[str, int, Any]]) -> Path:

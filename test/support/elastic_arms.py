@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
 from benchmarks.hybrid_reference import negligible_element
-from rx90_common.description.drives import MOTOR, Elasticity
+from rx90_common.description.drives import MOTOR
 from rx90_common.friction import FrictionSet
 from rx90_emulator.identification.arm import rigid_torque
 from rx90_emulator.loop.setup import Setup
@@ -35,8 +35,9 @@ def elastic(
     setup: Setup, stiffness: ArrayLike, damping: ArrayLike = 0.0, backlash: ArrayLike = 0.0, side: str = MOTOR
 ) -> Setup:
     """Return a setup with elastic gears; numbers stand for six."""
-    values = (np.broadcast_to(np.asarray(x, float), 6).copy() for x in (stiffness, damping, backlash))
-    return dataclasses.replace(setup, drives=dataclasses.replace(setup.drives, elasticity=Elasticity(*values, side)))
+    given = {"stiffness": stiffness, "damping": damping, "backlash": backlash}
+    values = {name: np.broadcast_to(np.asarray(value, float), 6) for name, value in given.items()}
+    return dataclasses.replace(setup, drives=setup.drives.replaced(elasticity={**values, "friction": side}))
 
 
 def floating(setup: Setup) -> Setup:
@@ -46,7 +47,7 @@ def floating(setup: Setup) -> Setup:
         setup.robot, chain=setup.robot.chain._replace(gravity=np.zeros(3)), lower=-far, upper=far, max_velocity=far
     )
     friction = FrictionSet(setup.friction.names, (negligible_element(),) * 7)
-    drives = dataclasses.replace(setup.drives, spring_torque=np.zeros(6))
+    drives = setup.drives.replaced(spring={"torque": np.zeros(6)})
     return dataclasses.replace(setup, robot=robot, drives=drives, friction=friction)
 
 
@@ -85,7 +86,7 @@ def energy(setup: Setup, state: Any) -> float:
     """Return kinetic and potential energy of links, rotors and springs, J."""
     elasticity, model = setup.drives.elasticity, setup.robot.model
     q, v, gears = state["q"].copy(), state["v"].copy(), state["transmission"]
-    depth = np.maximum(0.0, np.abs(gears["twist"]) - 0.5 * elasticity.backlash)
+    depth = np.maximum(0.0, np.abs(gears["twist"]) - 0.5 * np.array(elasticity.backlash))
     rotors = WRIST @ v + gears["rate"]
     weighs = setup.robot.chain.gravity.any()
     gravity = pin.computePotentialEnergy(model, model.createData(), q) if weighs else 0.0
@@ -97,7 +98,7 @@ def energy(setup: Setup, state: Any) -> float:
 def solved(setup: Setup, start: Array, motor: Sequence[Array], duration: float) -> Array:
     """Return snapshots after each of the motor torques, Nm, was held for `duration`, by LSODA, shape (n, 31)."""
     elasticity, lugre = setup.drives.elasticity, LuGreOracle(setup.friction.elements)
-    on_links = elasticity.friction_side != MOTOR
+    on_links = elasticity.friction != MOTOR
     to_joints = np.linalg.inv(WRIST)
 
     def rates(_: float, y: Array, drive: Array) -> Array:
@@ -106,7 +107,9 @@ def solved(setup: Setup, start: Array, motor: Sequence[Array], duration: float) 
         torque = rigid_torque(
             setup.robot.model, np.zeros((6, 6)), setup.drives.spring_torque, *states, np.eye(7, 6, -1)
         )
-        passed = contact_torque(twist, rate, elasticity.stiffness, elasticity.damping, 0.5 * elasticity.backlash)
+        passed = contact_torque(
+            twist, rate, elasticity.stiffness, elasticity.damping, 0.5 * np.array(elasticity.backlash)
+        )
         z_dot, friction = lugre.rates(z, INPUTS @ (v if on_links else v + to_joints @ rate))
         friction = INPUTS.T @ friction
         links = np.linalg.solve((torque[1:] - torque[0]).T, WRIST.T @ passed - torque[0] - friction * on_links)

@@ -9,14 +9,13 @@ from pathlib import Path
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.law.model import ModelFiles
-from rx90_controller.law.parameters import FeedForward
 from rx90_emulator.loop.setup import Setup
 
 
 def by_model(setup: Setup, *, inverse_dynamics: bool = True, friction_model: bool = True) -> Setup:
     """Return the setup with a controller that feeds forward by its model."""
-    switches = FeedForward(inverse_dynamics=inverse_dynamics, friction_model=friction_model)
-    return dataclasses.replace(setup, controller=dataclasses.replace(setup.controller, feed_forward=switches))
+    switches = {"inverse_dynamics": inverse_dynamics, "friction_model": friction_model}
+    return dataclasses.replace(setup, controller=setup.controller.replaced(feed_forward=switches))
 
 
 def with_friction(setup: Setup, elements: Sequence[FrictionElement], path: Path) -> Setup:
@@ -25,8 +24,8 @@ def with_friction(setup: Setup, elements: Sequence[FrictionElement], path: Path)
     path.write_text(FrictionFile(elements=dict(zip(names, elements, strict=True))).text(), encoding="utf-8")
     model = setup.controller.model
     assert isinstance(model, ModelFiles)
-    other = dataclasses.replace(model, friction=path)
-    return dataclasses.replace(setup, controller=dataclasses.replace(setup.controller, model=other))
+    other = model.replaced(friction=path)
+    return dataclasses.replace(setup, controller=setup.controller.replaced(model=other))
 
 
 def scaled(friction: FrictionSet, factor: float) -> tuple[FrictionElement, ...]:

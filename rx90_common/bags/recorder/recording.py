@@ -131,7 +131,7 @@ class MessageReader(threading.Thread):
             if self.error is not None:  # given up: these messages are in the queue, or come too late for the bag
                 return False
             self._queue += received
-            waiting = sum(each.messages.total for each in self._queue)
+            waiting = sum(each.total for each in self._queue)
             if waiting > _QUEUE_BYTES:
                 raise BagWriteError(
                     f"the disk is slower than the messages arrive: {waiting >> 20} MiB are waiting; "

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import compress, pairwise
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos
 
-from rx90_common.bags.batch import Int64Array, MessageBatch
+from rx90_common.bags.joint_series import Int64Array
 from rx90_common.bags.ordering import Arrived, TimeSource
 from rx90_common.bags.recorded import TrajectoryCount
 from rx90_common.bags.topics import CLOCK, JOINT_STATE, JOINT_TRAJECTORY, TRANSFORMS, reports_changes
@@ -249,7 +250,7 @@ class Stream:
                 found.append(message)
         numbers, received_ns, sent_ns = (np.array([info[name] for _, info in found], dtype=np.int64) for name in _INFO)
         self.counter.add(numbers)
-        messages = MessageBatch.of([raw for raw, _ in found])
+        messages = [raw for raw, _ in found]
         if not found:
             return Arrived(self.index, self.time_source, messages, received_ns)
         self.sent_ns = int(sent_ns[-1])
@@ -259,12 +260,12 @@ class Stream:
                     self._trajectories.add(self.topic, typestore().deserialize_cdr(message, self.msgtype))
         if self.msgtype in (JOINT_STATE, CLOCK):
             # Nodes repeat a message while time stands still, and when it may have been lost: it is no second sample.
-            again = messages.repeats(self._newest)
-            self._newest = found[-1][0]
-            self.repeated += int(again.sum())
-            messages = messages.take(np.flatnonzero(~again))
-            received_ns = received_ns[~again]
-            sent_ns = sent_ns[~again]
+            new = [before != message for before, message in pairwise([self._newest, *messages])]
+            self._newest = messages[-1]
+            self.repeated += new.count(False)
+            messages = [*compress(messages, new)]
+            received_ns = received_ns[new]
+            sent_ns = sent_ns[new]
         return Arrived(self.index, self.time_source, messages, received_ns, sent_ns if self._latched else None)
 
     def matched(self) -> int:

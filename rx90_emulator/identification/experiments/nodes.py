@@ -68,7 +68,7 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
         start = plan[0].points.position[0]
         assert here is not None  # the client has waited for the first
         gap = float(np.abs(start - here).max())
-        if gap > setup.controller.start_tolerance:
+        if gap > setup.controller.trajectory.start_tolerance:
             motion = Motion(here)
             motion.move(start, setup.robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION)
             client.say(f"approach: {math.degrees(gap):.1f} deg, {motion.duration:.1f} s")

@@ -11,17 +11,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field, field_validator
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import load_yaml, yaml_text
-from rx90_common.base.entries import LEFT_OUT, PER_JOINT, Numbers, Rows, Texts
+from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.groups import Group
-from rx90_common.base.quoting import counted, quoted
+from rx90_common.base.models import FileModel, Names, PerJoint, quantity, read_model
+from rx90_common.base.quoting import counted, plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import DriveParameters
@@ -69,19 +69,33 @@ class Experiment:
         return float(self.points.times[-1])
 
 
-_POSITIONS: Final = {"positions": Rows("Joint positions, six for each pose.", "rad", count=PER_JOINT)}
-POSES = Group(
-    "Where the experiments of an identification take place.",
-    keys={
-        "home": Group(
-            "Where every experiment begins and ends.",
-            keys={"position": Numbers("Six joint positions.", "rad", count=PER_JOINT)},
-        ),
-        "sweeps": Group("Where the sweeps take place.", keys=_POSITIONS),
-        "validation": Group("Between which the validation moves.", keys=_POSITIONS),
-    },
-)
-"""The contents of a poses file."""
+class HomePose(FileModel):
+    """Where every experiment begins and ends."""
+
+    position: Annotated[PerJoint, quantity("rad", "Joint positions.")]
+
+
+class PoseList(FileModel):
+    """Where experiments take place."""
+
+    positions: Annotated[
+        tuple[PerJoint, ...], Field(strict=False, min_length=1), quantity("rad", "Joint positions of each pose.")
+    ]
+
+    @field_validator("positions")
+    @classmethod
+    def _check_lengths(cls, positions: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+        if len({len(pose) for pose in positions}) > 1:
+            raise ValueError("rows of different lengths; accepted: rows that are equally long")
+        return positions
+
+
+class PosesFile(FileModel):
+    """Where the experiments of an identification take place."""
+
+    home: HomePose
+    sweeps: Annotated[PoseList, Field(description="Where the sweeps take place.")]
+    validation: Annotated[PoseList, Field(description="Between which the validation moves.")]
 
 
 @dataclass(frozen=True)
@@ -101,8 +115,8 @@ class Poses:
     @classmethod
     def load(cls, file: Path) -> Poses:
         """Read a poses file."""
-        content = POSES.read(load_yaml(file))
-        return cls(content["home"]["position"], content["sweeps"]["positions"], content["validation"]["positions"])
+        content = read_model(PosesFile, file)
+        return cls(content.home.position, content.sweeps.positions, content.validation.positions)
 
     @classmethod
     def of(cls, setup: Setup) -> Poses:
@@ -356,16 +370,15 @@ INDEX = "experiments.yaml"
 EMULATED = "emulated_friction.yaml"
 """File with the friction that made the runs of a folder; only for runs of the emulator."""
 
-EXPERIMENTS = Group(
-    "The bags of a series of experiments by use, as rx90_experiment writes it: names in the same folder.",
-    keys={
-        str(Kind.SLIDING): Texts("Sweeps at constant velocity."),
-        str(Kind.PRESLIDING): Texts("Micro-oscillations."),
-        str(Kind.EXCITATION): Texts("Excitation runs; left out where there are none.", default=LEFT_OUT),
-        str(Kind.VALIDATION): Texts("Runs for the validation."),
-    },
-)
-"""The contents of the index of a series."""
+
+class ExperimentsFile(FileModel):
+    """The bags of a series of experiments by use, as rx90_experiment writes it: names in the same folder."""
+
+    sliding: Annotated[Names, Field(description="Sweeps at constant velocity.")]
+    presliding: Annotated[Names, Field(description="Micro-oscillations.")]
+    excitation: Annotated[Names, Field(description="Excitation runs.")] = ()
+    validation: Annotated[Names, Field(description="Runs for the validation.")]
+
 
 _WITH_SET_POINTS = ("motor_states", "rx90_controller/reference", "robot_description")
 TOPICS = {
@@ -426,10 +439,17 @@ def read_index(folder: Path) -> IdentificationBags:
     if not os.path.lexists(folder / INDEX):
         raise IdentificationError(f"{folder}: no {INDEX}; accepted: a folder that rx90_experiment wrote, or --sliding, "
                                   "--presliding and --validation")  # fmt: skip
-    found = {}
-    for kind, names in EXPERIMENTS.read(load_yaml(folder / INDEX)).items():
-        found[kind] = bags = tuple(folder / name for name in names)
-        for bag in bags:
-            if not bag.exists():
-                raise IdentificationError(f"{folder / INDEX} names {bag.name}, which is not there")
-    return IdentificationBags(**found)
+    index = read_model(ExperimentsFile, folder / INDEX)
+    for name in (*index.sliding, *index.presliding, *index.excitation, *index.validation):
+        if not (folder / name).exists():
+            raise IdentificationError(f"{folder / INDEX} names {plain(name)}, which is not there")
+    return IdentificationBags(
+        _bags(folder, index.sliding),
+        _bags(folder, index.presliding),
+        _bags(folder, index.validation),
+        _bags(folder, index.excitation),
+    )
+
+
+def _bags(folder: Path, names: Sequence[str]) -> tuple[Path, ...]:
+    return tuple(folder / name for name in names)

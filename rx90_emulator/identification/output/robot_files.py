@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import ABOUT, check_numbers, load_yaml, without_schema_line, yaml_text
+from rx90_common.base.config import ABOUT, check_numbers, read_yaml, without_schema_line, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.description.coupling import Coupling
@@ -332,8 +332,8 @@ def _initial_contents(
     if base.files is None:
         return assumed_files(base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new, peak_acceleration)
     # The model for its feed-forward is the folder's own arm, not the one named in the basis.
-    controller = {key: value for key, value in load_yaml(base.files.controller).content.items() if key != "model"}
-    return dict(load_yaml(base.files.drives).content), controller
+    controller = {key: value for key, value in read_yaml(base.files.controller).items() if key != "model"}
+    return dict(read_yaml(base.files.drives)), controller
 
 
 def _joints(result: ExcitationIdentification) -> dict[str, dict[str, float]]:

@@ -16,7 +16,6 @@ from rclpy.node import Node
 from ros_client import own_node
 from sensor_msgs.msg import JointState
 
-from rx90_common.bags.batch import MessageBatch
 from rx90_common.bags.ordering import Arrived, TimeSource
 from rx90_common.bags.recorder import recording
 from rx90_common.bags.recorder.stream import SequenceCounter, Stream, Streams
@@ -48,10 +47,10 @@ class Publisher:
         if self.taken == SENT_BEFORE // 2 and not self._resent:
             self._resent = time.monotonic() + self.resent_after
         if self._calls % 2 == 0 or time.monotonic() < self._resent:
-            return Arrived(0, self.time_source, MessageBatch.of([]), np.empty(0, dtype=np.int64))
+            return Arrived(0, self.time_source, [], np.empty(0, dtype=np.int64))
         self.taken += 1
         self.sent_ns = self._begin_ns if self.taken <= SENT_BEFORE else time.time_ns()
-        return Arrived(0, self.time_source, MessageBatch.of([b"%d" % self.taken]), np.zeros(1, dtype=np.int64))
+        return Arrived(0, self.time_source, [b"%d" % self.taken], np.zeros(1, dtype=np.int64))
 
 
 @pytest.mark.slow

@@ -13,15 +13,12 @@ from zlib import crc32
 import numpy as np
 import pytest
 from bag_making import STORAGES, series, write_one
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
 
 from rx90_common.bags import writing
-from rx90_common.bags.batch import MessageBatch, series_encoder
 from rx90_common.bags.reading import read_bag, read_joint_states
 from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.bags.writing import (
@@ -34,7 +31,7 @@ from rx90_common.bags.writing import (
     write_joint_states,
 )
 from rx90_common.base.errors import FAILED, REFUSED, BagError, BagWriteError
-from rx90_common.exchange.cdr import cdr_stamp_ns
+from rx90_common.exchange.cdr import JointStateCodec
 
 
 class ChecksummedWriter(McapWriter):
@@ -67,29 +64,6 @@ class Theirs(Writer):
 CHANNELS = (("/a", "std_msgs/msg/String"), ("/b", JOINT_STATE), ("/c", "std_msgs/msg/String"))
 
 
-@settings(max_examples=50)
-@given(st.lists(st.lists(st.binary(max_size=20))), st.data())
-def test_messages_are_kept_as_they_are(groups: list[list[bytes]], data: st.DataObject) -> None:
-    """Joined and taken in any order, messages of any length, also 0, stay whole and keep their stamps."""
-    flat = [message for group in groups for message in group]
-    batch = MessageBatch.join([MessageBatch.of(group) for group in groups])
-    assert (list(batch), len(batch), batch.total) == (flat, len(flat), sum(map(len, flat)))
-    rows = data.draw(st.lists(st.integers(0, len(flat) - 1))) if flat else []
-    assert list(batch.take(np.array(rows, dtype=np.intp))) == [flat[row] for row in rows]
-    assert list(batch.take(slice(1, 3))) == flat[1:3]
-    # cdr_stamp_ns looks at the last bit of the second byte alone, too, and leaves negative times to its caller.
-    assert batch.stamps_ns().tolist() == [max(0, cdr_stamp_ns(message)) for message in flat]
-
-
-@given(
-    st.lists(st.sampled_from([b"", b"a" * 12, b"b" * 12, b"a" * 13, b"a" * 12 + b"b"])), st.sampled_from([b"", b"x"])
-)
-def test_repetitions_are_found(messages: list[bytes], before: bytes) -> None:
-    """A message counts as a repetition where all its bytes are those of the one before it."""
-    expected = [one == other for one, other in zip(messages, [before, *messages], strict=False)]
-    assert MessageBatch.of(messages).repeats(before).tolist() == expected
-
-
 @pytest.mark.parametrize("storage", STORAGES)
 def test_files_are_those_of_rosbags(tmp_path: Path, storage: str) -> None:
     """Batches of any size, also across chunks and with messages larger than one, give the bytes that rosbags gives."""
@@ -106,7 +80,7 @@ def test_files_are_those_of_rosbags(tmp_path: Path, storage: str) -> None:
         for each in CHANNELS:
             ours.add_topic(*each)
         for rows in np.split(np.arange(len(messages)), [1, 2, 700, 1501]):
-            ours.write_many(channel[rows], log_ns[rows], MessageBatch.of([messages[row] for row in rows]))
+            ours.write_many(channel[rows], log_ns[rows], [messages[row] for row in rows])
     for file in (tmp_path / "theirs" / "bag").iterdir():
         assert (tmp_path / "ours" / "bag" / file.name).read_bytes() == file.read_bytes()
 
@@ -185,7 +159,8 @@ def test_bag_is_whole_when_the_disk_is_nearly_full(
     assert list(tmp_path.iterdir()) == []
     bag = BagWriter(tmp_path / "bag", storage)
     numbers = np.full(3000, bag.add_topic("joint_states", JOINT_STATE, [offered_qos()]).id)
-    messages = series_encoder(written)(np.arange(3000))
+    codec = JointStateCodec(written.names)
+    messages = [*map(bytes, codec.encode_many(written.stamp_ns, *written.fields.values()))]
     with pytest.raises(BagWriteError, match=r"64 MiB or more\); what was written is whole"):
         bag.write_many(numbers, written.stamp_ns, messages)
     bag.close()

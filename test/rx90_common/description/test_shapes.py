@@ -237,7 +237,7 @@ def test_names_agree_in_all_files(setup: Setup, semantic: ET.Element) -> None:
     controller = files["moveit_controllers"]["moveit_simple_controller_manager"][name]
     assert f"{name}/{controller['action_ns']}" == "rx90_controller/follow_joint_trajectory"
     execution = files["moveit_controllers"]["trajectory_execution"]
-    assert execution["allowed_start_tolerance"] == setup.controller.start_tolerance
+    assert execution["allowed_start_tolerance"] == setup.controller.trajectory.start_tolerance
 
 
 MESH = '<visual><geometry><mesh filename="package://nowhere/link.stl"/></geometry></visual>'

@@ -62,8 +62,8 @@ def test_the_compiled_arm_gives_the_rigid_torque_of_any_arm(
 ) -> None:
     """So does an arm with turned frames, skew axes, off-axis masses, a fixed load, other rotors and six springs."""
     rng = np.random.default_rng(seed)
-    drives = dataclasses.replace(
-        shipped.drives, rotor_inertia=rng.uniform(0.0, 20.0, 6), spring_torque=rng.uniform(0.0, 500.0, 6)
+    drives = shipped.drives.replaced(
+        transmission={"rotor_inertia": rng.uniform(0.0, 20.0, 6)}, spring={"torque": rng.uniform(0.0, 500.0, 6)}
     )
     assert worst(dataclasses.replace(shipped, robot=load_robot(random_arm(seed)), drives=drives), rng, 60) < 1e-13
 
@@ -78,7 +78,7 @@ def test_gravity_check_values_of_the_parameter_set(shipped: Setup) -> None:
     """With the arm horizontal gravity alone is 238 Nm on joint 2, and the spring leaves 118 Nm of it."""
     horizontal = np.array([0.0, math.pi / 2, 0.0, 0.0, 0.0, 0.0])
     _, bias = compiled(shipped, horizontal, np.zeros(6))
-    unsprung = dataclasses.replace(shipped, drives=dataclasses.replace(shipped.drives, spring_torque=np.zeros(6)))
+    unsprung = dataclasses.replace(shipped, drives=shipped.drives.replaced(spring={"torque": np.zeros(6)}))
     _, gravity = compiled(unsprung, horizontal, np.zeros(6))
     assert abs(gravity[1]) == pytest.approx(238.0, abs=0.5)
     assert abs(bias[1]) == pytest.approx(118.0, abs=0.5)

@@ -18,7 +18,7 @@ from pydantic import ValidationError
 from refusals import refusal_by
 from schema_faults import validator
 
-from rx90_common.base.config import PROVENANCE, load_yaml
+from rx90_common.base.config import PROVENANCE, read_yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import FileModel, unit_of
 from rx90_common.description.coupling import RX_WRIST
@@ -80,7 +80,7 @@ def test_an_omega_d_that_is_left_out_may_be_written(shipped_files: RobotFiles, e
     check = validator("friction")
     for key, value, good in (("omega_d", math.inf, True), ("omega_d", -math.inf, False), ("omega_s", math.inf, False)):
         path = edited_yaml(shipped_files.friction, ("elements", "joint_1", key), value)
-        assert check.is_valid(load_yaml(path).content) == good
+        assert check.is_valid(read_yaml(path)) == good
         if good:
             assert load_friction(path, RX_WRIST.element_names(NAMES)).elements[0].omega_d == math.inf
         else:

@@ -22,7 +22,7 @@ from scipy.optimize import brentq, nnls
 
 from friction_bench.rig.rig_file import load_rig
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import load_yaml, yaml_text
+from rx90_common.base.config import read_yaml, yaml_text
 from rx90_common.base.share import config_path
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
@@ -283,8 +283,8 @@ def test_what_a_file_says_of_its_values_is_written_back(tmp_path: Path) -> None:
 def test_the_rig_takes_a_line_of_a_friction_file(tmp_path: Path) -> None:
     """An element as it stands in a friction file, sources and all, is the joint of a rig that is emulated."""
     published = config_path("friction/manutec_r3.yaml")
-    content = load_yaml(config_path("rig/gm8224_lugre.yaml")).content
-    content["emulation"]["joint_friction"]["lugre"] = load_yaml(published).content["elements"]["joint_1"]
+    content = read_yaml(config_path("rig/gm8224_lugre.yaml"))
+    content["emulation"]["joint_friction"]["lugre"] = read_yaml(published)["elements"]["joint_1"]
     path = tmp_path / "rig.yaml"
     path.write_text(yaml_text(content), encoding="utf-8")
     assert load_rig(path).plant.joint == FrictionFile.read(published).elements["joint_1"]

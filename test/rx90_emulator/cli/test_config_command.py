@@ -16,7 +16,7 @@ import yaml
 from config_samples import shipped, written
 from needs import need
 
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import read_yaml
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import EXECUTABLES, run
@@ -80,10 +80,9 @@ def test_all_problems_of_files_are_told_with_their_lines(arm: Path, capsys: Capt
     said = capsys.readouterr().out.splitlines()
     assert said[1:3] == [
         f"{tool}:{line_of(tool, 'mass:')}: inertial.mass is -3.5; accepted: a number > 0",
-        f"{tool}:{line_of(tool, 'beam:')}: visual.cylinders.beam[0] is 'high'; accepted: 3 numbers, "
-        "each a finite number",
+        f"{tool}:{line_of(tool, 'beam:')}: visual.cylinders.beam[0] is 'high'; accepted: a finite number",
     ]
-    colour = f"{tool}:{line_of(tool, 'colour:')}: \\u202ecolour is not a known key; accepted: collision, inertial, tcp"
+    colour = f"{tool}:{line_of(tool, 'colour:')}: \\u202ecolour is not a known key; accepted: inertial, tcp, "
     assert said[0].startswith(colour)
     assert said[3].startswith(f"{friction}:{line_of(friction, 'joint_3:') + 1}: elements.joint_3.tau_s is 23.0")
     assert re.match(rf"{re.escape(str(task))}:\d+: not valid YAML", said[4])
@@ -96,7 +95,7 @@ def test_all_problems_of_files_are_told_with_their_lines(arm: Path, capsys: Capt
 def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captured) -> None:
     """Every good file is taken for what it is whatever it is called; what cannot be told is refused unless named."""
     for kind, path in shipped() + written(tmp_path):
-        assert kind_of(path, load_yaml(path, first=True).content).name == kind, path
+        assert kind_of(path, read_yaml(path, first=True)).name == kind, path
     odd = tmp_path / "odd.yaml"
     odd.write_text("mass: 1.0\n", encoding="utf-8")
     assert run("rx90_config", ["check", str(odd)]) == 2

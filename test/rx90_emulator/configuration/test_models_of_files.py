@@ -129,7 +129,8 @@ def test_a_misspelt_key_is_the_first_thing_named(
             key = place[-1]
             node = schema_at(schema, place[:-1], content)
             known = key in node.get("properties", {})
-            if not known or len(key) < 5 or (node.get("additionalProperties") and key not in node.get("required", ())):
+            open_mapping = node.get("additionalProperties") is not False
+            if not known or len(key) < 5 or (open_mapping and key not in node.get("required", ())):
                 continue
             wrong = copy.deepcopy(content)
             odd = key[:3] + key[4:]

@@ -71,7 +71,7 @@ def test_the_response_is_that_of_the_servo_loop(shipped: Setup) -> None:
     """
     still = np.zeros((2000, 3, 6))
     still[:, 0] = plan_line(shipped, load_task()).start_pose
-    controller = replace(shipped.controller, ki=np.zeros(6))
+    controller = shipped.controller.replaced(servo={"ki": np.zeros(6)})
     a, b, apart = response(replace(shipped, controller=controller), still)
     state, rows = np.zeros(24), []
     step = np.array([1e-4, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -111,8 +111,8 @@ def test_trials_bring_the_true_tip_to_the_path(shipped: Setup, task: rx.LineTask
 def test_encoders_do_not_see_what_gears_do(shipped: Setup, task: rx.LineTask) -> None:
     """With elastic gears the tip's error stays where encoders are learned from, and goes where the tip is."""
     stiffness = np.array([1.5e6, 1.5e6, 5e5, 1e5, 6e4, 2e4])
-    gears = replace(shipped.drives.elasticity, stiffness=stiffness, damping=2e-4 * stiffness)
-    arm, plan, left = replace(shipped, drives=replace(shipped.drives, elasticity=gears)), plan_line(shipped, task), []
+    gears = shipped.drives.elasticity.replaced(stiffness=stiffness, damping=2e-4 * stiffness)
+    arm, plan, left = replace(shipped, drives=shipped.drives.replaced(elasticity=gears)), plan_line(shipped, task), []
     for tip in (False, True):
         correction = rx.learn_correction(arm, plan, 3, tip=tip).correction
         measured = run_corrected(arm, plan, correction)[1]

@@ -15,7 +15,7 @@ from benchmarks.any_arm import write_arm
 from benchmarks.exported_arm import compare
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import to_motor_torque
-from rx90_common.description.drives import Cogging, Windings
+from rx90_common.description.drives import COLD, Cogging
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.export.export import export_robot
 from rx90_emulator.loop.setup import Setup, load_setup
@@ -161,9 +161,11 @@ def test_friction_as_a_constraint_creeps_as_said(shipped: Setup) -> None:
 def test_cogging_and_windings_are_the_engine_s(shipped: Setup) -> None:
     """MuJoCo's motors have the cogging torque at an angle, and warm up under I^2 R with the time constant."""
     full = np.full(6, 1.0)
-    cogging = Cogging(np.array([4.0, 12.0]), np.array([0.03 * full, 0.01 * full]), np.array([0.2 * full, 0.7 * full]))
-    winding = Windings(0.4 * full, 2.0 * full, 30.0 * full, derating=150.0, limit=180.0)
-    setup = dataclasses.replace(shipped, drives=dataclasses.replace(shipped.drives, cogging=cogging, winding=winding))
+    cogging = Cogging(harmonic=[4.0, 12.0], amplitude=[[0.03] * 6, [0.01] * 6], phase=[[0.2] * 6, [0.7] * 6])
+    winding = COLD.replaced(
+        resistance=0.4 * full, thermal_resistance=2.0 * full, heat_capacity=30.0 * full, derating=150.0, limit=180.0
+    )
+    setup = dataclasses.replace(shipped, drives=shipped.drives.replaced(cogging=cogging, winding=winding))
     assert "dcmotor" not in next(iter(export_robot(setup, "mujoco-classic").files.values()))  # which it cannot read
     model = mujoco.MjModel.from_xml_string(next(iter(export_robot(setup, "mujoco").files.values())))
     data = mujoco.MjData(model)

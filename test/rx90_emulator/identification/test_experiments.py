@@ -71,7 +71,7 @@ def test_no_sweep_beats_with_the_sampling(shipped: Setup) -> None:
         speeds = sweep_speeds(direction, 0.004, 1.4, 56, drives)
         motors = drives.gear * direction
         motors[5] = drives.gear[5] * (direction[4] + direction[5])
-        steps = np.outer(speeds, np.abs(motors[motors != 0.0])) * drives.encoder_counts[0] / (2.0 * np.pi) * 1e-3
+        steps = np.outer(speeds, np.abs(motors[motors != 0.0])) * drives.encoder_counts / (2.0 * np.pi) * 1e-3
         parts = steps[..., None] * np.array([1.0, 2.0, 3.0, 4.0])
         assert np.abs(parts - np.round(parts)).min() > 0.05, name
 
@@ -115,8 +115,8 @@ def test_a_plan_beyond_what_joints_or_motors_may_do_is_refused(shipped: Setup) -
     motion.move(way, 0.9 * robot.max_velocity, 100.0)
     fast = Experiment("fast", Kind.VALIDATION, motion.points(robot.joint_names), 1)
     both = 0.9 * (robot.max_velocity[4] + robot.max_velocity[5])
-    weak = replace(drives, peak_current=drives.peak_current * (1.0, 1.0, 1.0, 1.0, 0.1, 1.0))
-    slow = replace(shipped.controller, max_acceleration=np.full(6, 4.9))
+    weak = drives.replaced(motor={"peak_current": drives.peak_current * (1.0, 1.0, 1.0, 1.0, 0.1, 1.0)})
+    slow = shipped.controller.replaced(trajectory={"max_acceleration": np.full(6, 4.9)})
     for experiment, setup, said in (
         (sweep_2, replace(shipped, robot=replace(robot, max_effort=0.4 * robot.max_effort)),
          r"joint_2 would need .* Nm; accepted: up to"),

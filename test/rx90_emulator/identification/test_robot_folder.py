@@ -253,7 +253,7 @@ def test_gains_that_do_not_hold_the_weight_are_told() -> None:
     setup = Setup.load(RobotFiles.named("panda"))
     turning, law = setup.drives.turning, setup.controller
     assert weight_warning(setup.robot, turning, law) == ""
-    low = replace(law, kv=law.kv / 2.5, kp=law.kp / 2.5)
+    low = law.replaced(servo={"kv": law.kv / 2.5, "kp": law.kp / 2.5})
     named = re.findall(r"panda_joint(\d) by", weight_warning(setup.robot, turning, low))
     assert named == ["3", "5", "6"]
 

@@ -12,16 +12,16 @@ import pytest
 from elastic_arms import POSE, WRIST, elastic, floating, link_mass
 from full_friction import PARTS
 from scipy.linalg import expm
+from unchecked import unchecked
 
 from benchmarks.any_arm import joint_names, write_arm
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, SupervisionError
 from rx90_common.description.coupling import ArmSize, Coupling
-from rx90_common.description.drives import LINK, MOTOR, Cogging, CurrentSensor, Elasticity, Windings
+from rx90_common.description.drives import LINK, MOTOR, Cogging
 from rx90_common.friction import FrictionSet
 from rx90_controller.law.model import ModelFiles
-from rx90_controller.law.parameters import FeedForward
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
@@ -36,20 +36,32 @@ from rx90_emulator.loop.setup import Setup, load_setup
 def everything(setup: Setup, side: str) -> Setup:
     """Return the setup with all that is off in the shipped files, and encoders so fine that no count is in doubt."""
     stiffness = np.array([1.5e6, 1.5e6, 5e5, 1e5, 6e4, 3e4])
-    drives = dataclasses.replace(
-        setup.drives,
-        encoder_counts=np.full(6, 2.0**30),
-        elasticity=Elasticity(stiffness, 2e-4 * stiffness, np.full(6, 1e-4), side),
-        cogging=Cogging(np.array([6.0]), np.full((1, 6), 0.02), np.zeros((1, 6))),
-        winding=Windings(np.full(6, 2.0), np.full(6, 20.0), np.full(6, 3.0), 25.0, 100.0, derating=100.0, limit=140.0),
-        current_sensor=CurrentSensor(np.full(6, 0.01), np.full(6, 0.01), np.zeros(6)),
+    drives = setup.drives.replaced(
+        encoder={"counts_per_revolution": 2**30},
+        elasticity={
+            "stiffness": stiffness,
+            "damping": 2e-4 * stiffness,
+            "backlash": np.full(6, 1e-4),
+            "friction": side,
+        },
+        cogging=Cogging(harmonic=[6.0], amplitude=[[0.02] * 6]),
+        winding={
+            "resistance": np.full(6, 2.0),
+            "thermal_resistance": np.full(6, 20.0),
+            "heat_capacity": np.full(6, 3.0),
+            "ambient": 25.0,
+            "initial": 100.0,
+            "derating": 100.0,
+            "limit": 140.0,
+        },
+        current_sensor={"offset": np.full(6, 0.01), "noise": np.full(6, 0.01)},
     )
     elements = tuple(element.replaced(**PARTS) for element in setup.friction.elements)
-    switches = FeedForward(inverse_dynamics=True, friction_model=True)
+    switches = {"inverse_dynamics": True, "friction_model": True}
     files = setup.files
     assert files is not None
-    model = ModelFiles(files.urdf, files.tool, files.drives, files.friction)
-    controller = dataclasses.replace(setup.controller, feed_forward=switches, model=model)
+    model = ModelFiles(urdf=files.urdf, tool=files.tool, drives=files.drives, friction=files.friction)
+    controller = setup.controller.replaced(feed_forward=switches, model=model)
     friction = FrictionSet(setup.friction.names, elements)
     return dataclasses.replace(setup, drives=drives, friction=friction, controller=controller)
 
@@ -64,7 +76,7 @@ def test_matrices_give_what_the_wrists_fixed_order_gives(
     points = TrajectoryPoints(np.array([0.0, 0.3]), np.stack([pose, pose + 0.05]), rest, rest)
     fixed = simulate(setup, points, duration=0.35)
     monkeypatch.setattr(Coupling, "size", property(lambda _: ArmSize(6, 7, wrist=False)))
-    by_matrices = simulate(dataclasses.replace(setup, drives=dataclasses.replace(setup.drives)), points, duration=0.35)
+    by_matrices = simulate(dataclasses.replace(setup, drives=setup.drives.replaced()), points, duration=0.35)
     assert by_matrices.slow.joint_states.tobytes() != fixed.slow.joint_states.tobytes(), "the same code ran twice"
     for name, got, want in zip(fixed.slow._fields, by_matrices.slow, fixed.slow, strict=True):
         scale = np.abs(want).max(axis=0, initial=0.0)
@@ -137,19 +149,15 @@ def soft_joint(shipped: Setup) -> Setup:
     stiffness, damping, rotor = np.full(6, np.inf), np.zeros(6), np.full(6, 1e12)
     stiffness[0], damping[0], rotor[0] = STIFFNESS, DAMPING, ROTOR
     setup = elastic(floating(shipped), stiffness, damping)
-    drives = dataclasses.replace(
-        setup.drives, rotor_inertia=rotor, encoder_counts=np.full(6, 2.0**40), velocity_bandwidth=OBSERVER
+    drives = setup.drives.replaced(
+        transmission={"rotor_inertia": rotor}, encoder={"counts_per_revolution": 2**40, "velocity_bandwidth": OBSERVER}
     )
     six = np.ones(6)
-    controller = dataclasses.replace(
+    controller = unchecked(
         setup.controller,
-        kp=KP * six,
-        kv=KV * six,
-        ki=KI * six,
-        inertia=INERTIA * six,
-        current_bandwidth=BANDWIDTH,
-        following_error=1e3 * six,
-        over_speed=1e3,
+        servo={"kp": KP * six, "kv": KV * six, "ki": KI * six, "inertia": INERTIA * six},
+        current_loop={"bandwidth": BANDWIDTH},
+        supervision={"following_error": 1e3 * six, "over_speed": 1e3},
     )
     return dataclasses.replace(setup, drives=drives, controller=controller)
 
@@ -250,7 +258,7 @@ TURNED = {"motor 4": [1, 1, 1, -1, 1, 1], "all but motor 5": [-1, -1, -1, -1, 1,
 
 def with_motors(setup: Setup, signs: list[int]) -> Setup:
     """Return the setup with motors turned round where the sign is -1."""
-    return dataclasses.replace(setup, drives=dataclasses.replace(setup.drives, gear=setup.drives.gear * signs))
+    return dataclasses.replace(setup, drives=setup.drives.replaced(transmission={"gear": setup.drives.gear * signs}))
 
 
 @pytest.mark.parametrize("which", TURNED)
@@ -285,7 +293,7 @@ def test_bags_of_turned_motors_are_read(shipped: Setup, task: LineTask) -> None:
 
 def test_the_supervision_takes_it_too(shipped: Setup, task: LineTask) -> None:
     """The power is cut at the same tick with the same words."""
-    strict = dataclasses.replace(shipped.controller, following_error=np.full(6, 2e-5))
+    strict = shipped.controller.replaced(supervision={"following_error": np.full(6, 2e-5)})
     weak = dataclasses.replace(shipped, controller=strict)
     said = []
     for setup in (weak, with_motors(weak, [-1] * 6)):

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from elastic_arms import SOFT, elastic
 from numpy.typing import NDArray
+from unchecked import unchecked
 
 from rx90_common.bags.comparison import Verdict, compare_bags
 from rx90_common.bags.tables import comparison_text
 from rx90_common.base.errors import ConfigError, DivergenceError, TrajectoryError
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import config_path
-from rx90_common.description.drives import CurrentSensor, Windings
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
@@ -95,10 +95,15 @@ def test_simulate_equals_plant_and_controller_stepped_one_by_one(shipped: Setup,
         setup = elastic(setup, SOFT, 2e-4 * SOFT, 1e-4)
     if "windings" in case:
         six = np.ones(6)
-        drives = dataclasses.replace(
-            setup.drives,
-            current_sensor=CurrentSensor(noise=0.01 * six),
-            winding=Windings(2.0 * six, six, six, derating=90.0, limit=120.0),
+        drives = setup.drives.replaced(
+            current_sensor={"noise": 0.01 * six},
+            winding={
+                "resistance": 2.0 * six,
+                "thermal_resistance": six,
+                "heat_capacity": six,
+                "derating": 90.0,
+                "limit": 120.0,
+            },
         )
         setup = dataclasses.replace(setup, drives=drives, seed=3)
     start_time = start / rates.position_hz
@@ -144,8 +149,10 @@ def test_what_cannot_be_run_is_refused(shipped: Setup) -> None:
 def diverging(setup: Setup) -> Setup:
     """Return a setup whose fourth joint an amplifier without limits and a far too large gain drive apart."""
     kv = setup.controller.kv * [1, 1, 1, 30, 1, 1]
-    wild = dataclasses.replace(setup.controller, kv=kv, following_error=np.full(6, 1e9), over_speed=1e9)
-    drives = dataclasses.replace(setup.drives, peak_current=1e6 * setup.drives.peak_current)
+    wild = unchecked(
+        setup.controller, servo={"kv": kv}, supervision={"following_error": np.full(6, 1e9), "over_speed": 1e9}
+    )
+    drives = setup.drives.replaced(motor={"peak_current": 1e6 * setup.drives.peak_current})
     return dataclasses.replace(setup, controller=wild, drives=drives)
 
 
@@ -161,8 +168,8 @@ def test_a_diverging_run_is_an_error(shipped: Setup) -> None:
 
 def test_saturated_amplifiers_are_counted(shipped: Setup) -> None:
     """A motion beyond the amplifiers counts as many ticks as the controller limits when stepped one by one."""
-    weak = dataclasses.replace(shipped.drives, peak_current=shipped.drives.peak_current * [1, 0.3, 1, 1, 1, 1])
-    loose = dataclasses.replace(shipped.controller, following_error=np.full(6, 1.0))
+    weak = shipped.drives.replaced(motor={"peak_current": shipped.drives.peak_current * [1, 0.3, 1, 1, 1, 1]})
+    loose = shipped.controller.replaced(supervision={"following_error": np.full(6, 1.0)})
     setup = dataclasses.replace(shipped, drives=weak, controller=loose)
     result = simulate(setup, there_and_back(), HOME, 0.6, record_fast=True)
     assert result.fast is not None
@@ -246,7 +253,9 @@ def test_the_fastest_motion_to_a_limit_stays_within_it(shipped: Setup, joint: in
     ):
         simulate(shipped, sudden)
     if joint == 1:
-        free = dataclasses.replace(shipped.controller, max_acceleration=np.full(6, 2e3), following_error=np.ones(6))
+        free = shipped.controller.replaced(
+            trajectory={"max_acceleration": np.full(6, 2e3)}, supervision={"following_error": np.ones(6)}
+        )
         past = simulate(dataclasses.replace(shipped, controller=free), sudden, duration=time + 0.3).slow.joint_states
         assert (past[:, 0] > robot.upper + 5e-3).any() or (past[:, 0] < robot.lower - 5e-3).any()
 

@@ -92,7 +92,7 @@ def test_a_path_file_names_its_drawing(tmp_path: File) -> None:
     assert path.start == (0.6, 0.0, 0.2)
     assert path.length == pytest.approx(0.05)
     (tmp_path / "both.yaml").write_text(f"{head}  tool_rpy_degrees: [0, 180, 0]\n  start: [0, 0, 0]\n")
-    with pytest.raises(Rx90Error, match="a start beside a file"):
+    with pytest.raises(Rx90Error, match=r"path.start is \[0.0, 0.0, 0.0\]; accepted: none beside a file"):
         load_path(tmp_path / "both.yaml")
 
 

@@ -189,7 +189,7 @@ def test_the_margin_is_that_of_the_phase(shipped: Setup) -> None:
     # D acts on the observed velocity, and every command waits half a tick; PI waits half a position tick more.
     damping = loop.kv * s * (observer / (s + observer)) ** 2
     position = (loop.kv * loop.kp + loop.ki / s) * np.exp(-s * loop.period * loop.ratio / 2)
-    lag = 2 * np.pi * shipped.controller.current_bandwidth
+    lag = 2 * np.pi * shipped.controller.current_loop.bandwidth
     open_loop = (damping + position) / s**2 * lag / (s + lag) * np.exp(-s * loop.period / 2)
     crossing = int(np.argmin(np.abs(np.abs(open_loop) - 1.0)))
     phase = np.pi + np.angle(open_loop[crossing])

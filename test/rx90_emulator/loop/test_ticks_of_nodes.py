@@ -169,10 +169,10 @@ class Controller:
         c, n = self.c, self.n
         r, dr, ddr = (n * (N @ x) for x in set_points(k))
         e = r - theta
-        advanced = limit(self.integral + c.inertia / n**2 * c.ki * RATIO * T * e, c.integrator_limit / n)
+        advanced = limit(self.integral + c.inertia / n**2 * c.ki * RATIO * T * e, c.servo.integrator_limit / n)
         self.integral = np.where(e * self.sign > 0, self.integral, advanced)
         pi = c.inertia / n**2 * c.kv * c.kp * e + self.integral
-        ramp = np.sign(dr / n) if self.literal else limit(dr / (n * c.coulomb_velocity), 1.0)
+        ramp = np.sign(dr / n) if self.literal else limit(dr / (n * c.feed_forward.coulomb_velocity), 1.0)
         coulomb = c.coulomb / n * ramp
         a = c.viscous_exponent
         forward = c.inertia / n**2 * ddr + coulomb + c.viscous / np.abs(n) ** (1 + a) * np.sign(dr) * np.abs(dr) ** a
@@ -183,8 +183,10 @@ class Controller:
         c = self.c
         wanted = (self.held + c.inertia / self.n**2 * c.kv * (self.rate - w)) / self.kt
         self.sign = np.where(np.abs(wanted) > self.peak, np.sign(wanted), 0.0)
-        gain = 1 - np.exp(-2 * np.pi * c.current_bandwidth * T)
-        self.current = self.current + limit(gain * (limit(wanted, self.peak) - self.current), c.current_slew * T)
+        gain = 1 - np.exp(-2 * np.pi * c.current_loop.bandwidth * T)
+        self.current = self.current + limit(
+            gain * (limit(wanted, self.peak) - self.current), np.array(c.current_loop.slew_rate) * T
+        )
         return self.kt * self.current
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 import signal
 from pathlib import Path
@@ -21,7 +20,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from rx90_common.bags.recorded import read_values
-from rx90_controller.law.parameters import CS7BParameters, FeedForward
+from rx90_controller.law.parameters import CS7BParameters
 from rx90_emulator.loop.setup import Setup
 
 SIMULATION, CONTROLLER = NODES = ("rx90_sim", "rx90_controller")
@@ -188,9 +187,9 @@ def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
         *(name.replace("__", ".") for name in switched),
     ]
     client.spin_until(lambda: len(commands) == TICKS, "all commands")
-    before = dataclasses.replace(shipped.controller, viscous=np.array(viscous))
-    forward = FeedForward(coulomb=False, inverse_dynamics=True, friction_model=True)
-    after = dataclasses.replace(before, kp=np.array(kp), inertia=np.array(inertia), feed_forward=forward)
+    before = shipped.controller.replaced(feed_forward={"viscous_friction": np.array(viscous)})
+    forward = {"coulomb": False, "inverse_dynamics": True, "friction_model": True}
+    after = before.replaced(servo={"kp": np.array(kp), "inertia": np.array(inertia)}, feed_forward=forward)
     assert [list(m.effort) for m in commands] == commands_of_two_laws(shipped, before, after, effect)
     recorder.signal(signal.SIGINT)
     assert recorder.wait() == 0

@@ -150,12 +150,12 @@ def test_shipped_and_documented_plans_fit(
 @pytest.mark.parametrize(
     ("block", "said"),
     [
-        ("{}", "blocks.a.grid is missing; accepted: one or more of grid, random"),
+        ("{}", "blocks.a: has no parameters; accepted: one or both of grid, random"),
         ("{grid: {task.speed: {value: 0.1}}}", "value is 0.1; accepted: [v1, v2, ...]"),
         ("{grid: {task.speed: {value: [fast]}}}", "is 'fast'; accepted: finite numbers"),
         ("{grid: {task.speed: {value: [true]}}}", "a value is True; accepted: numbers"),
         ("{grid: {task.speed: {value: [0.1, 0.1]}}}", "0.1 stands twice"),
-        ("{grid: {task.speed: {value: [1], factor: [1]}}}", "value and factor: both are there; accepted: one"),
+        ("{grid: {task.speed: {value: [1], factor: [1]}}}", "has value and factor of value, factor; accepted: one"),
         ("{grid: {task.speed: {value: {linspace: [1, 2, -3]}}}}", "count of values is -3"),
         ("{grid: {task.speed: {value: {logspace: [1, 2, 3]}}}}", "logspace is not a known key (did you mean linspace"),
         ("{grid: {task.speed: {value: [1], each: true}}}", "in random draws only"),
