@@ -90,7 +90,9 @@ def compare(setup: Setup, a: ReferenceRun, b: ReferenceRun) -> Miss:
 
 def without_rounding(setup: Setup) -> Setup:
     """Return the setup with encoders so fine that they do not round."""
-    drives = setup.drives.replaced(encoder={"counts_per_revolution": FINE_COUNTS})
+    drives = setup.drives.replaced(
+        encoder=setup.drives.encoder.model_copy(update={"counts_per_revolution": FINE_COUNTS})
+    )
     return dataclasses.replace(setup, drives=drives)
 
 
