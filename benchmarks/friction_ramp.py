@@ -37,7 +37,7 @@ from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, JointFriction, Pla
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.share import SOURCE_RIG, config_path
-from rx90_common.friction.element import FrictionElement
+from rx90_common.friction.element import FRICTION_UNITS, FrictionElement
 from rx90_common.kernels.compiled import kernel
 
 COULOMB = (0.012, 0.03, 0.06, 0.1)
@@ -192,7 +192,11 @@ class QuickRig:
         noise = plant.torque_noise * self._rng.standard_normal((ticks.size, SLICES))
         joint = plant.joint
         gain, shaft = self._drawn(loaded)
-        element = joint if isinstance(joint, FrictionElement) else FrictionElement(1, 1, 1, 1, 1, 1, 1, 0, 0)
+        element = (
+            joint
+            if isinstance(joint, FrictionElement)
+            else FrictionElement(tau_c=1, tau_s=1, omega_s=1, delta=1, c0=1, c1=0, c2=0)
+        )
         angle, motor = _ramp(
             gain * command,
             noise,
@@ -250,7 +254,15 @@ def random_rig(seed: int, number: int, kind: str) -> Rig:
     if kind == "LuGre":
         static, stiffness = coulomb * max(rise, 1.0), coulomb / bristle
         torques = coulomb, coulomb, static, static
-        joint = FrictionElement(*torques, stribeck, exponent, stiffness, damping * stiffness, slope, 1.0)
+        joint = FrictionElement.of(
+            dict(
+                zip(
+                    FRICTION_UNITS,
+                    (*torques, stribeck, exponent, stiffness, damping * stiffness, slope, 1.0),
+                    strict=False,
+                )
+            )
+        )
     plant = replace(
         rig.plant,
         coulomb=own,
@@ -284,7 +296,7 @@ def truth_of(rig: Rig, loaded: bool) -> Array:
     if loaded and isinstance(rig.plant.joint, FrictionElement):
         torque = rig.gear_ratio * rig.gear_efficiency
         joint = rig.plant.joint
-        values += joint.tau_c_positive / torque, joint.c2 / (torque * rig.gear_ratio), 0.0
+        values += joint.tau_c.positive / torque, joint.c2 / (torque * rig.gear_ratio), 0.0
     return values
 
 

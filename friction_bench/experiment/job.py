@@ -176,8 +176,9 @@ def run(options: argparse.Namespace) -> int:
     """
     rig = load_rig(resolve_config(SOURCE_RIG if options.source and options.rig == SHIPPED_RIG else options.rig))
     out: Path = options.output
-    base = FrictionFile.read(RobotFiles.of_options(options).friction)
-    _check(options, base)
+    path = RobotFiles.of_options(options).friction
+    base = FrictionFile.read(path)
+    _check(options, base, path)
     if options.no_load_file or options.loaded_file:
         records = _read(options, rig)
         new_measurement(out)
@@ -202,13 +203,14 @@ def run(options: argparse.Namespace) -> int:
     return VERDICT_NO if found.unphysical else DONE
 
 
-def _check(options: argparse.Namespace, base: FrictionFile) -> None:
+def _check(options: argparse.Namespace, base: FrictionFile, path: Path) -> None:
     """Refuse errors now that would otherwise be noticed after minutes of ramps."""
-    if options.element not in base.elements:
-        known = ", ".join(base.elements)
+    elements = base.elements.entries
+    if options.element not in elements:
+        known = ", ".join(elements)
         raise ConfigError(f"--element is {quoted(options.element)}; accepted: {known}")
-    replaced = {options.element: base.elements[options.element]}
-    refuse_parts(replaced, "the element that a ramp test replaces", f"{base.path}: elements.")
+    replaced = {options.element: elements[options.element]}
+    refuse_parts(replaced, "the element that a ramp test replaces", f"{path}: elements.")
     check_line(options.port, options.baud)
     if options.seed is not None and options.port != EMULATED:
         raise ConfigError(f"--seed with --port {plain(options.port)}; accepted: with the emulated rig alone")

@@ -20,9 +20,15 @@ from friction_bench.rig.messages import RigInputError
 from friction_bench.rig.rig_file import JointFriction, Rig
 from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.element import FrictionElement
-from rx90_common.friction.parts.load import advance_load
-from rx90_common.friction.parts.scatter import advance_scatter
-from rx90_common.friction.parts.step import fill_parts, parts_dtype, parts_state_dtype, parts_step, reset_parts
+from rx90_common.friction.parts.step import (
+    advance_parts,
+    fill_parts,
+    parts_dtype,
+    parts_state_dtype,
+    parts_step,
+    reset_parts,
+    tick_parts,
+)
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import lane, load
 
@@ -148,8 +154,8 @@ def turn_with_joint(
         before = speed
         angle, speed = turn(angle, speed, torque - lane(friction, 0) / (ratio * efficiency), shaft, step)
         state.transmitted[0] = load_inertia * (speed - before) / (ratio * step)
-        advance_load(parts.load, state, load(state.transmitted, 1), step, 1)
-    advance_scatter(parts.scatter, state)
+        advance_parts(parts, state, load(state.transmitted, 1), step, 1)
+    tick_parts(parts, state, load(state.transmitted, 1), dt, 1)
     return angle, speed, z
 
 

@@ -16,8 +16,9 @@ from rx90_common.base.declared import Declared
 from rx90_common.base.entries import LEFT_OUT, Integer, Number, Numbers, Switch
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group, Variants
-from rx90_common.friction.element import ELEMENT, FrictionElement
-from rx90_common.friction.friction_file import read_element, refuse_parts
+from rx90_common.base.models import refusals
+from rx90_common.friction.element import FrictionElement
+from rx90_common.friction.friction_file import refuse_parts
 
 CODES = 255
 """Highest code of both converters."""
@@ -51,7 +52,7 @@ _JOINT_FRICTION = Variants(
     key="model",
     groups={
         "coulomb_viscous": JointFriction.group(),
-        "lugre": Group("A LuGre element.", keys={"lugre": ELEMENT}),
+        "lugre": Group("A LuGre element.", keys={"lugre": Group("LuGre.", keys={}, known=False)}),
     },
 )
 
@@ -303,7 +304,8 @@ def load_rig(path: Path) -> Rig:
         joint: JointFriction | FrictionElement
         if friction["model"] == "lugre":
             section = root.section("emulation").section("joint_friction").section("lugre")
-            joint = read_element(section)
+            with refusals(FrictionElement, section.where("")[:-1], section.content):
+                joint = FrictionElement.model_validate(section.content)
             # A run on the rig lasts minutes, and its joint does not warm in them; temperatures are a robot's.
             held = [part for part in joint.parts if part != "temperature"]
             refuse_parts({"lugre": joint}, "the emulated rig", section.where("").removesuffix("lugre."), held)

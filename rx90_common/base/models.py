@@ -13,6 +13,7 @@ accepted. What is accepted comes from the field's JSON schema, or from `accepted
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -117,6 +118,10 @@ class Named(FileModel, Generic[Item]):
     def entries(self) -> dict[str, Item]:
         """Return the values by name."""
         return self.__pydantic_extra__
+
+    def __getitem__(self, name: str) -> Item:
+        """Return the value of this name."""
+        return self.__pydantic_extra__[name]
 
 
 class Some(Named[Item], Generic[Item]):
@@ -268,6 +273,8 @@ def _with_units(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     named = {key: _with_units(item) for key, item in value.items()}
+    if named.get("default") == math.inf:  # which JSON has no number for
+        del named["default"]
     properties = named.get("properties", {})
     for key in FileModel.about_keys:
         if isinstance(properties, dict) and key in properties:

@@ -20,7 +20,7 @@ from rx90_common.base.models import FileModel, Model, Named, fault_lines, json_s
 from rx90_common.base.quoting import plain
 from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import Tool, load_tool
-from rx90_common.friction.friction_file import FRICTION, FrictionFile
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.law.parameters import CS7BParameters, load_controller
 from rx90_controller.lines.task import TaskFile, load_task
 from rx90_emulator.correction.file import CorrectionHead, load_correction
@@ -106,7 +106,7 @@ class FileKind:
 KINDS = (
     FileKind("drives", DriveParameters, load_drives),
     FileKind("tool", Tool, load_tool),
-    FileKind("friction", FRICTION, FrictionFile.read),
+    FileKind("friction", FrictionFile, FrictionFile.read),
     FileKind("controller", CS7BParameters, load_controller),
     FileKind("task", TaskFile, load_task),
     FileKind("path", PathFile, load_path),

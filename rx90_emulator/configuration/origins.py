@@ -15,7 +15,7 @@ from rx90_common.base.models import Model, json_schema, unit_at
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import FILES, NO_TOOL, RobotFiles
-from rx90_common.friction.element import SIGNS
+from rx90_common.friction.signs import SIGNS
 from rx90_controller.law.model import ROLES, ModelFiles
 from rx90_controller.law.parameters import load_controller
 from rx90_emulator.configuration.kinds import KINDS

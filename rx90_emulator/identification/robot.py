@@ -298,7 +298,8 @@ class RecordedRobot:
             arm = RigidArm.from_urdf(file, options.joints, *more, massless=massless, followed=followed)
         if fallback_name == "none":
             return cls(arm, setup, options, mapping=mapping, held=held)
-        fallback = FrictionFile.read(resolve_config(fallback_name)).select(arm.element_names)
+        path = resolve_config(fallback_name)
+        fallback = FrictionFile.read(path).select(arm.element_names, path)
         named = dict(zip(arm.element_names, fallback, strict=True))
         what = "an identification with it as --fallback"
         refuse_parts(named, what, f"{fallback_name}: elements.", held=("bristles",))

@@ -68,7 +68,7 @@ def test_friction_file_is_one_that_the_simulation_reads(ramps: Path) -> None:
     found = load_friction(ramps / "friction.yaml", RX_WRIST.element_names(JOINTS))
     shipped = load_friction(config_path("robots/rx90b/friction.yaml"), RX_WRIST.element_names(JOINTS))
     index = found.names.index("joint_6")
-    assert found.elements[index].tau_c_positive == pytest.approx(0.9, rel=0.05)
+    assert found.elements[index].tau_c.positive == pytest.approx(0.9, rel=0.05)
     assert found.elements[index].c2 == pytest.approx(0.11, rel=0.05)
     assert found.elements[:index] == shipped.elements[:index]
     assert schema_faults("friction", ramps / "friction.yaml") == []

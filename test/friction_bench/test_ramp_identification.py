@@ -231,7 +231,7 @@ def test_intervals_hold_whatever_the_release(kind: str) -> None:
 def test_wide_stribeck_effect_does_not_bias_coulomb_friction() -> None:
     """A release that lasts until the shaft turns at tens of rad/s, without noise: f_c and f_v within 0.5 %."""
     rig = quiet(load_rig(config_path("rig/gm8224_lugre.yaml")))
-    wide = replace(rig.plant.joint, tau_s_positive=1.35, tau_s_negative=1.35, omega_s=0.2)
+    wide = rig.plant.joint.replaced(tau_s=1.35, omega_s=0.2)
     rig = replace(rig, plant=replace(rig.plant, joint=wide))
     quick = QuickRig(rig, 3)
     found = identify_ramps([quick.ramp(slope, 0.16, True, f"{slope}") for slope in (0.02, 0.05)], 0.0)

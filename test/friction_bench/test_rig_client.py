@@ -187,7 +187,7 @@ def test_a_rig_file_that_describes_no_rig_is_refused(
         with pytest.raises(ConfigError, match=re.escape(message)):
             load_rig(own)
     else:
-        assert load_rig(own).plant.joint.bristles == ElastoPlastic(0.7)
+        assert load_rig(own).plant.joint.bristles == ElastoPlastic(break_away=0.7)
 
 
 def test_interrupted_ramp_is_stopped_by_the_host(client: RigClient, emulated: EmulatedRig) -> None:

@@ -84,13 +84,13 @@ def elastic_share(y: float, steady: float, elastic: float) -> float:
     return 0.5 + 0.5 * math.sin(math.pi * (y - 0.5 * (steady + elastic)) / (steady - elastic))
 
 
-@pytest.mark.parametrize("bristles", [None, ElastoPlastic(0.5)], ids=["LuGre", "elasto-plastic"])
+@pytest.mark.parametrize("bristles", [None, ElastoPlastic(break_away=0.5)], ids=["LuGre", "elasto-plastic"])
 def test_the_rigs_joint_moves_as_scipy_integrates_it(lugre_rig: Rig, bristles: ElastoPlastic | None) -> None:
     """Under a torque in steps the joint moves as equations 17 to 19 say, with other bristles, too."""
     changes: dict[str, Any] = {"c1": 20.0}  # critical damping: no oscillation whose phase the splitting of steps shifts
     if bristles is not None:
         changes["bristles"] = bristles
-    rig = replace(lugre_rig, plant=replace(lugre_rig.plant, joint=replace(lugre_rig.plant.joint, **changes)))
+    rig = replace(lugre_rig, plant=replace(lugre_rig.plant, joint=lugre_rig.plant.joint.replaced(**changes)))
     joint = rig.plant.joint
     plant = RigPlant(rig, 0)
     plant.load(True)
@@ -100,12 +100,12 @@ def test_the_rigs_joint_moves_as_scipy_integrates_it(lugre_rig: Rig, bristles: E
 
     def motion(_: float, state: Array, torque: float) -> list[float]:
         _, v, z = state
-        rise = joint.tau_s_positive - joint.tau_c_positive
-        steady = (joint.tau_c_positive + rise * math.exp(-abs(v) / joint.omega_s)) / joint.c0
+        rise = joint.tau_s.positive - joint.tau_c.positive
+        steady = (joint.tau_c.positive + rise * math.exp(-abs(v) / joint.omega_s)) / joint.c0
         sense = math.copysign(1.0, v)
         alpha = 1.0
         if bristles is not None:
-            alpha = elastic_share(sense * z, steady, 0.5 * joint.tau_c_positive / joint.c0)
+            alpha = elastic_share(sense * z, steady, 0.5 * joint.tau_c.positive / joint.c0)
         z_dot = v * (1.0 - alpha * sense * z / steady)
         friction = joint.c0 * z + joint.c1 * math.exp(-((v / joint.omega_d) ** 2)) * z_dot + (joint.c2 + of_motor) * v
         return [v, (torque * rig.joint_scale - friction) / inertia, z_dot]
@@ -123,7 +123,9 @@ def test_the_rigs_joint_moves_as_scipy_integrates_it(lugre_rig: Rig, bristles: E
 
 def test_a_joint_put_on_again_begins_anew(lugre_rig: Rig) -> None:
     """Taking the joint off and on forgets the deflections: the same torques give the same motion to the last bit."""
-    joint = replace(lugre_rig.plant.joint, bristles=MaxwellSlip((0.6, 0.4), (0.2, 0.8), 500.0))
+    joint = lugre_rig.plant.joint.replaced(
+        bristles=MaxwellSlip(stiffness=(0.6, 0.4), share=(0.2, 0.8), attraction=500.0)
+    )
     plant, paths = RigPlant(replace(lugre_rig, plant=replace(lugre_rig.plant, joint=joint)), 1), []
     for _ in range(2):
         plant.load(True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 import math
 import random
 import re
@@ -20,7 +19,6 @@ from jsonschema import Draft202012Validator
 from schema_faults import schema_faults, validator
 
 from rx90_common.base.config import ABOUT, Section, read_yaml, yaml_text
-from rx90_common.base.declared import Declared, declarations
 from rx90_common.base.entries import (
     MAX_JOINTS,
     REQUIRED,
@@ -41,16 +39,10 @@ from rx90_common.base.groups import Either, Entries, Group, Variants
 from rx90_common.base.quoting import quoted
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
-from rx90_common.friction.parts.load import LoadPart
-from rx90_common.friction.parts.ripple import RipplePart
-from rx90_common.friction.parts.scatter import ScatterPart
-from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_emulator.configuration.check import kind_named
 from rx90_emulator.configuration.kinds import KINDS, FileKind
 from rx90_emulator.configuration.nodes import NODES, declared
 from rx90_emulator.identification.experiments.plan import INDEX
-from rx90_emulator.loop.setup import Setup
 from tools import schemas
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -336,30 +328,6 @@ def test_a_misspelt_key_is_the_first_thing_named(
                 assert f"{odd} is not a known key (did you mean {key}?); accepted: " in str(caught.value)
                 misspelt += 1
     assert misspelt
-
-
-OBJECTS = (
-    LoadPart(0.1, 0.2), RipplePart((1.0,), (0.05,)), ScatterPart(0.01, 10.0), ElastoPlastic(0.5),
-    MaxwellSlip((0.5, 0.5), (0.4, 0.6), 2.0),
-    TemperaturePart(20.0, 0.0, 60.0, 20.0, 20.0, 1e4, 0.5, 30.0),
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("index", range(len(OBJECTS) + 7))
-def test_each_field_is_refused_in_python_as_in_a_file(index: int, shipped: Setup) -> None:
-    """A declared dataclass refuses what its declarations exclude, by its own name and that of the field."""
-    own = shipped.friction.elements
-    good: Declared = (*OBJECTS, *own)[index]
-    for name, one in declarations(type(good)).items():
-        if one.in_python is None or one.by_owner or isinstance(one.in_python, Other | ListOf | Rows):
-            continue
-        array = isinstance(getattr(good, name), np.ndarray)
-        for bad in bad_values(one.in_python):
-            shown = np.array(bad) if array and isinstance(bad, list) and all(type(x) is float for x in bad) else bad
-            if array and not isinstance(shown, np.ndarray):
-                continue
-            with pytest.raises(ConfigError, match=rf"{name}(\[\d\])? is .*; accepted: "):
-                dataclasses.replace(good, **{name: shown})
 
 
 def test_the_shipped_values_say_that_they_are_assumed(shipped_files: RobotFiles) -> None:
