@@ -92,7 +92,7 @@ def run_ramp(
         angle=(counts - counts[0]) * rig.angle_step,
         slope=slope,
         angle_step=rig.angle_step,
-        torque=rig.torque(dac),
+        torque=rig.commanded_torque(dac),
         measured_torque=rig.measured_torque(adc),
         loaded=loaded,
         label=label,
@@ -229,14 +229,19 @@ def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
         raise ConfigError("--slopes with --source; accepted: the rig file's, the first no-load, the second loaded")
     slopes = tuple(options.slopes or rig.ramps.slopes)
     torque = options.end_torque
-    if torque is not None and not 0.0 < torque <= rig.dac_full_scale:
-        raise ConfigError(f"--end-torque is {torque:g}; accepted: (0, {rig.dac_full_scale:g}] Nm")
+    if torque is not None and not 0.0 < torque <= rig.torque.dac_full_scale:
+        raise ConfigError(f"--end-torque is {torque:g}; accepted: (0, {rig.torque.dac_full_scale:g}] Nm")
     for slope in slopes:
         rig.ramp_step(slope)
         if slopes.count(slope) > 1:
             raise ConfigError(f"--slopes has {slope:g} twice; accepted: each slope once, and --repeats for more ramps")
-    ends = torque or rig.ramps.end_torque, torque or rig.ramps.end_torque_loaded
-    return RampPlan(slopes, *ends, options.repeats or rig.ramps.repeats, rig.ramps.hold)
+    return RampPlan(
+        slopes=slopes,
+        end_torque=torque or rig.ramps.end_torque,
+        end_torque_loaded=torque or rig.ramps.end_torque_loaded,
+        repeats=options.repeats or rig.ramps.repeats,
+        hold=rig.ramps.hold,
+    )
 
 
 def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[RampRecord]:
