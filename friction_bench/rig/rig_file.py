@@ -128,10 +128,12 @@ class Emulation(FileModel):
 
 
 class RampPlan(FileModel):
-    """Ramps to run."""
+    """The ramps that are run, by default those of the file."""
 
     slopes: Annotated[
-        tuple[Annotated[float, Field(gt=0.0, le=10.0)], ...], Field(strict=False), quantity("Nm/s", "Slopes.")
+        tuple[Annotated[float, Field(gt=0.0, le=10.0)], ...],
+        Field(strict=False),
+        quantity("Nm/s", "Slopes; a file has two."),
     ]
     end_torque: Annotated[float, quantity("Nm", "End torque without the joint.", gt=0.0)]
     end_torque_loaded: Annotated[float, quantity("Nm", "End torque with the joint.", gt=0.0)]
@@ -145,16 +147,6 @@ class RampPlan(FileModel):
     def duration(self, loaded: bool) -> float:
         """Return the time of all ramps under this load, s."""
         return self.repeats * sum(self.end(loaded) / slope + self.hold for slope in self.slopes)
-
-
-class UsualRamps(RampPlan):
-    """The ramps that are run by default."""
-
-    slopes: Annotated[
-        tuple[Annotated[float, Field(gt=0.0, le=10.0)], ...],
-        Field(strict=False, min_length=2, max_length=2),
-        quantity("Nm/s", "Two slopes."),
-    ]
 
 
 class Gear(FileModel):
@@ -206,8 +198,14 @@ class RigFile(FileModel):
     gear: Gear
     torque: TorqueScales
     limits: Limits
-    ramps: UsualRamps
+    ramps: RampPlan
     emulation: Emulation | None = None
+
+    @model_validator(mode="after")
+    def _check_slopes(self) -> RigFile:
+        if len(self.ramps.slopes) != 2:
+            raise refusal("ramps.slopes", self.ramps.slopes, "a list of 2 numbers")
+        return self
 
 
 class Rig(RigFile):

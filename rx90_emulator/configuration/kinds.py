@@ -32,7 +32,7 @@ NODE_PARAMETERS = "node_parameters"
 """The name of the kind of the nodes' parameter files."""
 
 
-class _JointLimits(FileModel):
+class JointLimits(FileModel):
     """Limits of a joint."""
 
     model_config = ConfigDict(extra="allow")
@@ -48,7 +48,7 @@ class MoveItLimits(FileModel):
 
     model_config = ConfigDict(extra="allow")
 
-    joint_limits: Annotated[Named[_JointLimits], Field(description="Limits by joint.")]
+    joint_limits: Annotated[Named[JointLimits], Field(description="Limits by joint.")]
 
 
 def _read_sweep(path: Path) -> object:
