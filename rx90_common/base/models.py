@@ -292,12 +292,13 @@ def unit_of(model: type[BaseModel], field: str) -> str:
 
 
 def unit_at(root: JsonSchema, place: Place, content: Any) -> str:
-    """Return the unit of the value, or of the values in a list, at a place of a file; empty if it has none."""
-    node = schema_at(root, place, content)
-    for kind in (node, *node.get("anyOf", ())):
-        for schema in (kind, _resolved(kind.get("items", {}), root)):
-            if "unit" in schema:
-                return str(schema["unit"])
+    """Return the unit of the value, or of the values in a list or mapping, at a place; empty if it has none."""
+    for end in range(len(place), 0, -1):
+        node = schema_at(root, place[:end], content)
+        for kind in (node, *node.get("anyOf", ())):
+            for schema in (kind, _resolved(kind.get("items", {}), root)):
+                if "unit" in schema:
+                    return str(schema["unit"])
     return ""
 
 

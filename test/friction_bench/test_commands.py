@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -212,7 +211,7 @@ def test_load_without_an_estimate_does_not_cost_the_other(
     rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A joint too heavy for the motor ends the measurement after one ramp: exit code 1, no-load friction reported."""
-    heavy = replace(rig, plant=replace(rig.plant, joint=JointFriction(4.0, 0.1)))
+    heavy = rig.replaced(emulation={"joint_friction": JointFriction(model="coulomb_viscous", coulomb=4.0, viscous=0.1)})
     monkeypatch.setattr(ramp_job, "load_rig", lambda _: heavy)
     out = tmp_path / "out"
     assert run("friction_ramp", [*QUICK_RAMPS, "--output", str(out)]) == 1
