@@ -315,7 +315,7 @@ def _compensation(
     viscous, exponent = zip(
         *(viscous_sum(some, top) for some, top in zip(moved_elements, speed, strict=True)), strict=True
     )
-    coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in moved_elements]
+    coulomb = [sum(0.5 * (one.tau_c.positive + one.tau_c.negative) for one in some) for some in moved_elements]
     source = "the identified friction of each joint"
     if base.turning.size.wrist:
         source += "; of joint 6 and of element 7, with which motor 6 turns as well"
