@@ -357,9 +357,8 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
                 lines.insert(0, _unknown_key(where, (*place[:-1], near), str(place[-1]), node))
                 continue
         line = _line(schema, fault, place, where, content)
-        if line not in lines:
-            lines.append(line)
-    return lines
+        lines.append(line)
+    return list(dict.fromkeys(lines))  # two kinds of a union, or both signs, say the same
 
 
 def _unknown_key(where: str, place: Place, near: str, node: JsonSchema) -> str:

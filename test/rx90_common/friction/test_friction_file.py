@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 import re
 import tempfile
 import warnings
@@ -289,3 +290,10 @@ def test_velocities_that_can_hardly_be_divided_by() -> None:
         assert least.steady_torque([-6.0, 0.0, 6.0]).tolist() == [-109.0, 0.0, 109.0]
         assert element_arrays([least])["inverse_omega_s"][0] == pytest.approx([1e9])
         assert math.isinf(least.passivity_limit(6.0))
+
+
+def test_elements_and_files_go_to_other_processes(shipped: Setup, shipped_files: RobotFiles) -> None:
+    """What a sweep sends to its workers comes back equal."""
+    file = FrictionFile.read(shipped_files.friction)
+    assert pickle.loads(pickle.dumps(file)) == file
+    assert pickle.loads(pickle.dumps(shipped)).friction == shipped.friction
