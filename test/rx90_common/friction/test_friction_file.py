@@ -76,11 +76,11 @@ def test_a_damping_that_is_not_passive_is_warned_of(
 
 
 def test_an_omega_d_that_is_left_out_may_be_written(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
-    """`omega_d: .inf` is the constant c1 of a file without it; other infinities are refused, by schema and reader."""
+    """`omega_d: .inf` is the constant c1 of a file without it; other infinities are refused."""
     check = validator("friction")
     for key, value, good in (("omega_d", math.inf, True), ("omega_d", -math.inf, False), ("omega_s", math.inf, False)):
         path = edited_yaml(shipped_files.friction, ("elements", "joint_1", key), value)
-        assert check.is_valid(read_yaml(path)) == good
+        assert check.is_valid(read_yaml(path)) == (value > 0.0)  # JSON has no infinity
         if good:
             assert load_friction(path, RX_WRIST.element_names(NAMES)).elements[0].omega_d == math.inf
         else:
@@ -226,12 +226,12 @@ def test_what_is_wrong_in_a_file_is_refused(
 @pytest.mark.parametrize(
     ("part", "block", "words"),
     [
-        ("ripple", {}, "ripple.joint_harmonic is (); accepted: a harmonic in joint_harmonic or motor_harmonic"),
-        ("ripple", {**WAVE, "motor_phase": [1, 2]}, "ripple.motor_phase is (1.0, 2.0); accepted: 1 numbers, as many"),
-        ("ripple", {**WAVE, "joint_amplitude": [0.1]}, "ripple.joint_amplitude is (0.1,); accepted: 0 numbers"),
+        ("ripple", {}, "ripple.joint_harmonic is []; accepted: a harmonic in joint_harmonic or motor_harmonic"),
+        ("ripple", {**WAVE, "motor_phase": [1, 2]}, "ripple.motor_phase is [1.0, 2.0]; accepted: 1 numbers, as many"),
+        ("ripple", {**WAVE, "joint_amplitude": [0.1]}, "ripple.joint_amplitude is [0.1]; accepted: 0 numbers"),
         ("ripple", waves(0.5, 0.5), "amplitudes that sum to less than 1 in both series together"),
         ("bristles", {**SLIP, "stiffness": [0.5, 0.4999]}, "accepted: numbers that sum to 1; these sum to 0.9999"),
-        ("bristles", {**SLIP, "share": [1.0]}, "bristles.share is (1.0,); accepted: 2 numbers, as many as stiffness"),
+        ("bristles", {**SLIP, "share": [1.0]}, "bristles.share is [1.0]; accepted: 2 numbers, as many as stiffness"),
     ],
 )
 def test_what_is_wrong_in_a_part_is_refused(

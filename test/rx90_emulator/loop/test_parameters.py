@@ -107,7 +107,7 @@ def test_values_of_task_and_links(shipped: Setup, task: LineTask, catalogue: Cat
     ("path", "value", "said"),
     [
         ("friction.joint_1.omega_s", 0.0, "friction.joint_1: omega_s is 0.0"),
-        ("friction.joint_2.tau_c", -1.0, "friction.joint_2: tau_c is -1.0; accepted"),
+        ("friction.joint_2.tau_c", -1.0, "friction.joint_2: tau_c.positive is -1.0; accepted"),
         ("friction.joint_2.load.driving", 2.0, "friction.joint_2: load.driving is 2.0; accepted: a number in [0"),
         (
             "friction.joint_2.ripple.motor_amplitude[0]",
