@@ -25,7 +25,7 @@ import numpy as np
 from rx90_common.base.entries import LEFT_OUT, PER_JOINT, REQUIRED, Entry, Integer, NotAccepted, Number, Numbers
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group, Variants
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import counted, quoted
 
 _Self = TypeVar("_Self", bound="Declared")
 
@@ -115,7 +115,7 @@ class Declared:
                 continue
             if np.shape(value) != (1,):
                 place = f"{self.name}{': ' * bool(self.name)}{one.name}"
-                accepted = f"{joints} numbers, as many as {first} has"
+                accepted = f"{counted(joints, 'number')}, as many as {first} has"
                 raise ConfigError(f"{place} is {quoted(in_file(value))}; accepted: {accepted}")
             object.__setattr__(fitting, one.name, np.full(joints, value[0]))
         return fitting

@@ -14,6 +14,7 @@ from numbers import Real
 from typing import Any, Final, NoReturn, TypeAlias
 
 from rx90_common.base.config import Section
+from rx90_common.base.quoting import counted
 
 JsonSchema: TypeAlias = dict[str, Any]
 
@@ -140,7 +141,7 @@ PER_JOINT: Final = 0
 
 
 def _count_text(count: int) -> str:
-    return f"1 to {MAX_JOINTS}" if count == PER_JOINT else f"{count}"
+    return f"one number per joint, up to {MAX_JOINTS}" if count == PER_JOINT else counted(count, "number")
 
 
 def _fits(count: int, value: Sequence[Any]) -> bool:
@@ -161,7 +162,7 @@ class Numbers(Number):
 
     @property
     def _each(self) -> str:
-        return f"{_count_text(self.count)} numbers, each "
+        return f"{_count_text(self.count)}, each "
 
     def check(self, value: Any) -> Any:
         """Return them as a tuple."""
@@ -193,7 +194,7 @@ class Rows(Entry):
 
     def acceptance(self) -> str:
         """Return the size of a row."""
-        return f"a list of rows of {_count_text(self.count)} numbers"
+        return f"a list of rows of {_count_text(self.count)}"
 
     def check(self, value: Any) -> tuple[tuple[float, ...], ...]:
         """Return the rows."""

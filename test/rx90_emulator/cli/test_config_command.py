@@ -148,7 +148,7 @@ def test_a_parameter_file_of_the_nodes_is_checked(tmp_path: Path, capsys: Captur
         f"{file}:3: /**/rx90_sim.ros__parameters.real_time_factor is -1; accepted: a number in [0, 1000]"
     )
     assert said[1].startswith(
-        f"{file}:7: rx90_controller.ros__parameters.servo.kp is [1, 2, 3, 4, 5, 6, 7, 8]; accepted: 1 to "
+        f"{file}:7: rx90_controller.ros__parameters.servo.kp is [1, 2, 3, 4, 5, 6, 7, 8]; accepted: one number "
     )
     assert f"{file}:8: rx90_controller.ros__parameters.feed_forward.columb is unknown to rx90_controller" in said[2]
     for node, parameter, fault in (
