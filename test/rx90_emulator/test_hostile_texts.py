@@ -13,13 +13,13 @@ import yaml
 from foreign_arms import drive_torque, write
 from hostile_texts import TEXTS, check_harmless, hostile, hostile_robot
 from report_pages import ReportCheck
+from rx90_common.report.plot import Curve, Heat, Panel, Plot
 from two_joints import CURVES, NAMES, RATE, Bench, fourier
 
 import rx90_emulator as rx
 from rx90_common.bags.comparison import compare_bags
 from rx90_common.base.share import SOURCE_RIG, config_path
 from rx90_common.report.page import render_page
-from rx90_common.report.plot import Curve, Heat, Panel, Plot
 from rx90_controller.lines.task import load_task
 from rx90_emulator.cli.frame import run
 from rx90_emulator.conformance.battery import Nominal, run_cs7b, step
