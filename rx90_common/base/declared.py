@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from dataclasses import MISSING, Field, dataclass, fields, replace
 from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -209,19 +209,6 @@ def _values(owner: type[Declared], content: Mapping[str, Any]) -> dict[str, Any]
             value = (inner[last],) if one.spread else inner[last]
             values[one.name] = np.array(value, dtype=np.float64) if one.kind is _ARRAY else value
     return values
-
-
-def option(default: Any, description: str, low: float | None = None, high: float | None = None) -> Any:
-    """Return a field of a dataclass that is a parameter of a node, for `rx90_common.exchange.parameters`.
-
-    Args:
-        default: its value if none is given.
-        description: its meaning, with its unit.
-        low: the least accepted value.
-        high: the largest one.
-    """
-    metadata = {"default": default, "description": description, "low": low, "high": high}
-    return field(default_factory=lambda: copy(default), metadata=metadata)
 
 
 def in_file(value: Any) -> Any:
