@@ -147,7 +147,7 @@ class FullSpeed(NamedTuple):
 def scaled(setup: Setup, **factors: float) -> Setup:
     """Return a setup with parameters of all elements multiplied."""
     elements = tuple(
-        dataclasses.replace(one, **{name: factor * getattr(one, name) for name, factor in factors.items()})
+        one.with_parameters({name: factor * one.parameters[name] for name, factor in factors.items()})
         for one in setup.friction.elements
     )
     return dataclasses.replace(setup, friction=FrictionSet(setup.friction.names, elements))
@@ -214,7 +214,7 @@ def sticking(setup: Setup) -> Sticking:
 
 def _pushes(setup: Setup) -> list[Array]:
     """Return the motor torques of each tick: the arm's weight and a share of its static friction."""
-    model, static = setup.robot.model, np.array([e.tau_s_positive for e in setup.friction.elements])
+    model, static = setup.robot.model, np.array([e.tau_s.positive for e in setup.friction.elements])
     weight = np.array(pin.computeGeneralizedGravity(model, model.createData(), STICKING_POSE))
     weight += setup.drives.spring_torque * np.sin(STICKING_POSE)
     needed = static[:6] + static[6] * np.array([0, 0, 0, 0, 1, 1])

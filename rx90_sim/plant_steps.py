@@ -46,7 +46,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.description.drives import LINK, DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction import FrictionSet
-from rx90_common.friction.element import SIGNS
+from rx90_common.friction.signs import SIGNS
 from rx90_common.kernels.compiled import kernel
 
 MAX_AUTOMATIC_STEPS: Final = 64
@@ -154,8 +154,7 @@ def plant_steps(
 def _check_directions(friction: FrictionSet) -> None:
     for name, element in zip(friction.names, friction.elements, strict=True):
         for torque in ("tau_c", "tau_s"):
-            both = [(float(getattr(element, f"{torque}_{sign}")), f"{torque}_{sign}") for sign in SIGNS]
-            low, high = sorted(both)
+            low, high = sorted((element.parameters[f"{torque}_{sign}"], f"{torque}_{sign}") for sign in SIGNS)
             if high[0] > DIRECTIONS * low[0]:
                 raise ConfigError(
                     f"friction.{name}.{low[1]} is {low[0]:.6g} Nm, {high[1]} {high[0]:.6g} Nm; accepted: up to "

@@ -84,8 +84,8 @@ def bench_content(given: Mapping[str, Any]) -> dict[str, Any]:
     ramps = rig.ramps
     content = {"baud": rig.baud, "ramp_slope": ramps.slopes[0], "ramp_end_torque": ramps.end_torque, **given}
     torque = content["ramp_end_torque"]
-    if isinstance(torque, float) and torque > rig.dac_full_scale:
-        most = f"{rig.dac_full_scale:g}"
+    if isinstance(torque, float) and torque > rig.torque.dac_full_scale:
+        most = f"{rig.torque.dac_full_scale:g}"
         raise ConfigError(f"parameter ramp_end_torque is {torque:g}; accepted: a number in [0, {most}]")
     return content
 
@@ -170,7 +170,7 @@ class BenchNode:
             velocity=[velocity],
             effort=[self.rig.measured_torque(sample.report.adc)],
         )
-        command = JointState(name=[JOINT], effort=[self.rig.torque(sample.report.dac)])
+        command = JointState(name=[JOINT], effort=[self.rig.commanded_torque(sample.report.dac)])
         state.header.stamp = command.header.stamp = ros_time(self._epoch_ns + round(sample.time * NANOSECONDS))
         self._states.publish(state)
         self._commands.publish(command)

@@ -114,7 +114,7 @@ def read_logs(
     mapping = mapping_of(paths[0], mapping)
     if len(paths) != mapping.files:
         given = counted(len(paths), "log")
-        raise BagError(f"{given}; accepted: {mapping.files}, those that {plain(mapping.file)} takes columns from")
+        raise BagError(f"{given}; accepted: {mapping.files}, those that {plain(mapping.path)} takes columns from")
     logs = [_read_log(path, mapping, number, more) for number, path in enumerate(paths, 1)]
     counts = [len(log.lines) for log in logs]
     if len(set(counts)) > 1:
@@ -124,7 +124,7 @@ def read_logs(
         assert mapping.rate is not None
         stamps: Int64Array = np.asarray(np.rint(np.arange(counts[0]) * (NANOSECONDS / mapping.rate)), dtype=np.int64)
     else:
-        stamps = logs[mapping.time[0] - 1].stamp_ns
+        stamps = logs[mapping.time.file - 1].stamp_ns
     faults = dict(logs[0].faults)
     for path, log in zip(paths[1:], logs[1:], strict=True):
         for row, reason in log.faults.items():
@@ -139,14 +139,14 @@ def read_logs(
             accepted = "whole rows, or rx90_bag import --skip-corrupt, to leave these out"
         raise BagError(f"{plain(paths[0])}: {what}{corrupt_text(corrupt)}; accepted: {accepted}")
     found = []
-    for topic, mapped in mapping.topics.items():
+    for topic, mapped in mapping.by_topic.items():
         fields: dict[str, Any] = {}
         for name, one in mapped.fields.items():
             columns = logs[one.file - 1].columns
             values = np.column_stack([columns[column] for column in one.columns])
-            fields[name] = (values * np.array(one.factor))[rows]  # a factor of 1 changes no bit
+            fields[name] = (values * np.array(one.factors))[rows]  # a factor of 1 changes no bit
         unit = mapped.effort_unit(topic)
-        found.append(JointSeries(absolute(topic), mapped.names, stamps[rows], **fields, effort_unit=unit))
+        found.append(JointSeries(absolute(topic), mapped.names or (), stamps[rows], **fields, effort_unit=unit))
     return ReadLog(tuple(paths), tuple(log.dialect for log in logs), tuple(found), counts[0], corrupt)
 
 
@@ -223,8 +223,8 @@ def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int]
     time, used = _places(path, source, mapping, number)
     lines, columns, faults = source.rows([*{*used.values()}, *([] if time is None else [time])])
     values = {column: _numbers(columns[place], source.decimal) for column, place in used.items()}
-    fields = [field for topic in mapping.topics.values() for field in topic.fields.values() if field.file == number]
-    for column, factor in (pair for field in fields for pair in zip(field.columns, field.factor, strict=True)):
+    fields = [field for topic in mapping.by_topic.values() for field in topic.fields.values() if field.file == number]
+    for column, factor in (pair for field in fields for pair in zip(field.columns, field.factors, strict=True)):
         texts = columns[used[column]]
         absurd = ~(np.abs(values[column] * factor) <= (_MOST if mapping.exact else _LARGEST))  # a NaN, too
         for row in np.flatnonzero(absurd).tolist():
@@ -263,16 +263,16 @@ def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tu
         unit = heading.rpartition("[")[2].rstrip("]") if heading.endswith("]") else ""
         if unit in known and unit != mapped:
             raise BagError(
-                f"{plain(path)}:{mapping.header}: {quoted(heading)}, but {mapped} in {plain(mapping.file)}; "
+                f"{plain(path)}:{mapping.header}: {quoted(heading)}, but {mapped} in {plain(mapping.path)}; "
                 "accepted: the same unit in both"
             )
 
     time = None
     used = dict[Column, int]()
-    if mapping.time is not None and mapping.time[0] == number:
-        time = place_of(mapping.time[1])
+    if mapping.time is not None and mapping.time.file == number:
+        time = place_of(mapping.time.column)
         compare_unit(time, SECONDS, next(name for name, size in SECONDS.items() if size == mapping.seconds))
-    for topic, mapped in mapping.topics.items():
+    for topic, mapped in mapping.by_topic.items():
         for name, field in mapped.fields.items():
             taken = {time}
             for column in field.columns if field.file == number else ():
@@ -494,7 +494,7 @@ def exported_logs(folder: Path) -> list[tuple[list[Path], LogMapping]]:
     for _, mapping in pairs:
         if not mapping.exact:
             raise BagError(
-                f"{plain(mapping.file)}: exact is not true; accepted in a folder: what rx90_bag export has written"
+                f"{plain(mapping.path)}: exact is not true; accepted in a folder: what rx90_bag export has written"
             )
     return pairs
 

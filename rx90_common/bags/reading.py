@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from operator import attrgetter, itemgetter
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import ConfigDict, Field
 from rosbags.typesys import Stores, get_typestore
 
 from rx90_common.bags.joint_messages import SeriesBuilder
@@ -25,9 +26,8 @@ from rx90_common.bags.limits import DamagedError
 from rx90_common.bags.mapping import LogMapping, is_table
 from rx90_common.bags.storage import ACCEPTED, BagTopic, StorageFile, full_type, open_storage
 from rx90_common.bags.topics import EFFORT_UNIT, JOINT_STATE, absolute
-from rx90_common.base.config import load_yaml
-from rx90_common.base.entries import Integer, Text, Texts
 from rx90_common.base.errors import BagError, ConfigError, located
+from rx90_common.base.models import Model, Names, read_model
 from rx90_common.base.quoting import listed, plain
 
 __all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_states"]
@@ -37,7 +37,39 @@ Progress = Callable[[int, int], None]
 FILE = "metadata.yaml"
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _PART = re.compile(r"(.+)_([0-9]+)(\..+)", re.DOTALL)  # of a recording that was split: NAME_0.mcap, NAME_1.mcap, ...
-_MESSAGES = Integer("", low=0, high=1 << 62)
+
+
+class _TopicMetadata(Model):
+    model_config = ConfigDict(extra="ignore")
+
+    name: str
+    type: str
+
+
+class _TopicCount(Model):
+    model_config = ConfigDict(extra="ignore")
+
+    topic_metadata: _TopicMetadata
+    message_count: Annotated[int, Field(ge=0)]
+
+
+class _Information(Model):
+    model_config = ConfigDict(extra="ignore")
+
+    topics_with_message_count: Annotated[tuple[_TopicCount, ...], Field(strict=False)]
+    relative_file_paths: Names
+    message_count: Annotated[int, Field(ge=0)]
+    custom_data: dict[str, Any] | None = None
+
+
+class _Metadata(Model):
+    """The part of rosbag2's metadata that is used."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    rosbag2_bagfile_information: _Information
+
+
 _STEP = 8192  # messages between two reports of progress
 _typestore = cache(get_typestore)
 
@@ -196,22 +228,19 @@ class BagReader:
     def _read_metadata(self) -> Counter[tuple[str, str]] | None:
         """Find files and units of efforts in metadata.yaml; return the messages of each topic and type, if any."""
         try:
-            root = load_yaml(self.path / FILE, "the metadata of a rosbag2 folder").section(
-                "rosbag2_bagfile_information"
-            )
-            counts: Counter[tuple[str, str]] = Counter()
-            for topic in root.sections("topics_with_message_count"):
-                about = topic.section("topic_metadata")
-                count = _MESSAGES.take(topic, "message_count")
-                counts[Text("").take(about, "name"), full_type(Text("").take(about, "type"))] += count
-            self.files = [self.path / PurePosixPath(file).name for file in Texts("").take(root, "relative_file_paths")]
-            total = _MESSAGES.take(root, "message_count")
+            metadata = read_model(_Metadata, self.path / FILE, "the metadata of a rosbag2 folder")
         except ConfigError as error:
             raise BagError(f"{plain(self.path)}: {str(error).removeprefix(f'{plain(self.path)}/')}") from error
-        custom = root.content.get("custom_data")
-        for key, value in custom.items() if isinstance(custom, dict) else ():
-            if str(key).startswith(EFFORT_UNIT):
-                self.effort_units[str(key).removeprefix(EFFORT_UNIT)] = plain(value)
+        information = metadata.rosbag2_bagfile_information
+        counts: Counter[tuple[str, str]] = Counter()
+        for topic in information.topics_with_message_count:
+            about = topic.topic_metadata
+            counts[about.name, full_type(about.type)] += topic.message_count
+        self.files = [self.path / PurePosixPath(file).name for file in information.relative_file_paths]
+        total = information.message_count
+        for key, value in (information.custom_data or {}).items():
+            if key.startswith(EFFORT_UNIT):
+                self.effort_units[key.removeprefix(EFFORT_UNIT)] = plain(value)
         if self.files and total != counts.total():
             raise self._disagreement(f"{total} messages in all, its topics add up to {counts.total()}")
         for file in self.files:

@@ -9,18 +9,15 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, ValidationError
 
-from friction_bench.rig.rig_file import RIG, load_rig
+from friction_bench.rig.rig_file import RigFile, load_rig
 from rx90_common.bags.mapping import LogMapping, SignalMapFile
 from rx90_common.bags.tolerance import TolerancesFile, load_rules
-from rx90_common.base.config import Section
-from rx90_common.base.entries import JsonSchema
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import DEFINITIONS
-from rx90_common.base.models import FileModel, Model, Named, fault_lines, json_schema, quantity, read_model
+from rx90_common.base.models import FileModel, JsonSchema, Model, Named, fault_lines, json_schema, quantity, read_model
 from rx90_common.base.quoting import plain
 from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import Tool, load_tool
-from rx90_common.friction.friction_file import FRICTION, FrictionFile
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.law.parameters import CS7BParameters, load_controller
 from rx90_controller.lines.task import TaskFile, load_task
 from rx90_emulator.correction.file import CorrectionHead, load_correction
@@ -32,7 +29,7 @@ NODE_PARAMETERS = "node_parameters"
 """The name of the kind of the nodes' parameter files."""
 
 
-class _JointLimits(FileModel):
+class JointLimits(FileModel):
     """Limits of a joint."""
 
     model_config = ConfigDict(extra="allow")
@@ -48,7 +45,7 @@ class MoveItLimits(FileModel):
 
     model_config = ConfigDict(extra="allow")
 
-    joint_limits: Annotated[Named[_JointLimits], Field(description="Limits by joint.")]
+    joint_limits: Annotated[Named[JointLimits], Field(description="Limits by joint.")]
 
 
 def _read_sweep(path: Path) -> object:
@@ -63,27 +60,16 @@ class FileKind:
 
     Attributes:
         name: of the kind and of its schema.
-        entry: what the file may hold: a Model, or an entry with `read(section)` that checks a whole file.
+        model: of its content.
         read: the reader of all who use the file; raises Rx90Error.
     """
 
     name: str
-    entry: Any
+    model: type[Model]
     read: Callable[[Path], Any]
-
-    @property
-    def model(self) -> type[Model] | None:
-        """Return the model of the file's content, None of a kind that has entries."""
-        if isinstance(self.entry, type) and issubclass(self.entry, Model):
-            return self.entry
-        return None
 
     def faults(self, path: Path, content: dict[str, Any]) -> list[ConfigError]:
         """Return what is wrong with single values of a file, and with values together where those are right."""
-        if self.model is None:
-            faults: list[ConfigError] = []
-            self.entry.read(Section(content, path, faults=faults))
-            return faults
         try:
             self.model.model_validate(content)
         except ValidationError as error:
@@ -92,27 +78,19 @@ class FileKind:
 
     def json_schema(self) -> JsonSchema:
         """Return the JSON schema, draft 2020-12, of a file."""
-        title = f"{self.name.replace('_', ' ')} file of rx90_emulator"
-        if self.model is not None:
-            return json_schema(self.model, title)
-        return {
-            "$schema": "https://json-schema.org/draft/2020-12/schema",
-            "title": title,
-            **self.entry.schema(),
-            "$defs": dict(DEFINITIONS),
-        }
+        return json_schema(self.model, f"{self.name.replace('_', ' ')} file of rx90_emulator")
 
 
 KINDS = (
     FileKind("drives", DriveParameters, load_drives),
     FileKind("tool", Tool, load_tool),
-    FileKind("friction", FRICTION, FrictionFile.read),
+    FileKind("friction", FrictionFile, FrictionFile.read),
     FileKind("controller", CS7BParameters, load_controller),
     FileKind("task", TaskFile, load_task),
     FileKind("path", PathFile, load_path),
     FileKind("poses", PosesFile, Poses.load),
     FileKind("moveit_limits", MoveItLimits, lambda path: read_model(MoveItLimits, path)),
-    FileKind("rig", RIG, load_rig),
+    FileKind("rig", RigFile, load_rig),
     FileKind("sweep_plan", PlanFile, _read_sweep),
     FileKind(
         "trajectory",

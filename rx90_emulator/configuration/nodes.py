@@ -194,7 +194,7 @@ def _names_schema(schemas: Mapping[str, JsonSchema]) -> JsonSchema:
     return {"type": "object", "properties": dict(sorted(properties.items())), "additionalProperties": False}
 
 
-NODE_FILE = NodeFile(NODE_PARAMETERS, None, _read)
+NODE_FILE = NodeFile(NODE_PARAMETERS, NodeModel, _read)
 """The kind of parameter files."""
 
 

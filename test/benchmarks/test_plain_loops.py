@@ -25,7 +25,7 @@ def sensitive(work: Work) -> Work:
     """Return the line with encoders too fine to magnify rounding and friction that depends on the sign of motion."""
     drives = unchecked(work.setup.drives, encoder={"counts_per_revolution": 2**40})
     elements = tuple(
-        dataclasses.replace(e, tau_c_negative=0.7 * e.tau_c_negative, tau_s_negative=0.8 * e.tau_s_negative)
+        e.with_parameters({"tau_c_negative": 0.7 * e.tau_c.negative, "tau_s_negative": 0.8 * e.tau_s.negative})
         for e in work.setup.friction.elements
     )
     friction = dataclasses.replace(work.setup.friction, elements=elements)

@@ -20,8 +20,9 @@ import numpy as np
 import pinocchio as pin
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import ABOUT, check_numbers, read_yaml, without_schema_line, yaml_text
+from rx90_common.base.config import check_numbers, read_yaml, without_schema_line, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
+from rx90_common.base.models import FileModel
 from rx90_common.base.quoting import listed, plain
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import load_drives
@@ -54,7 +55,7 @@ def marked(block: Mapping[str, Any], new: Mapping[str, Identified]) -> dict[str,
 
     The most frequent entry of several keys is written under `others`, which applies to all keys that are not named.
     """
-    content = {key: value for key, value in block.items() if key not in ABOUT}
+    content = {key: value for key, value in block.items() if key not in FileModel.about_keys}
     content |= {key: one.value for key, one in new.items()}
     about: dict[str, Any] = {}
     for word in ("provenance", "source"):
@@ -315,7 +316,7 @@ def _compensation(
     viscous, exponent = zip(
         *(viscous_sum(some, top) for some, top in zip(moved_elements, speed, strict=True)), strict=True
     )
-    coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in moved_elements]
+    coulomb = [sum(0.5 * (one.tau_c.positive + one.tau_c.negative) for one in some) for some in moved_elements]
     source = "the identified friction of each joint"
     if base.turning.size.wrist:
         source += "; of joint 6 and of element 7, with which motor 6 turns as well"

@@ -56,7 +56,7 @@ def everything(setup: Setup, side: str) -> Setup:
         },
         current_sensor={"offset": np.full(6, 0.01), "noise": np.full(6, 0.01)},
     )
-    elements = tuple(dataclasses.replace(element, **PARTS) for element in setup.friction.elements)
+    elements = tuple(element.replaced(**PARTS) for element in setup.friction.elements)
     switches = {"inverse_dynamics": True, "friction_model": True}
     files = setup.files
     assert files is not None
