@@ -34,6 +34,7 @@ from rx90_common.exchange.parameters import (
     NodeParameters,
     checked,
     named_parameters,
+    parameter_values,
     refuse_unknown_parameters,
 )
 
@@ -148,9 +149,10 @@ class BenchNode:
         refuse_unknown_parameters([(node, own)])
 
     def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
-        values = {name: held.value for name, held in self.node.get_parameters_by_prefix("").items()}
         try:
-            bench_parameters({**values, **{parameter.name: parameter.value for parameter in parameters}})
+            bench_parameters(
+                {**parameter_values(self.node), **{parameter.name: parameter.value for parameter in parameters}}
+            )
         except Rx90Error as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

@@ -205,16 +205,15 @@ class NodeParameters:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._given: dict[str, Any] = {}
-        for name, parameter in node.get_parameters_by_prefix("").items():
+        for name, value in parameter_values(node).items():
             if name not in OF_ROS and not name.startswith(PREFIX):
-                self._given[name] = _plain(parameter.value)
+                self._given[name] = value
                 node.undeclare_parameter(name)
 
     @property
     def values(self) -> dict[str, Any]:
         """Return what the node was given, and what is declared, by name."""
-        declared = {name: _plain(one.value) for name, one in self._node.get_parameters_by_prefix("").items()}
-        return {**self._given, **declared}
+        return {**self._given, **parameter_values(self._node)}
 
     def declare(self, values: NodeModel) -> None:
         """Declare those parameters of a model that are not declared; a node that is not managed has them read-only."""
@@ -244,8 +243,10 @@ class NodeParameters:
         return [name for name in self._given if not self._node.has_parameter(name)] + unused
 
 
-def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, array) else value
+def parameter_values(node: Node) -> dict[str, Any]:
+    """Return the values of a node's declared parameters by name."""
+    values = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
+    return {name: value.tolist() if isinstance(value, array) else value for name, value in values.items()}
 
 
 def refuse_unknown_parameters(nodes: Sequence[tuple[Node, NodeParameters]]) -> None:
