@@ -27,8 +27,8 @@ from benchmarks.report import PLOT, arguments, merge, print_table
 from rx90_common.base.arrays import Array
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionSet
-from rx90_common.report.picture import write_picture
-from rx90_common.report.plot import COLOURS, INK, Band, Curve, Panel, Plot
+from rx90_common.report.picture import WIDTH, picture, plain_decades
+from rx90_common.report.style import COLOURS, GREY, INK
 from rx90_emulator.loop.setup import Setup
 
 SUBSTEPS = (1, 2, 4, 8, 16)
@@ -42,7 +42,7 @@ COAST = 0.02
 
 
 SMALL_WAY = 2e-4
-"""Of a joint that hardly moves, rad: below 1 % of it, 2 urad, differences do not count."""
+"""Of a joint that hardly moves, rad: below 1 % of it, 2 µrad, differences do not count."""
 
 STICKING_POSE = np.array([0.1, 0.4, 1.3, 0.2, 0.9, -0.1])
 """Where the arm sticks and breaks away, rad."""
@@ -214,7 +214,8 @@ def sticking(setup: Setup) -> Sticking:
 
 def _pushes(setup: Setup) -> list[Array]:
     """Return the motor torques of each tick: the arm's weight and a share of its static friction."""
-    model, static = setup.robot.model, np.array([e.tau_s.positive for e in setup.friction.elements])
+    model = setup.robot.model
+    static = np.array([max(e.tau_s.positive, e.tau_s.negative) for e in setup.friction.elements])
     weight = np.array(pin.computeGeneralizedGravity(model, model.createData(), STICKING_POSE))
     weight += setup.drives.spring_torque * np.sin(STICKING_POSE)
     needed = static[:6] + static[6] * np.array([0, 0, 0, 0, 1, 1])
@@ -232,26 +233,27 @@ def draw(found: Convergence, file: Path) -> None:
         np.array(values) * 1e6
         for values in zip(*((m.tip, m.joints.max(), m.bristles.max()) for m in exact), strict=True)
     )
-    limits = np.percentile(spread, [0, 100])[:, None] * np.ones(2)
     ends = steps[[0, -1]]
-    tip = [
-        Band(ends, *limits, "encoders as shipped: solver against itself"),
-        Curve(ends, np.full(2, float(np.median(spread))), "encoders as shipped: solver against itself", COLOURS[6]),
-        Band(steps, shipped.min(axis=1), shipped.max(axis=1), "encoders as shipped: plant step", COLOURS[1]),
-        Curve(steps, np.median(shipped, axis=1), "encoders as shipped: plant step", COLOURS[1], dots=True),
-        Curve(steps, tips, "without rounding: plant step", COLOURS[0], dots=True),
-        Curve(steps, 2.0 * tips[0] / steps**2.0, "order 2", INK, 1.0, "dotted"),
-    ]
-    states = [
-        Curve(steps, joints, "joint positions", COLOURS[0], dots=True),
-        Curve(steps, bristles, "bristle deflections", COLOURS[2], dots=True),
-        Curve(steps, 2.0 * joints[0] / steps**2.0, "order 2", INK, 1.0, "dotted"),
-    ]
-    panels = [
-        Panel(tip, "", "", "worst tip difference, µm", "log", "log"),
-        Panel(states, "", "plant steps in a tick of 250 µs", "worst difference, µrad", "log", "log"),
-    ]
-    write_picture(Plot(panels, height=3.2), file)
+    slope = 2.0 / steps**2.0
+    with picture(file) as figure:
+        figure.set_size_inches(WIDTH, 6.4)
+        tip, states = figure.subplots(2)
+        tip.fill_between(ends, *np.percentile(spread, [0, 100]), color=GREY, alpha=0.35, linewidth=0.0)
+        tip.loglog(
+            ends, np.full(2, np.median(spread)), color=COLOURS[6], label="encoders as shipped: solver against itself"
+        )
+        tip.fill_between(steps, shipped.min(axis=1), shipped.max(axis=1), color=COLOURS[1], alpha=0.35, linewidth=0.0)
+        tip.loglog(steps, np.median(shipped, axis=1), ".-", color=COLOURS[1], label="encoders as shipped: plant step")
+        tip.loglog(steps, tips, ".-", color=COLOURS[0], label="without rounding: plant step")
+        tip.loglog(steps, tips[0] * slope, ":", color=INK, label="order 2")
+        tip.set_ylabel("worst tip difference, µm")
+        states.loglog(steps, joints, ".-", color=COLOURS[0], label="joint positions")
+        states.loglog(steps, bristles, ".-", color=COLOURS[2], label="bristle deflections")
+        states.loglog(steps, joints[0] * slope, ":", color=INK, label="order 2")
+        states.set(xlabel="plant steps in a tick of 250 µs", ylabel="worst difference, µrad")
+        for panel in (tip, states):
+            plain_decades(panel)
+            panel.legend()
 
 
 def _exact_table(found: Convergence) -> None:
@@ -260,7 +262,7 @@ def _exact_table(found: Convergence) -> None:
         order = "" if last is None or name.startswith("solver") else f"{np.log2(last / miss.tip):.2f}"
         rows.append((name, *_micro(miss.tip, miss.tip_rms, miss.joints.max(), miss.bristles.max()), order))
         last = miss.tip
-    print_table(("without the encoders' rounding", "tip um", "RMS um", "joints urad", "bristles urad", "order"), rows)
+    print_table(("without the encoders' rounding", "tip µm", "RMS µm", "joints µrad", "bristles µrad", "order"), rows)
 
 
 def _micro(*values: float) -> list[str]:
@@ -274,7 +276,7 @@ def _counts_table(found: Convergence) -> None:
         tip = np.array([m.tip for m in misses])
         others = np.median([(m.tip_rms, m.joints.max(), m.bristles.max()) for m in misses], axis=0)
         rows.append((name, *(f"{v * 1e6:.2f}" for v in (np.median(tip), tip.min(), tip.max(), *others))))
-    headers = ("encoders as shipped", "tip um", "least", "most", "RMS um", "joints urad", "bristles urad")
+    headers = ("encoders as shipped", "tip µm", "least", "most", "RMS µm", "joints µrad", "bristles µrad")
     print_table(headers, rows)
 
 
@@ -283,7 +285,7 @@ def _by_element(work: Work, miss: Miss) -> None:
     joints = (*(f"{v * 1e6:.3f}" for v in miss.joints), "")
     bristles = (f"{v * 1e6:.3f}" for v in miss.bristles)
     print_table(
-        ("one step in a tick, no rounding", "joint urad", "bristle urad"),
+        ("one step in a tick, no rounding", "joint µrad", "bristle µrad"),
         list(zip(names, joints, bristles, strict=True)),
     )
 
@@ -301,7 +303,7 @@ def main() -> int:
     print()
     coasts = [(factor, full_speed(scaled(work.setup, c0=factor))) for factor in (1.0, 100.0)]
     print_table(
-        ("coasting from full joint speed", "bristle rate x tick", "joints urad", "friction torque"),
+        ("coasting from full joint speed", "bristle rate x tick", "joints µrad", "friction torque"),
         [(f"c0 x {f:g}", f"{c.rate:.1f}", f"{c.joints * 1e6:.3f}", f"{c.torque:.1e}") for f, c in coasts],
     )
     print()
@@ -314,7 +316,7 @@ def main() -> int:
     }
     rows = [(name, sticking(setup)) for name, setup in cases.items()]
     print_table(
-        ("sticking, break-away, reversal", "steps in a tick", "joints urad", "of the way"),
+        ("sticking, break-away, reversal", "steps in a tick", "joints µrad", "of the way"),
         [(name, str(s.substeps), f"{s.joints * 1e6:.2f}", f"{s.share:.2%}") for name, s in rows],
     )
     merge(

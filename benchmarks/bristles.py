@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import sys
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,8 +31,8 @@ from rx90_common.friction.compiled_elements import (
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import lane, load
-from rx90_common.report.picture import write_picture
-from rx90_common.report.plot import COLOURS, GREY, Curve, Panel, Plot
+from rx90_common.report.picture import WIDTH, picture
+from rx90_common.report.style import COLOURS, GREY
 
 
 class Motion(NamedTuple):
@@ -171,24 +172,30 @@ def costs() -> dict[str, float]:
     return {name: min(times) for name, times in in_turns(runs, 7).items()}
 
 
-def picture() -> Plot:
-    """Return drift and inner loops."""
+def draw(file: Path) -> None:
+    """Draw drift and inner loops as a picture."""
     reach = 25.0 / 1e5
-    drifts, loops = [], []
-    for (name, kind), colour in zip(KINDS.items(), COLOURS, strict=False):
-        position, _ = drift(kind)
-        cycles = np.arange(position.size) / PER_CYCLE - 1.0
-        drifts.append(Curve(cycles, position / reach, name, colour))
-        way, torque = inner_loop(kind)
-        half = _POINTS * 2
-        curves = [
-            Curve(way * 1e3, torque, "outer loop", GREY, 1.2),
-            Curve(way[half - 1 : 2 * half] * 1e3, torque[half - 1 : 2 * half], "inner loop", colour, 1.8),
-        ]
-        title = f"{name}: inner loop open by {left_open(torque):.1f} Nm"
-        loops.append(Panel(curves, title, "position, mrad", "friction torque, Nm"))
-    title = f"Load from {LOW:g} to {HIGH:g} of the Coulomb torque"
-    return Plot([Panel(drifts, title, "cycles", "position / g"), *loops], columns=2, height=3.2)
+    half = _POINTS * 2
+    with picture(file) as figure:
+        rows = 1 + len(KINDS) // 2
+        figure.set_size_inches(WIDTH, 3.2 * rows)
+        drifts, *loops = figure.subplots(rows, 2).ravel()
+        for panel, (name, kind), colour in zip(loops, KINDS.items(), COLOURS, strict=False):
+            position, _ = drift(kind)
+            cycles = np.arange(position.size) / PER_CYCLE - 1.0
+            drifts.plot(cycles, position / reach, color=colour, label=name)
+            way, torque = inner_loop(kind)
+            panel.plot(way * 1e3, torque, color=GREY, label="outer loop")
+            inner = slice(half - 1, 2 * half)
+            panel.plot(way[inner] * 1e3, torque[inner], color=colour, linewidth=1.8, label="inner loop")
+            title = f"{name}: inner loop open by {left_open(torque):.1f} Nm"
+            panel.set(title=title, xlabel="position, mrad", ylabel="friction torque, Nm")
+            panel.legend()
+        title = f"Load from {LOW:g} to {HIGH:g} of the Coulomb torque"
+        drifts.set(title=title, xlabel="cycles", ylabel="position / g")
+        drifts.legend()
+        for panel in loops[len(KINDS) :]:
+            panel.set_axis_off()
 
 
 def main() -> int:
@@ -210,7 +217,7 @@ def main() -> int:
     )
     merge(figures)
     if options.plot:
-        write_picture(picture(), options.plot)
+        draw(options.plot)
     return 0
 
 

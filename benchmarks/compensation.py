@@ -40,8 +40,8 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
-from rx90_common.report.picture import write_picture
-from rx90_common.report.plot import COLOURS, Curve, Level, Panel, Plot
+from rx90_common.report.picture import WIDTH, picture
+from rx90_common.report.style import COLOURS, INK
 from rx90_controller.law.cs7b import position_loop, velocity_loop
 from rx90_controller.law.model import ModelFiles
 from rx90_controller.lines.task import LineTask, load_task
@@ -291,7 +291,7 @@ def print_conditions(runs: Mapping[str, Mapping[str, LineRun]]) -> None:
         print()
 
     table("path error, worst (RMS), mm", lambda one: f"{one.worst * 1e3:.4f} ({one.rms * 1e3:.4f})")
-    table("joint error, worst joint, urad", lambda one: f"{one.joint * 1e6:.0f}")
+    table("joint error, worst joint, µrad", lambda one: f"{one.joint * 1e6:.0f}")
     table("torque of PI and D, % of peak", lambda one: f"{one.feedback * 100:.1f}")
     print("the last: RMS along the line, of the joint that has most of it\n")
 
@@ -336,7 +336,7 @@ def own_budget(setup: Setup, task: LineTask) -> list[tuple[str, float, float]]:
 
 def print_budget(title: str, found: Sequence[tuple[str, float, float]]) -> None:
     """Print what is left."""
-    print_table((title, "worst, um", "RMS, um"), [(n, f"{w * 1e6:.2f}", f"{r * 1e6:.3f}") for n, w, r in found])
+    print_table((title, "worst, µm", "RMS, µm"), [(n, f"{w * 1e6:.2f}", f"{r * 1e6:.3f}") for n, w, r in found])
     print()
 
 
@@ -354,7 +354,7 @@ def print_measured(setups: Mapping[str, Setup], task: LineTask) -> None:
         for kind, worst, settled in cases:
             swing = float(np.ptp(settled, axis=0).max())
             rows.append((f"{name}, {kind}", f"{worst * 1e3:.4f}", f"{swing * 1e6:.1f}"))
-    print_table(("the model, its bristles follow", "worst, mm", "swing at rest, urad"), rows)
+    print_table(("the model, its bristles follow", "worst, mm", "swing at rest, µrad"), rows)
     print()
 
 
@@ -371,20 +371,23 @@ def speed(setup: Setup, task: LineTask) -> dict[str, float]:
 
 def draw(runs: Mapping[str, Mapping[str, LineRun]], file: Path) -> None:
     """Draw the path error along the line for the right model and those that are off."""
-    panels = []
     shown = {RIGHT: list(LAWS), **{name: [OWN, BOTH] for name in (*OFF, COLD, HOT)}}
-    for condition, laws in shown.items():
-        marks: list[Curve | Level] = [Level(TARGET, "0.03 mm", dash="dotted")]
-        curves = [(law, runs[condition][law], COLOURS[list(LAWS).index(law)]) for law in laws]
-        if condition in (COLD, HOT):
-            curves.append((BOTH + KNOWN, runs[condition + KNOWN][BOTH], COLOURS[len(LAWS)]))
-        for name, run, colour in curves:
-            path = run.path_accuracy
-            marks.append(Curve(path.along * 1e3, path.perpendicular * 1e3, name, colour))
-        title = condition.capitalize()
-        x_label = "along the line, mm" if condition == list(shown)[-1] else ""
-        panels.append(Panel(marks, title, x_label, "path error, mm", from_zero=True))
-    write_picture(Plot(panels, height=2.3), file)
+    with picture(file) as figure:
+        figure.set_size_inches(WIDTH, 2.3 * len(shown))
+        panels = figure.subplots(len(shown))
+        for panel, (condition, laws) in zip(panels, shown.items(), strict=True):
+            panel.axhline(TARGET, color=INK, linewidth=0.7, linestyle="dotted", label="0.03 mm")
+            for law in laws:
+                path = runs[condition][law].path_accuracy
+                colour = COLOURS[list(LAWS).index(law)]
+                panel.plot(path.along * 1e3, path.perpendicular * 1e3, color=colour, label=law)
+            if condition in (COLD, HOT):
+                path = runs[condition + KNOWN][BOTH].path_accuracy
+                name = BOTH + KNOWN
+                panel.plot(path.along * 1e3, path.perpendicular * 1e3, color=COLOURS[len(LAWS)], label=name)
+            panel.set(title=condition.capitalize(), ylabel="path error, mm", ylim=(0.0, None))
+            panel.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5)
+        panels[-1].set_xlabel("along the line, mm")
 
 
 def main() -> int:

@@ -22,8 +22,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.description.inverse import SphericalWristArm, nearest_turn
 from rx90_common.description.kinematics import Pose, bias_acceleration, jacobian, tip_position
 from rx90_common.description.rotations import rpy_rotation, solved
-from rx90_common.report.picture import write_picture
-from rx90_common.report.plot import COLOURS, Curve, Panel, Plot
+from rx90_common.report.picture import WIDTH, picture, plain_decades
+from rx90_common.report.style import COLOURS
 from rx90_controller.lines.task import LineTask, TrapezoidalProfile, load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction
@@ -182,29 +182,26 @@ def cost(setup: Setup, task: LineTask) -> tuple[float, float]:
 
 
 def show(title: str, rows: Sequence[tuple[str, Array]]) -> None:
-    """Print path errors by trial, um."""
+    """Print path errors by trial, µm."""
     print()
     print_table(
-        (title, "path error by trial, um"), [(name, " ".join(f"{e * 1e6:.1f}" for e in row)) for name, row in rows]
+        (title, "path error by trial, µm"), [(name, " ".join(f"{e * 1e6:.1f}" for e in row)) for name, row in rows]
     )
 
 
 def draw(learned: dict[str, Array], gears: dict[str, Array], file: Path) -> None:
     """Draw the path errors by trial."""
-
-    def curves(rows: dict[str, Array]) -> list[Curve]:
-        return [
-            Curve(np.arange(len(row), dtype=np.float64), row * 1e3, name, COLOURS[k], dots=True)
-            for k, (name, row) in enumerate(rows.items())
-        ]
-
     rigid = {name.replace("_", ", ") + " mm/s": row for name, row in learned.items()}
     soft = {f"learned from {name}": row for name, row in gears.items()}
-    panels = (
-        Panel(curves(rigid), "reference line, and circle of 50 mm", "trial", "path error, mm", y_scale="log"),
-        Panel(curves(soft), "elastic gears, true tip", "trial", "path error, mm", y_scale="log"),
-    )
-    write_picture(Plot(panels), file)
+    with picture(file) as figure:
+        figure.set_size_inches(WIDTH, 4.8)
+        titles = ("reference line, and circle of 50 mm", "elastic gears, true tip")
+        for panel, title, rows in zip(figure.subplots(2), titles, (rigid, soft), strict=True):
+            for colour, (name, row) in zip(COLOURS, rows.items(), strict=False):
+                panel.semilogy(np.arange(len(row)), row * 1e3, ".-", color=colour, label=name)
+            plain_decades(panel)
+            panel.set(title=title, xlabel="trial", ylabel="path error, mm")
+            panel.legend()
 
 
 def main() -> int:
@@ -237,11 +234,11 @@ def main() -> int:
     show(f"{LONG} trials", [("norm-optimal", long)])
     growth = float(np.diff(long).max())
     noise = noisy(setup, task)
-    show("noise of 5 um at the tip, 2 % more mass", [("norm-optimal", noise)])
+    show("noise of 5 µm at the tip, 2 % more mass", [("norm-optimal", noise)])
     wrong += [] if noise[1:].max() < noise[0] else ["noise"]
     trial, preparation = cost(setup, task)
     print(f"\na trial of 6 s: {trial:.3f} s of processor time, the preparation before the first {preparation:.3f} s")
-    print(f"the largest growth of the path error from trial to trial: {growth * 1e6:.2f} um")
+    print(f"the largest growth of the path error from trial to trial: {growth * 1e6:.2f} µm")
     wrong += [] if trial <= ACCEPTED_TIME else ["time of a trial"]
     figures |= transfer | {
         "correction_elastic_plain": gears["tip"][0],

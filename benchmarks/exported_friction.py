@@ -7,16 +7,14 @@ The element, by default of the RX90B, is given two signs and a viscous exponent,
 
 from __future__ import annotations
 
-import dataclasses
 import tempfile
 from pathlib import Path
 
 from benchmarks.report import PLOT, arguments, print_table
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_common.report.picture import write_picture
-from rx90_common.report.plot import Panel, Plot
-from rx90_emulator.export.export import Export, export_plot, export_robot
+from rx90_emulator.export.export import Export, export_robot
+from rx90_emulator.export.plots import draw_fits
 from rx90_emulator.export.targets import TARGETS
 from rx90_emulator.loop.setup import load_setup
 
@@ -46,16 +44,15 @@ def main() -> None:
     """Print the differences; draw the curves where asked for."""
     options = arguments(__doc__, ("--friction", None, "friction file"), ("--element", "joint_1", "element"), PLOT)
     friction = FrictionFile.read(options.friction or RobotFiles.named(DEFAULT_ROBOT).friction)
-    rows, panels = [], []
+    rows, fits = [], {}
     for export in exports(friction, options.element):
         (fit,) = [fit for fit in export.fits if fit.name == options.element]
         away = "/".join(f"{torque:.3g}" for torque in dict.fromkeys(fit.break_away[1]))
         rows.append((export.target.name, f"{fit.largest:.3g}", f"{fit.rms:.3g}", away, f"{fit.stiffness[1]:.3g}"))
-        plot = export_plot(dataclasses.replace(export, fits=(fit,)))
-        panels += [dataclasses.replace(one, title=export.target.name) for one in plot.panels if isinstance(one, Panel)]
+        fits[export.target.name] = fit
     print_table(("target", "largest Nm", "RMS Nm", "break-away Nm", "presliding Nm/rad"), rows)
     if options.plot is not None:
-        write_picture(Plot(panels, columns=3, height=2.6), options.plot)
+        draw_fits(fits, options.plot)
 
 
 if __name__ == "__main__":

@@ -258,7 +258,7 @@ def main() -> int:
     orders = np.vstack([np.full(4, np.nan), np.log2(errors[:-1] / errors[1:])])
     print()
     print_table(
-        ("steps in a tick", "joints, urad", "order", "mrad/s", "order", "bristles, urad", "order", "load, Nm", "order"),
+        ("steps in a tick", "joints, µrad", "order", "mrad/s", "order", "bristles, µrad", "order", "load, Nm", "order"),
         [
             (str(n), *(text for i in range(4) for text in (f"{row[i] * scale[i]:.3g}", f"{order[i]:.2f}")))
             for n, row, order in zip(STEPS, errors, orders, strict=True)

@@ -67,7 +67,7 @@ class Work(NamedTuple):
         controller, rates = self.setup.cs7b(), self.setup.rates
         controller.trajectory.reset(self.start)
         controller.trajectory.accept(self.points, 0, 0)
-        return controller.trajectory.setpoints(round(first * rates.position_hz), -(-ticks // rates.ratio))
+        return controller.trajectory.corrected(round(first * rates.position_hz), -(-ticks // rates.ratio))
 
 
 class ReferenceRun(NamedTuple):

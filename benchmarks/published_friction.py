@@ -10,10 +10,11 @@ Torques are shares of the joint's largest torque, speeds the motor's. Their numb
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from scipy.optimize import minimize_scalar
 
 from benchmarks.report import PLOT, arguments, publish
@@ -26,8 +27,8 @@ from rx90_common.friction.parts.step import fill_parts, parts_dtype, parts_state
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
-from rx90_common.report.picture import write_picture
-from rx90_common.report.plot import COLOURS, Curve, Panel, Plot
+from rx90_common.report.picture import WIDTH, picture, plain_decades
+from rx90_common.report.style import COLOURS
 
 COULOMB, COULOMB_LOAD = 3.11e-2, 2.34e-2
 STATIC_LOAD, SPEED_LOAD = 1.26e-1, 9.22  # of the load: Stribeck torque, and its speed in rad/s
@@ -153,25 +154,24 @@ def error(torque: float, temperature: float) -> float:
     return float(np.max(np.abs(of_element(torque, temperature) / published(SPEEDS, torque, temperature) - 1.0)))
 
 
-def plot() -> Plot:
-    """Return curves over speed, for loads at 40 degrees and for temperatures without load; published ones are solid."""
-    over_load = list(_curves([(each, 40.0, f"{each:g}") for each in LOADS]))
-    over_temperature = list(_curves([(0.0, t, f"{t:g}") for t in TEMPERATURES]))
-    x, y = "speed of the motor, rad/s", "friction over largest torque"
-    return Plot(
-        [
-            Panel(over_load, "", x, f"{y}; by load, at 40 °C", x_scale="log", from_zero=True),
-            Panel(over_temperature, "", x, f"{y}; by °C, without load", x_scale="log", from_zero=True),
-        ],
-        columns=2,
-        height=3.6,
-    )
+def draw(file: Path) -> None:
+    """Draw curves over speed, for loads at 40 degrees and for temperatures without load; published ones are solid."""
+    with picture(file) as figure:
+        figure.set_size_inches(WIDTH, 3.6)
+        over_load, over_temperature = figure.subplots(1, 2)
+        _draw(over_load, [(each, 40.0, f"{each:g}") for each in LOADS])
+        _draw(over_temperature, [(0.0, t, f"{t:g}") for t in TEMPERATURES])
+        over_load.set_ylabel("friction over largest torque; by load, at 40 °C")
+        over_temperature.set_ylabel("friction over largest torque; by °C, without load")
 
 
-def _curves(states: list[tuple[float, float, str]]) -> Iterator[Curve]:
-    for k, (torque, temperature, label) in enumerate(states):
-        yield Curve(SPEEDS, published(SPEEDS, torque, temperature), label, COLOURS[k])
-        yield Curve(SPEEDS, of_element(torque, temperature), "", COLOURS[k], 1.8, "dotted")
+def _draw(panel: Axes, states: list[tuple[float, float, str]]) -> None:
+    for colour, (torque, temperature, label) in zip(COLOURS, states, strict=False):
+        panel.semilogx(SPEEDS, published(SPEEDS, torque, temperature), color=colour, label=label)
+        panel.semilogx(SPEEDS, of_element(torque, temperature), ":", color=colour, linewidth=1.8)
+    plain_decades(panel)
+    panel.set(xlabel="speed of the motor, rad/s", ylim=(0.0, None))
+    panel.legend(ncols=3)
 
 
 def main() -> None:
@@ -179,7 +179,7 @@ def main() -> None:
     options = arguments(__doc__, PLOT)
     publish(trends())
     if options.plot is not None:
-        write_picture(plot(), options.plot)
+        draw(options.plot)
 
 
 if __name__ == "__main__":

@@ -20,8 +20,8 @@ from benchmarks.report import PLOT, arguments, in_turns, print_table, ratios, ti
 from rx90_common.base.arrays import Array
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.drives import Elasticity
-from rx90_common.report.picture import write_picture
-from rx90_common.report.plot import COLOURS, INK, Curve, Panel, Plot
+from rx90_common.report.picture import WIDTH, picture, plain_decades
+from rx90_common.report.style import COLOURS, INK
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
@@ -95,22 +95,21 @@ def stopping(setup: Setup) -> tuple[Array, Array, Array]:
 def draw(setup: Setup, miss: Array, file: Path) -> None:
     """Draw the rigid limit and the ringing of a link as a picture."""
     factors = np.array(FACTORS)
-    limit = [
-        Curve(factors, miss * 1e6, "elastic less rigid", COLOURS[0], dots=True),
-        Curve(factors, 2.0 * miss[-1] * 1e6 * factors[-1] / factors, "order 1", INK, 1.0, "dotted"),
-    ]
     times, soft, motor = stopping(elastic(setup, 0.1))
     _, rigid, _ = stopping(setup)
-    ringing = [
-        Curve(times, soft * 1e3, "link, a tenth of the stiffness", COLOURS[1]),
-        Curve(times, motor * 1e3, "its motor", COLOURS[0]),
-        Curve(times, rigid * 1e3, "rigid gears", INK, 1.0, "dashed"),
-    ]
-    panels = [
-        Panel(limit, "", "stiffness, times the example's", "largest difference, µrad", "log", "log"),
-        Panel(ringing, "", "time, s, after a quick move that ends at 0.4 s", "speed of joint 1, mrad/s"),
-    ]
-    write_picture(Plot(panels, height=3.2, share_x=False), file)
+    with picture(file) as figure:
+        figure.set_size_inches(WIDTH, 6.4)
+        limit, ringing = figure.subplots(2)
+        limit.loglog(factors, miss * 1e6, ".-", color=COLOURS[0], label="elastic less rigid")
+        limit.loglog(factors, 2.0 * miss[-1] * 1e6 * factors[-1] / factors, ":", color=INK, label="order 1")
+        limit.set(xlabel="stiffness, times the example's", ylabel="largest difference, µrad")
+        ringing.plot(times, soft * 1e3, color=COLOURS[1], label="link, a tenth of the stiffness")
+        ringing.plot(times, motor * 1e3, color=COLOURS[0], label="its motor")
+        ringing.plot(times, rigid * 1e3, "--", color=INK, label="rigid gears")
+        ringing.set(xlabel="time, s, after a quick move that ends at 0.4 s", ylabel="speed of joint 1, mrad/s")
+        plain_decades(limit)
+        for panel in (limit, ringing):
+            panel.legend()
 
 
 def main() -> int:
@@ -128,7 +127,7 @@ def main() -> int:
     miss = np.array([np.abs(way(elastic(setup, factor)) - rigid).max() for factor in FACTORS])
     orders = ["", *(f"{o:.2f}" for o in np.log10(miss[:-1] / miss[1:]))]
     print_table(
-        ("stiffness, times the example's", "from rigid, urad", "order"),
+        ("stiffness, times the example's", "from rigid, µrad", "order"),
         [(f"{f:g}", f"{m * 1e6:.3g}", o) for f, m, o in zip(FACTORS, miss, orders, strict=True)],
     )
     print()
@@ -136,7 +135,7 @@ def main() -> int:
     errors = np.array([np.abs(way(elastic(setup, 0.1), int(n)) - best).max() for n in SUBSTEPS])
     orders = ["", *(f"{o:.2f}" for o in np.log2(errors[:-1] / errors[1:]))]
     print_table(
-        ("plant steps in a tick, a tenth of the stiffness", f"from {FINEST} steps, urad", "order"),
+        ("plant steps in a tick, a tenth of the stiffness", f"from {FINEST} steps, µrad", "order"),
         [(str(n), f"{e * 1e6:.3g}", o) for n, e, o in zip(SUBSTEPS, errors, orders, strict=True)],
     )
     print()

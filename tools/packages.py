@@ -38,12 +38,14 @@ class Need:
         packages: Debian's names of the packages that bring it.
         tests: which tests are skipped without it, for that line.
         is_there: whether it is there.
+        elsewhere: how to get it where that is no package, for that line.
     """
 
     title: str
     packages: tuple[str, ...]
     tests: str
     is_there: Callable[[], bool]
+    elsewhere: str = ""
 
 
 def _any_of(*names: str) -> Callable[[], bool]:
@@ -79,7 +81,13 @@ NEEDS = {
         "the rig's firmware on the ATmega328P",
         lambda: Path("/usr/include/simavr/sim_avr.h").exists(),
     ),
-    "chromium": Need("Chromium", ("chromium",), "pages in a browser", _any_of(*CHROMIUM_NAMES)),
+    "chromium": Need(
+        "Chromium",
+        ("chromium",),
+        "pages in a browser",
+        _any_of(*CHROMIUM_NAMES),
+        "; on Ubuntu, where that is a snap, which does not see files in /tmp: Google Chrome's .deb",
+    ),
     "c++": Need("a C++ compiler", ("g++",), "the action, controller_manager's services, /tf", _any_of("c++")),
     "headers": Need(
         "Python's headers",
@@ -149,7 +157,8 @@ def main() -> int:
     still_missing = missing()
     for need in still_missing:
         consequence = "required here" if options.required else f"skipped: {need.tests}"
-        _say(f"{need.title} is missing ({consequence}); to get it: apt-get install {' '.join(need.packages)}")
+        way = f"apt-get install {' '.join(need.packages)}{need.elsewhere}"
+        _say(f"{need.title} is missing ({consequence}); to get it: {way}")
     return int(options.required and bool(still_missing))
 
 

@@ -25,6 +25,7 @@ from friction_bench.rig.plant import shaft_of
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import VERDICT_NO, IdentificationError
+from rx90_common.base.quoting import counted
 
 LEVEL = 0.95
 SLOPE_TOLERANCE = 0.02
@@ -220,7 +221,7 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
 
 
 def _no_ramp_left(reasons: Sequence[IdentificationError]) -> IdentificationError:
-    more = f" (and {len(reasons) - 1} more ramps that cannot be used)" if len(reasons) > 1 else ""
+    more = f" (and {counted(len(reasons) - 1, 'more ramp')} that cannot be used)" if len(reasons) > 1 else ""
     return IdentificationError(f"{reasons[0]}{more}" if reasons else "no ramp to identify from")
 
 

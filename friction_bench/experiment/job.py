@@ -29,7 +29,7 @@ from friction_bench.rig.messages import Command, RigError, State
 from friction_bench.rig.rig_file import TRAVEL_UNIT, RampPlan, Rig, load_rig
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, IdentificationError
 from rx90_common.base.models import refusals
-from rx90_common.base.quoting import one_line, plain, quoted
+from rx90_common.base.quoting import counted, one_line, plain, quoted
 from rx90_common.base.share import SHIPPED_RIG, SOURCE_RIG, resolve_config
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction.friction_file import FrictionFile, refuse_parts
@@ -85,7 +85,7 @@ def run_ramp(
         samples = _follow(client, client.start_ramp(slope, end_torque), on_sample)
     samples = [sample for sample in samples if sample.report.dac < end]  # a held end torque is no ramp
     if len(samples) < 2:
-        raise RigError(f"{label}: {len(samples)} readings during the ramp; accepted: at least 2")
+        raise RigError(f"{label}: {counted(len(samples), 'reading')} during the ramp; accepted: at least 2")
     ticks, counts, dac, adc = sample_columns(samples)
     return RampRecord(
         time=ticks * rig.tick - samples[0].time,
@@ -182,11 +182,11 @@ def run(options: argparse.Namespace) -> int:
     if options.no_load_file or options.loaded_file:
         records = _read(options, rig)
         new_measurement(out)
-        origin = f"{len(records)} recorded ramps"
+        origin = counted(len(records), "recorded ramp")
     else:
         records = _measure(options, rig, _plan(options, rig))
         measured_by = "emulated rig" if options.port == EMULATED else f"rig at {options.port}"
-        origin = f"{len(records)} ramps on the {measured_by}"
+        origin = f"{counted(len(records), 'ramp')} on the {measured_by}"
     found = evaluate(records, rig, options.source)
     write_result(out, found, rig, origin)
     print(one_line(f"report: {out / 'report.html'}"))

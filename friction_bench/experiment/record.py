@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, Rx90Error
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import counted, quoted
 from rx90_common.process.files import atomic_files
 
 CSV_COLUMNS = ("time", "counts", "torque", "measured_torque")
@@ -116,7 +116,7 @@ class RampRecord:
 
     def __post_init__(self) -> None:
         if self.time.ndim != 1 or self.time.size < 2 or self.time.shape != self.angle.shape:
-            raise RecordError(f"{self.label}: {self.time.size} readings; accepted: at least 2")
+            raise RecordError(f"{self.label}: {counted(self.time.size, 'reading')}; accepted: at least 2")
         for name in ("time", "angle", "torque", "measured_torque"):
             values = getattr(self, name)
             if values is not None and not (values.shape == self.time.shape and np.isfinite(values).all()):
@@ -230,10 +230,10 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
         except ValueError:
             raise RecordError(f"{path}: line {line} holds {quoted(' '.join(words))}; accepted: numbers") from None
         if len(words) not in {1, 2} or len(words) != len(rows[0]):
-            holds = f"line {line} holds {len(words)} numbers"
+            holds = f"line {line} holds {counted(len(words), 'number')}"
             raise RecordError(f"{path}: {holds}; accepted: 1 or 2, the same on every line")
     if len(rows) < 2:
-        raise RecordError(f"{path}: {len(rows)} readings; accepted: at least 2")
+        raise RecordError(f"{path}: {counted(len(rows), 'reading')}; accepted: at least 2")
     table = np.array(rows)
     values: Array = table[:, -1]
     time: Array = table[:, 0] if table.shape[1] == 2 else tick * np.arange(1, len(rows) + 1, dtype=np.float64)

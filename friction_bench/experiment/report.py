@@ -2,40 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from bokeh.plotting import figure
 
 from friction_bench.experiment.four_way import (
-    EXPERIMENT,
     FIXED_STEP,
     SETTLED,
     SMOOTHING,
     SOURCE_SLOPE,
     SOURCE_START,
     STICTION,
-    FourWay,
     Pair,
-    measured_velocity,
 )
 from friction_bench.experiment.identification import (
-    SLOPE_TOLERANCE,
     SOURCE_STATES,
     IntervalEstimate,
     RampFriction,
-    RampIdentification,
     RampTestResult,
     SourceEvaluation,
-    slopes_of,
 )
+from friction_bench.experiment.plots import four_ways, loads, source_input, velocities
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
+from rx90_common.base.quoting import counted
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
-from rx90_common.report.plot import COLOURS, GREY, INK, Curve, Dash, Level, Mark, Panel, Plot
 
 STATIC = (
     "not identifiable by ramps; torque noise releases the shaft before it is reached, and the friction falls from it "
@@ -44,73 +40,6 @@ STATIC = (
 STIFFNESS_SHARE = 1e-4
 """Presliding of the YAML's bristles, rad: assumed, because a ramp test cannot determine it."""
 METHODS = "source, m b / a", "exact, by covariance", "exact, by repeats"
-_DASHES: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dashdot")
-_TIME = "time since the torque's zero, s"
-
-
-def _velocity_plot(part: RampIdentification) -> Plot:
-    """Show the velocities of all repeats with the fitted ones, one panel for each slope (figures 4 to 6)."""
-    panels: list[Panel] = []
-    deviations: list[Mark] = []
-    for j, slope in enumerate(slopes_of(part.ramps)):
-        ramps = [ramp for ramp in part.ramps if abs(ramp.slope - slope) <= SLOPE_TOLERANCE * slope]
-        measured: list[Mark] = []
-        fits: list[Mark] = []
-        for k, ramp in enumerate(ramps):
-            time, velocity = measured_velocity(ramp.record)
-            measured.append(Curve(time, velocity, "", COLOURS[k % len(COLOURS)], 0.7))
-            measured.append(Level(ramp.break_away, "break-away", GREY, "dotted", upright=True))
-            fits.append(Curve(ramp.time, ramp.velocity, "fitted velocity", INK, 0.9, "dashed"))
-            fitted = (time >= ramp.time[0]) & (time <= ramp.time[-1])
-            deviation = velocity[fitted] - np.interp(time[fitted], ramp.time, ramp.velocity)
-            deviations.append(Curve(time[fitted], deviation, "", COLOURS[j % len(COLOURS)], 0.6))
-        title = f"m = {slope:.4g} Nm/s, {len(ramps)} {'ramp' if len(ramps) == 1 else 'repeats'}"
-        panels.append(Panel([*measured, *fits], title, _TIME, "motor velocity, rad/s"))
-    title = "all ramps from where the shaft slides, one colour a slope"
-    return Plot([*panels, Panel(deviations, title, _TIME, "less fit, rad/s")])
-
-
-def _load_plot(result: RampTestResult) -> Plot:
-    """Show one no-load and one loaded ramp of each slope on the same axes."""
-    curves = []
-    for k, (name, part) in enumerate(result.parts):
-        for j, slope in enumerate(slopes_of(part.ramps)):
-            ramp = min(part.ramps, key=lambda r: abs(r.slope - slope))
-            time, velocity = measured_velocity(ramp.record)
-            label = f"{name}, {slope:.3g} Nm/s"
-            curves.append(Curve(time * ramp.slope, velocity, label, COLOURS[k], 1.0, _DASHES[j % 4]))
-    return Plot([Panel(curves, "", "motor torque m t, Nm", "motor velocity, rad/s")], height=3.0)
-
-
-def _comparison_plot(comparison: FourWay) -> Plot:
-    """Show the four velocities and their differences from the closed form (figures 7 and 8)."""
-    upper = []
-    lower = []
-    *_, closed = comparison.velocities.values()
-    for k, (name, velocity) in enumerate(comparison.velocities.items()):
-        style = COLOURS[k], 0.8 if name == EXPERIMENT else 1.4, _DASHES[k]
-        upper.append(Curve(comparison.time, velocity, name, *style))
-        lower.append(Curve(comparison.time, 100 * (velocity - closed) / closed[-1], name, *style))
-    panels = [Panel(upper, y_label="motor velocity, rad/s"), Panel(lower, "", _TIME, "less closed form, %")]
-    return Plot(panels, share_x=True)
-
-
-def _sensor_plot(comparison: FourWay) -> Plot:
-    """Show the models under the source's own input: velocities, and the other outputs of the block diagram's sensor."""
-    sensor = comparison.as_source
-    velocities = [
-        Curve(sensor.time, velocity, name, COLOURS[k + 1], 1.4, _DASHES[k])
-        for k, (name, velocity) in enumerate(comparison.source_velocities.items())
-    ]
-    others = (
-        ("position", sensor.position, "rad"),
-        ("acceleration", sensor.acceleration, "rad/s²"),
-        ("reaction torque", sensor.reaction, "Nm"),
-    )
-    panels = [Panel(velocities, "velocity", "time, s", "motor velocity, rad/s")]
-    for name, values, unit in others:
-        panels.append(Panel([Curve(sensor.time, values, "block diagram", COLOURS[1])], name, "time, s", unit))
-    return Plot(panels)
 
 
 def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
@@ -126,7 +55,10 @@ def _source_lines(found: SourceEvaluation) -> list[str]:
     title = "by the source's evaluation"
     lines = [f"{title:34}{'f_c, Nm':>10}{'s.d.':>9}{'f_v, Nm':>10}{'a, deg/s^2':>12}{'b, deg/s':>10}{'total, Nm':>11}"]
     for name, one in found.loads.items():
-        for text, row in ((f"{name}, {one.ramps} ramps", one), (f"{name}, as published", SOURCE_STATES.loads[name])):
+        for text, row in (
+            (f"{name}, {counted(one.ramps, 'ramp')}", one),
+            (f"{name}, as published", SOURCE_STATES.loads[name]),
+        ):
             spread = "-" if row is not one else f"{row.spread:.4f}"
             lines.append(
                 f"{text:34}{row.coulomb:10.4f}{spread:>9}{row.viscous:10.2e}{row.a:12.1f}{row.b:10.1f}{row.total:11.3f}"
@@ -164,13 +96,12 @@ def write_result(out: Path, found: RampTestResult, rig: Rig, origin: str) -> Non
         if friction.inertia is not None:
             entry["inertia"] = _interval(friction.inertia)
         document.setdefault(name, {})[method] = entry
-    plots = {name: _velocity_plot(part) for name, part in found.parts}
+    of_models: dict[str, Sequence[figure]] = {}
     if found.joint is not None:
         document["joint"] = {
             "motor_side": add("joint, at the motor", *found.joint[:2]),
             "joint_side": add("joint, joint side", *found.joint[2:]),
         }
-        plots["loads"] = _load_plot(found)
         lines.append(f"joint side: {rig.joint_side_reason}")
     if found.as_source is not None:
         document["as_source"] = {name: figures._asdict() for name, figures in found.as_source.loads.items()}
@@ -178,8 +109,7 @@ def write_result(out: Path, found: RampTestResult, rig: Rig, origin: str) -> Non
     if found.comparison is not None:
         document["comparison"] = [_pair(pair) for pair in found.comparison.pairs]
         lines += [_pair_line(pair) for pair in found.comparison.pairs]
-        plots["comparison"] = _comparison_plot(found.comparison)
-        plots["sensor"] = _sensor_plot(found.comparison)
+        of_models = {"compared": four_ways(found.comparison), "source_input": source_input(found.comparison)}
     unused = [*found.failures, *(reason for _, part in found.parts for reason in part.unused)]
     page = render_page(
         "friction_bench.experiment",
@@ -188,7 +118,9 @@ def write_result(out: Path, found: RampTestResult, rig: Rig, origin: str) -> Non
         rig=rig,
         origin=origin,
         rows=rows,
-        plots=plots,
+        velocities=[velocities(part) for _, part in found.parts],
+        loads=loads(dict(found.parts)),
+        of_models=of_models,
         smoothing=SMOOTHING,
         models={"step": FIXED_STEP, "settled": SETTLED, "slope": SOURCE_SLOPE, "start": SOURCE_START, "slip": STICTION},
         static=STATIC,

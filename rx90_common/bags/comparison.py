@@ -19,7 +19,7 @@ from rx90_common.bags.tolerance import Tolerances
 from rx90_common.bags.topics import FIELDS, absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, check_type
-from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 
 _KEY = np.dtype([("stamp", np.int64), ("occurrence", np.int64)])
@@ -306,11 +306,11 @@ def compare_series(
     for side, where in zip((alignment.a, alignment.b), _BAGS, strict=True):
         if side.first_missing_ns is not None:
             reasons.append(
-                f"only the {where} bag has {side.missing} messages of the common range, "
+                f"only the {where} bag has {counted(side.missing, 'message')} of the common range, "
                 f"the first at t = {side.first_missing_ns / NANOSECONDS:.9f} s"
             )
         if side.outside and not scope.common_range:
-            reasons.append(f"only the {where} bag has {side.outside} messages outside the common range")
+            reasons.append(f"only the {where} bag has {counted(side.outside, 'message')} outside the common range")
     values: list[ValueDifference] = []
     for field in FIELDS:
         if field in a.fields and field in b.fields and a.units[field] == b.units[field]:

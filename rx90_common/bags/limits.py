@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 import zipfile
+from bz2 import BZ2Decompressor
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,15 +17,20 @@ from backports import zstd
 from mcap.records import Chunk
 from numpy.typing import NDArray
 
-from rx90_common.base.errors import BagError
+from rx90_common.base.errors import BagError, write_error
 from rx90_common.base.quoting import plain
 
+MAX_CHUNK_BYTES: Final = 32 << 20
+MAX_MESSAGE_BYTES: Final = 16 << 20
+ROS1_MAGIC: Final = b"#ROSBAG V2.0\n"
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 """With which no CDR message begins."""
-MAX_RECORD_BYTES: Final = 32 << 20
-MAX_MESSAGE_BYTES: Final = 16 << 20
-_MAX_ARRAYS_BYTES = 256 << 20  # of all in a file, or
+_MAX_ARRAYS_BYTES = 256 << 20  # of all in a file, also of a bag that is compressed as a whole, or
 _MAX_ARRAYS_FACTOR = 50  # times its size
+_COPY_BYTES = 1 << 20
+_ROS1_CHUNK = b"\x05"  # op code
+_ROS1_COMPRESSIONS = {b"bz2": BZ2Decompressor, b"lz4": lz4.frame.LZ4FrameDecompressor}
+_LENGTH = struct.Struct("<I")
 
 
 class DamagedError(Exception):
@@ -66,10 +73,75 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
             return dict(arrays)
 
 
+def unpack_file(source: Path, target: Path) -> None:
+    """Unpack a file that zstd has compressed as a whole.
+
+    Raises:
+        DamagedError: if it cannot be read, or unpacks to far more than its size.
+        Rx90Error: if the target cannot be written.
+    """
+    most = max(_MAX_ARRAYS_BYTES, _MAX_ARRAYS_FACTOR * source.stat().st_size)
+    done = 0
+    with library_errors(), zstd.open(source, "rb") as content, target.open("wb") as whole:
+        while block := content.read(_COPY_BYTES):
+            done += len(block)
+            check_length("the whole, as far as it was unpacked", done, most)
+            try:
+                whole.write(block)
+            except OSError as error:
+                raise write_error(target, error) from error
+
+
+def check_ros1_chunks(path: Path) -> None:
+    """Refuse a bag of ROS 1 with a chunk that unpacks to too much, or to another length than its head says.
+
+    rosbags unpacks a chunk whole, whatever comes of it. What stands beside chunks, and cut off files, are left to it.
+
+    Raises:
+        DamagedError: if there is one.
+    """
+    data = np.memmap(path, np.uint8, "r").data
+    at = len(ROS1_MAGIC)
+    while at + _LENGTH.size <= len(data):
+        fields, begin = _ros1_part(data, at)
+        content, at = _ros1_part(data, begin)
+        values = _ros1_fields(fields)
+        if not values:
+            return
+        if values.get("op") == _ROS1_CHUNK:
+            with library_errors(f"the chunk at byte {begin}: "):
+                _check_ros1_chunk(values, content)
+
+
+def _ros1_part(data: memoryview, at: int) -> tuple[memoryview, int]:
+    """Return what stands behind its length, as far as the file goes, and where the next part begins."""
+    begin = at + _LENGTH.size
+    length = int.from_bytes(data[at:begin], "little")
+    return data[begin : begin + length], begin + length
+
+
+def _ros1_fields(part: memoryview) -> dict[str, bytes]:
+    values = {}
+    at = 0
+    while at < len(part):
+        field, at = _ros1_part(part, at)
+        name, _, value = field.tobytes().partition(b"=")
+        values[name.decode("latin-1")] = value
+    return values
+
+
+def _check_ros1_chunk(values: dict[str, bytes], content: memoryview) -> None:
+    size = int.from_bytes(values.get("size", b""), "little")
+    check_length("its content", max(size, len(content)), MAX_CHUNK_BYTES)
+    kind: Any = _ROS1_COMPRESSIONS.get(values.get("compression", b""))
+    if len(content if kind is None else kind().decompress(content.tobytes(), size + 1)) != size:
+        raise DamagedError(f"unpacks to another length than {size:,} bytes, which its head says")
+
+
 def unpack_chunk(chunk: Chunk) -> bytes:
     """Return the content of a chunk of mcap that has the length and the checksum that its head states."""
     size = chunk.uncompressed_size
-    check_length("a chunk", size, MAX_RECORD_BYTES)
+    check_length("a chunk", size, MAX_CHUNK_BYTES)
     content = chunk.data
     if chunk.compression == "zstd":
         content = zstd.ZstdDecompressor().decompress(content, size + 1)

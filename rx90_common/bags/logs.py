@@ -78,8 +78,8 @@ class ReadLog:
         rate = f", {(good - 1) / seconds:.6g} Hz, longest gap {gap:.6g} s" if seconds else ""
         lines = [
             *(f"{plain(path)}: {dialect}" for path, dialect in zip(self.paths, self.dialects, strict=True)),
-            f"{good} of {self.rows} rows in {seconds:.6g} s{rate}",
-            *(f"{one.topic}: {counted(len(one.names), 'joint')}" for one in self.series),
+            f"{good} of {counted(self.rows, 'row')} in {seconds:.6g} s{rate}",
+            *(f"{series.topic}: {counted(len(series.names), 'joint')}" for series in self.series),
         ]
         return "\n".join([*lines, *([f"left out: {corrupt_text(self.corrupt)}"] if self.corrupt else [])])
 
@@ -91,7 +91,7 @@ def corrupt_text(corrupt: Sequence[tuple[int, str]]) -> str:
     for _, run in groupby(enumerate(lines), key=lambda pair: pair[1] - pair[0]):
         first, *later = [line for _, line in run]
         places.append(f"{first}-{later[-1]}" if later else f"{first}")
-    more = f" and {len(places) - _MAX_RANGES} more places" if len(places) > _MAX_RANGES else ""
+    more = f" and {counted(len(places) - _MAX_RANGES, 'more place')}" if len(places) > _MAX_RANGES else ""
     rows = counted(len(lines), "corrupt row")
     return f"{rows}, line {', '.join(places[:_MAX_RANGES])}{more} (line {lines[0]}: {corrupt[0][1]})"
 
@@ -138,16 +138,16 @@ def read_logs(
             what = ""
             accepted = "whole rows, or rx90_bag import --skip-corrupt, to leave these out"
         raise BagError(f"{plain(paths[0])}: {what}{corrupt_text(corrupt)}; accepted: {accepted}")
-    found = []
+    series = []
     for topic, mapped in mapping.by_topic.items():
         fields: dict[str, Any] = {}
-        for name, one in mapped.fields.items():
-            columns = logs[one.file - 1].columns
-            values = np.column_stack([columns[column] for column in one.columns])
-            fields[name] = (values * np.array(one.factors))[rows]  # a factor of 1 changes no bit
+        for name, field in mapped.fields.items():
+            columns = logs[field.file - 1].columns
+            values = np.column_stack([columns[column] for column in field.columns])
+            fields[name] = (values * np.array(field.factors))[rows]  # a factor of 1 changes no bit
         unit = mapped.effort_unit(topic)
-        found.append(JointSeries(absolute(topic), mapped.names or (), stamps[rows], **fields, effort_unit=unit))
-    return ReadLog(tuple(paths), tuple(log.dialect for log in logs), tuple(found), counts[0], corrupt)
+        series.append(JointSeries(absolute(topic), mapped.names or (), stamps[rows], **fields, effort_unit=unit))
+    return ReadLog(tuple(paths), tuple(log.dialect for log in logs), tuple(series), counts[0], corrupt)
 
 
 def _good_rows(stamps: Int64Array, mapping: LogMapping, faults: dict[int, str]) -> Int64Array:
@@ -157,11 +157,11 @@ def _good_rows(stamps: Int64Array, mapping: LogMapping, faults: dict[int, str]) 
         return np.asarray(rows[np.argsort(stamps[rows], kind="stable")])
     if mapping.time is None:
         return rows
-    kept = rows[_increasing(stamps[rows])]
-    for row in np.setdiff1d(rows, kept).tolist():
+    increasing = rows[_increasing(stamps[rows])]
+    for row in np.setdiff1d(rows, increasing).tolist():
         time = Decimal(int(stamps[row])) * mapping.seconds.denominator / (NANOSECONDS * mapping.seconds.numerator)
         faults[row] = f"time {quoted(f'{time:f}')} does not lie between those around it"
-    return kept
+    return increasing
 
 
 def _increasing(stamps: Int64Array) -> Int64Array:
@@ -253,9 +253,9 @@ def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tu
                 raise BagError(f"{plain(path)}: no column {column}; accepted: 1 to {source.width}")
             return column - 1
         if source.names.count(column) != 1:
-            found = "more than one column" if column in source.names else "no column"
-            there = listed(source.names) or "no names"
-            raise BagError(f"{plain(path)}: {found} {quoted(column)}; there are {there}")
+            what = "more than one column" if column in source.names else "no column"
+            named = listed(source.names) or "no names"
+            raise BagError(f"{plain(path)}: {what} {quoted(column)}; there are {named}")
         return source.names.index(column)
 
     def compare_unit(place: int, known: Mapping[str, Any], mapped: str) -> None:
@@ -278,9 +278,9 @@ def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tu
             for column in field.columns if field.file == number else ():
                 place = used[column] = place_of(column)
                 if place in taken:
-                    others = "the times" if place == time else "another joint"
+                    owner = "the times" if place == time else "another joint"
                     raise BagError(
-                        f"{plain(path)}: column {plain(column)} in {plain(topic)}.{name} is that of {others}; "
+                        f"{plain(path)}: column {plain(column)} in {plain(topic)}.{name} is that of {owner}; "
                         "accepted: a column of its own for each"
                     )
                 taken.add(place)
@@ -290,7 +290,7 @@ def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tu
 
 def _open_arrays(path: Path, more: Callable[[int], object]) -> _Source:
     """Open a log of arrays: columns of Parquet; of NPZ those of shape (n,), and each column of (n, k), as `q[0]`."""
-    there: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     parquet = path.suffix.lower() == ".parquet"
     try:
         with library_errors():
@@ -300,21 +300,21 @@ def _open_arrays(path: Path, more: Callable[[int], object]) -> _Source:
                 table = pq.read_table(path, page_checksum_verification=True)
                 for name, column in zip(table.column_names, table.columns, strict=True):
                     if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
-                        there[name] = column.to_numpy()
+                        arrays[name] = column.to_numpy()
                     elif pa.types.is_timestamp(column.type):
-                        there[name] = column.cast(pa.timestamp("ns")).to_numpy()
+                        arrays[name] = column.cast(pa.timestamp("ns")).to_numpy()
             else:
                 for name, values in load_arrays(path).items():
                     if values.dtype.kind in "fiuM" and values.ndim == 1:
-                        there[name] = values
+                        arrays[name] = values
                     elif values.dtype.kind in "fiu" and values.ndim == 2:
-                        there |= {f"{name}[{k}]": column for k, column in enumerate(values.T)}
+                        arrays |= {f"{name}[{k}]": column for k, column in enumerate(values.T)}
     except DamagedError as error:
         raise BagError(f"{plain(path)}: is no {'Parquet' if parquet else 'NPZ'} file, or damaged ({error})") from error
-    names = list(there)
+    names = list(arrays)
 
     def rows(places: Sequence[int]) -> _Rows:
-        columns = {place: there[names[place]] for place in places}
+        columns = {place: arrays[names[place]] for place in places}
         counts = {len(column) for column in columns.values()}
         if len(counts) != 1 or 0 in counts:
             each = ", ".join(f"{plain(names[place])} {len(column)}" for place, column in columns.items())
@@ -322,7 +322,7 @@ def _open_arrays(path: Path, more: Callable[[int], object]) -> _Source:
         more(path.stat().st_size)
         return _Rows(np.arange(1, counts.pop() + 1), columns, {})
 
-    return _Source(names, len(names), f"{len(names)} columns {listed(names)}", ".", rows)
+    return _Source(names, len(names), f"{counted(len(names), 'column')} {listed(names)}", ".", rows)
 
 
 def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], object]) -> _Source:
@@ -364,7 +364,7 @@ def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], object]) -
         columns = {place: pa.chunked_array(part) for place, part in parts.items()}
         return _Rows(np.array(numbers, dtype=np.int64), columns, torn)
 
-    dialect = f"{width} columns, delimiter {delimiter!r}, decimal {decimal!r}, {named}"
+    dialect = f"{counted(width, 'column')}, delimiter {delimiter!r}, decimal {decimal!r}, {named}"
     return _Source(header, width, dialect, decimal, rows)
 
 
@@ -451,10 +451,10 @@ def _stamps_ns(column: Any, decimal: str, unit_ns: int) -> Int64Array:
         column = column.astype("datetime64[ns]").astype(np.int64)
         unit_ns = 1
     inside = (column >= 0) & (column < _LAST_NS / unit_ns)  # a NaN is not
-    found = np.full(len(column), -1, dtype=np.int64)
+    stamps_ns = np.full(len(column), -1, dtype=np.int64)
     whole = np.issubdtype(column.dtype, np.integer)
-    found[inside] = column[inside] * unit_ns if whole else np.rint(column[inside] * float(unit_ns))
-    return found
+    stamps_ns[inside] = column[inside] * unit_ns if whole else np.rint(column[inside] * float(unit_ns))
+    return stamps_ns
 
 
 def _iso_ns(text: str) -> int:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import partial
 from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -19,36 +20,108 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.process.files import write_text
-from rx90_common.report.page import render_page
-from rx90_common.report.picture import PICTURES, write_picture
-from rx90_common.report.plot import COLOURS, INK, Curve, Level, Mark, Panel, Plot
+from rx90_common.report.style import COLOURS, INK
 
 USUAL = ("/joint_states", "/friction_states", "/rx90_controller/tracking_error")
 """What is drawn unless topics are chosen."""
 _PARTS = 1000  # of each bag, in which progress is reported
 _WALL_CLOCK = 10**8 * NANOSECONDS  # later stamps, from 1973 on, are no simulated time
-_HEIGHT = 1.9  # of a panel, inches
+
+
+class TopicLine(NamedTuple):
+    """A joint's values over the time, s, with a name for the legend."""
+
+    name: str
+    time: Array
+    values: Array
+    colour: str
+    width: float = 1.0
+    dash: Literal["solid", "dashed"] = "solid"
 
 
 @dataclass(frozen=True, eq=False)
 class TopicPlot:
-    """A topic of one bag or of two.
+    """A topic of one bag or of two, as it is drawn.
 
     Attributes:
-        topic: its name.
-        plot: the plot.
+        names: of the bags.
+        series: of each bag, with the same joints.
+        fields: that are drawn, of the series.
+        less: second less first, if that is drawn: of two bags of the same robot.
         messages: of each bag.
-        differences: between two bags: quantity, joint, largest difference, its time in s, RMS, and the number of
-            messages with common stamps.
-        robots: the names of two different robots, if the bags have them; then no difference is drawn.
+        robots: the names of two different robots, if the bags have them.
     """
 
-    topic: str
-    plot: Plot
+    names: Sequence[str]
+    series: tuple[JointSeries, ...]
+    fields: Sequence[str]
+    less: JointSeries | None
     messages: tuple[int, ...]
-    differences: list[tuple[str, str, float, float, float, int]]
     robots: tuple[str, ...] = ()
+
+    @property
+    def topic(self) -> str:
+        """Return the name of the topic."""
+        return self.series[0].topic
+
+    @property
+    def _zero(self) -> int:
+        """Return the stamp, ns, from which the times are counted."""
+        start = min(int(series.stamp_ns[0]) for series in self.series)
+        return start if start > _WALL_CLOCK else 0
+
+    @property
+    def time_label(self) -> str:
+        """Return the label of the axis of time."""
+        zero = self._zero
+        if not zero:
+            return "time, s"
+        date = datetime.fromtimestamp(zero // NANOSECONDS, timezone.utc)
+        return f"time since {date:%Y-%m-%d %H:%M:%S} and {zero % NANOSECONDS} ns UTC, s"
+
+    def label(self, field: str) -> str:
+        """Return the label of the axis of a field, with its unit."""
+        return self.series[0].quantities[field].replace(" [", ", ").removesuffix("]")
+
+    def lines(self, field: str) -> list[TopicLine]:
+        """Return the lines of a field: of the second of two bags dashed, over wide ones."""
+        if len(self.series) == 1:
+            return self._lines(self.series[0], field)
+        first, second = self.series
+        lines = [
+            line._replace(name=f"{line.name}, {plain(self.names[0])}", width=2.0) for line in self._lines(first, field)
+        ]
+        for line in self._lines(second, field):
+            colour = INK if len(second.names) == 1 else line.colour
+            lines.append(line._replace(name=f"{line.name}, {plain(self.names[1])}", colour=colour, dash="dashed"))
+        return lines
+
+    def lines_less(self, field: str) -> list[TopicLine]:
+        """Return the lines of the differences of a field; none where no difference is drawn."""
+        return [] if self.less is None else self._lines(self.less, field)
+
+    def _lines(self, series: JointSeries, field: str) -> list[TopicLine]:
+        time = (series.stamp_ns - self._zero) / NANOSECONDS
+        return [
+            TopicLine(plain(name), time, series.fields[field][:, k], COLOURS[k % len(COLOURS)])
+            for k, name in enumerate(series.names)
+        ]
+
+    @property
+    def differences(self) -> list[tuple[str, str, float, float, float, int]]:
+        """Return differences: quantity, joint, the largest, its time in s, RMS, messages with common stamps."""
+        less = self.less
+        rows: list[tuple[str, str, float, float, float, int]] = []
+        if less is None:
+            return rows
+        for field in self.fields:
+            for name, values in zip(less.names, less.fields[field].T, strict=True):
+                known = bool(np.isfinite(values).any())
+                at = int(np.nanargmax(np.abs(values))) if known else 0
+                rms = float(np.sqrt(np.nanmean(values**2))) if known else np.nan
+                largest = float(abs(values[at]))
+                rows.append((less.quantities[field], name, largest, float(less.time[at]), rms, len(values)))
+        return rows
 
 
 def plot_bags(
@@ -102,30 +175,6 @@ def plot_bags(
     return [_topic_plot(_names(paths), series, robots) for series in chosen]
 
 
-def write_plots(paths: Sequence[Path], plots: Sequence[TopicPlot], output: Path) -> str:
-    """Write the plots of bags to a page or picture, by its suffix; return the remark on different robots."""
-    names = _names(paths)
-    robots = next((one.robots for one in plots if one.robots), ())
-    each = " and ".join(f"{plain(name)} of {plain(robot)}" for name, robot in zip(names, robots, strict=False))
-    note = f"two robots, {each}: drawn over each other, without a difference" if robots else ""
-    if is_page(output):
-        page = render_page("rx90_common.bags", "bag.html.j2", names=names, paths=paths, plots=plots, robots=note)
-        write_text(output, page)
-    else:  # all topics below each other
-        title = note or f"{' against '.join(reversed(names))}: {listed(one.topic for one in plots)}"
-        panels = [panel for one in plots for panel in one.plot.panels]
-        write_picture(Plot(panels, height=_HEIGHT, share_x=True), output, title)
-    return note
-
-
-def is_page(path: Path) -> bool:
-    """Return whether a file is a page, and not a picture, by its suffix."""
-    kinds = (".html", *PICTURES)
-    if path.suffix.lower() not in kinds:
-        raise BagError(f"{plain(path)}: the suffix says what it is; accepted: {', '.join(kinds)}")
-    return path.suffix.lower() == ".html"
-
-
 def _names(paths: Sequence[Path]) -> list[str]:
     """Return names for bags: their file names, or if these are equal their paths."""
     names = [path.resolve().name for path in paths]
@@ -136,13 +185,6 @@ def _topic_plot(words: Sequence[str], series: Sequence[JointSeries], robots: tup
     """Return the plot of a topic of one bag, or of two, which have these words for names."""
     first = series[0]
     second = series[-1]
-    start = min(int(one.stamp_ns[0]) for one in series)
-    zero = 0
-    label = "time, s"
-    if start > _WALL_CLOCK:
-        date = datetime.fromtimestamp(start // NANOSECONDS, timezone.utc)
-        zero = start
-        label = f"time since {date:%Y-%m-%d %H:%M:%S} and {start % NANOSECONDS} ns UTC, s"
     names = [name for name in first.names if name in second.names]
     fields = [f for f in first.fields if f in second.fields and first.units[f] == second.units[f]]
     if not names or not fields:
@@ -150,50 +192,21 @@ def _topic_plot(words: Sequence[str], series: Sequence[JointSeries], robots: tup
             f"{plain(first.topic)}: nothing is in both bags: joints {listed(first.names)} and {listed(second.names)}; "
             f"arrays {listed(first.fields) or 'none'} and {listed(second.fields) or 'none'}"
         )
-    first = first.select(names)
-    second = second.select(names)
-    apart = None
-    if len(series) > 1 and not robots:  # second less first, at the stamps that both have
-        alignment = align_series(first, second)
-        if not len(alignment.stamp_ns):
-            spans = [f"{one.time.min():.9g} to {one.time.max():.9g} s" for one in (first, second)]
-            raise BagError(
-                f"{plain(first.topic)}: no stamp is in both bags, t = {spans[0]} and {spans[1]}; accepted: bags of the "
-                "same times, or --align start"
-            )
-        rows_a, rows_b, stamps, *_ = alignment
-        less: dict[str, Array] = {field: second.fields[field][rows_b] - first.fields[field][rows_a] for field in fields}
-        apart = JointSeries(first.topic, first.names, stamps, **less, effort_unit=first.effort_unit)
-    panels: list[Panel] = []
-    differences: list[tuple[str, str, float, float, float, int]] = []
-    for field in fields:
-        title = first.topic if field == fields[0] else ""
-        last = label if field == fields[-1] else ""
-        axis = first.quantities[field].replace(" [", ", ").removesuffix("]")
-        over = _curves(first, field, zero, f", {words[0]}" if len(series) > 1 else "")
-        if len(series) > 1:
-            over += _curves(second, field, zero, f", {words[1]}", second=True)
-        panels.append(Panel(over, title, last if apart is None else "", axis))
-        if apart is not None:
-            marks: list[Mark] = [Level(0.0, colour=INK), *_curves(apart, field, zero)]
-            panels.append(Panel(marks, f"{words[1]} less {words[0]}", last, axis))
-            for name, values in zip(apart.names, apart.fields[field].T, strict=True):
-                known = bool(np.isfinite(values).any())
-                at = int(np.nanargmax(np.abs(values))) if known else 0
-                rms = float(np.sqrt(np.nanmean(values**2))) if known else np.nan
-                found = float(abs(values[at])), float(apart.time[at]), rms, len(values)
-                differences.append((apart.quantities[field], name, *found))
     messages = tuple(len(one.stamp_ns) for one in series)
-    return TopicPlot(first.topic, Plot(panels, height=_HEIGHT, share_x=True), messages, differences, robots)
+    same = tuple(one.select(names) for one in series)
+    less = _less(same[0], same[1], fields) if len(series) > 1 and not robots else None
+    return TopicPlot(words, same, fields, less, messages, robots)
 
 
-def _curves(series: JointSeries, field: str, zero: int, suffix: str = "", *, second: bool = False) -> list[Curve]:
-    time = (series.stamp_ns - zero) / NANOSECONDS
-    values = series.fields[field]
-    curves = []
-    for k, name in enumerate(series.names):
-        colour = INK if second and len(series.names) == 1 else COLOURS[k % len(COLOURS)]
-        width = 1.0 if second or not suffix else 2.0
-        label = f"{plain(name)}{suffix}"
-        curves.append(Curve(time, values[:, k], label, colour, width, "dashed" if second else "solid"))
-    return curves
+def _less(first: JointSeries, second: JointSeries, fields: Sequence[str]) -> JointSeries:
+    """Return the second less the first, at the stamps that both have."""
+    alignment = align_series(first, second)
+    if not len(alignment.stamp_ns):
+        spans = [f"{one.time.min():.9g} to {one.time.max():.9g} s" for one in (first, second)]
+        raise BagError(
+            f"{plain(first.topic)}: no stamp is in both bags, t = {spans[0]} and {spans[1]}; accepted: bags of the "
+            "same times, or --align start"
+        )
+    rows_a, rows_b, stamps, *_ = alignment
+    less: dict[str, Array] = {field: second.fields[field][rows_b] - first.fields[field][rows_a] for field in fields}
+    return JointSeries(first.topic, first.names, stamps, **less, effort_unit=first.effort_unit)

@@ -21,6 +21,7 @@ from rx90_common.bags.topics import JOINT_TRAJECTORY, POINT_FIELDS, STRING, repo
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.rates import message_time_ns
+from rx90_common.description.urdf import robot_name
 from rx90_common.exchange.topics import COMMANDED_TRAJECTORY, OF_ACTION, TRAJECTORY_ACCEPTED
 
 START: Final = "start"
@@ -42,7 +43,7 @@ def robot_of(path: Path | str) -> str | None:
         topics = [t for t in bag.topics if t.msgtype == STRING and t.name.rpartition("/")[2] == _DESCRIPTION]
         for topic, _, data in islice(bag.messages(topics) if topics else (), 1):
             with suppress(ET.ParseError, ValueError):
-                return ET.fromstring(str(bag.deserialize(topic, data).data)).get("name")
+                return robot_name(str(bag.deserialize(topic, data).data)) or None
     return None
 
 

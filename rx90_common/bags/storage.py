@@ -7,7 +7,6 @@ chunk of mcap are found here: the library takes some 15 us for each.
 from __future__ import annotations
 
 import os
-import shutil
 import sqlite3
 import struct
 from bisect import bisect_left
@@ -22,7 +21,6 @@ from tempfile import TemporaryDirectory
 from typing import BinaryIO, Final, TypeAlias
 from zlib import crc32
 
-from backports import zstd
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, Schema, Statistics
@@ -31,17 +29,20 @@ from mcap.summary import Summary
 from rosbags.rosbag1 import Reader as Ros1Reader
 
 from rx90_common.bags.limits import (
+    MAX_CHUNK_BYTES,
     MAX_MESSAGE_BYTES,
-    MAX_RECORD_BYTES,
+    ROS1_MAGIC,
     ZSTD_MAGIC,
     DamagedError,
     check_length,
+    check_ros1_chunks,
     library_errors,
     unpack_chunk,
+    unpack_file,
     unpack_message,
 )
 from rx90_common.bags.topics import JOINT_STATE
-from rx90_common.base.errors import BagError, write_error
+from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 
@@ -50,20 +51,19 @@ ACCEPTED: Final = (
 )
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
 _MAX_SUMMARY_BYTES = 256 << 20
-_COPY_BYTES = 1 << 20
 _LAST_NS = 2**64
 _RECORD = struct.Struct("<BQ")  # op code and length
 _MESSAGE = struct.Struct("<BQHIQQ")  # the same, channel, sequence number, log time, time of publication
 _FOOTER = struct.Struct("<QQI")  # places of summary and offsets, checksum
 _CDR = "cdr"
 _ROS1 = "ros1"
-_CHECKS = (
-    "PRAGMA integrity_check(1)",  # tables against indexes, page by page
+# Queries of a database before its messages are read.
+_INTEGRITY = "PRAGMA integrity_check(1)"  # tables against indexes, page by page
+_FOREIGN = (
     "SELECT count(*) FROM messages WHERE typeof(id) != 'integer' OR typeof(timestamp) != 'integer' "
-    "OR typeof(data) != 'blob' OR topic_id NOT IN (SELECT id FROM topics)",
-    "SELECT count(*), min(id), max(id) FROM messages",
+    "OR typeof(data) != 'blob' OR topic_id NOT IN (SELECT id FROM topics)"
 )
-"""Query of a database before its messages are read."""
+_NUMBERS = "SELECT count(*), min(id), max(id) FROM messages"
 
 LoggedMessage: TypeAlias = tuple[int, int, bytes]
 """Key of the topic, log time in ns, message."""
@@ -158,14 +158,7 @@ def open_storage(path: Path, stack: ExitStack) -> StorageFile:
         beginning = stream.read(max(map(len, _BEGINNINGS)))
         if beginning.startswith(ZSTD_MAGIC):
             target = Path(stack.enter_context(TemporaryDirectory(prefix="rx90_bag_"))) / path.stem
-            stream.seek(0)
-            try:
-                with zstd.open(stream, "rb") as content, target.open("wb") as whole:
-                    shutil.copyfileobj(content, whole, _COPY_BYTES)
-            except (zstd.ZstdError, EOFError) as error:
-                raise DamagedError(f"{error}") from error
-            except OSError as error:
-                raise write_error(target, error) from error
+            unpack_file(path, target)
             inner = open_storage(target, stack)
             inner.compression = "zstd files"
             return inner
@@ -192,6 +185,8 @@ class _McapFile(StorageFile):
                 raise self._cut_off()
             summary = _summary(stream)
         self._chunks = sorted(summary.chunk_indexes, key=attrgetter("message_start_time"))
+        if sum(index.chunk_length for index in self._chunks) > size:
+            raise DamagedError("its index has more chunks than it can hold")
         counts: dict[int, int] = Counter()
         if summary.statistics is not None and summary.channels:
             counts = summary.statistics.channel_message_counts
@@ -227,7 +222,8 @@ class _McapFile(StorageFile):
         """Yield messages of these channels by chunk, each with the first time of the later chunks."""
         if not self._chunks:
             messages = [record for record in self._records() if isinstance(record, Message)]
-            yield [(one.channel_id, one.log_time, one.data) for one in messages if one.channel_id in keys], _LAST_NS
+            logged = ((message.channel_id, message.log_time, message.data) for message in messages)
+            yield [message for message in logged if message[0] in keys], _LAST_NS
             return
         chunks = [
             index
@@ -240,8 +236,9 @@ class _McapFile(StorageFile):
                 with library_errors(f"the chunk at byte {index.chunk_start_offset}: "):
                     stream.seek(index.chunk_start_offset)
                     code, length = _RECORD.unpack(stream.read(_RECORD.size))
-                    if code != Opcode.CHUNK or length > MAX_RECORD_BYTES:
-                        raise DamagedError(f"a record of kind {code} with {length:,} bytes, which is no chunk")
+                    if code != Opcode.CHUNK or length + _RECORD.size != index.chunk_length:
+                        raise DamagedError("its index leads to no chunk")
+                    check_length("a chunk", length, MAX_CHUNK_BYTES)
                     chunk = Chunk.read(ReadDataStream(stream))
                     part = _messages_in(self._content(chunk), keys)
                     if not all(chunk.message_start_time <= log_ns <= chunk.message_end_time for _, log_ns, _ in part):
@@ -256,7 +253,7 @@ class _McapFile(StorageFile):
     def _records(self) -> Iterator[McapRecord]:
         """Yield the records of the file, and those in its chunks, as they stand in it."""
         with self._path.open("rb") as stream:
-            reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+            reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_CHUNK_BYTES)
             for record in reader.records:
                 if isinstance(record, Chunk):
                     yield from breakup_chunk(replace(record, data=self._content(record), compression=""))
@@ -322,8 +319,10 @@ def _messages_in(content: bytes, keys: Collection[int]) -> list[LoggedMessage]:
             end += length
             if channel in keys:
                 messages.append((channel, log_ns, content[at + _MESSAGE.size : end]))
-        else:
+        elif content[at]:  # schemas and channels
             end += _RECORD.unpack_from(content, at)[1]
+        else:
+            break
         at = end
     if at != size:
         raise DamagedError("its records do not fill it")
@@ -347,9 +346,11 @@ class _SqliteFile(StorageFile):
 
     def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
         with library_errors():  # also MemoryError, of a length that is damaged
-            (found,), (foreign,), (count, first, last) = (self._database.execute(one).fetchone() for one in _CHECKS)
-            if found != "ok":
-                raise DamagedError(plain(found))
+            (verdict,) = self._database.execute(_INTEGRITY).fetchone()
+            (foreign,) = self._database.execute(_FOREIGN).fetchone()
+            count, first, last = self._database.execute(_NUMBERS).fetchone()
+            if verdict != "ok":
+                raise DamagedError(plain(verdict))
             if foreign:
                 raise DamagedError(f"{foreign:,} messages are of no topic, or have no number, time or content")
             if count and (lost := last - min(first, 1) + 1 - count):  # rows are numbered from 1 on
@@ -385,6 +386,7 @@ class _Ros1File(StorageFile):
     kind = "bag"
 
     def __init__(self, path: Path) -> None:
+        check_ros1_chunks(path)
         self._reader = Ros1Reader(path)
         self._reader.open()
         self.topics = {
@@ -405,5 +407,5 @@ class _Ros1File(StorageFile):
 _BEGINNINGS: Final[dict[bytes, Callable[[Path], StorageFile]]] = {
     MCAP_MAGIC: _McapFile,
     b"SQLite format 3\0": _SqliteFile,
-    b"#ROSBAG V2.0\n": _Ros1File,
+    ROS1_MAGIC: _Ros1File,
 }

@@ -109,7 +109,7 @@ def summary_text(summary: BagSummary) -> str:
         f"{_seconds(change.stamp_ns)} s on" for change in summary.changes
     ]  # fmt: skip
     return "\n".join([
-        f"{plain(summary.path)}: {kind}, {summary.size / 1e6:.1f} MB, {summary.count} messages",
+        f"{plain(summary.path)}: {kind}, {summary.size / 1e6:.1f} MB, {counted(summary.count, 'message')}",
         *summary.notes,
         _table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics]),
         *changes,
@@ -122,13 +122,13 @@ def _topic_row(topic: TopicSummary) -> tuple[str, ...]:
         where = _seconds(topic.longest_gap_at_ns)
         remarks.append(f"longest gap {topic.longest_gap_ns / NANOSECONDS:.6f} s after t = {where} s")
     if topic.backward:
-        remarks.append(f"time goes back {topic.backward} times")
+        remarks.append(f"time goes back {counted(topic.backward, 'time')}")
     if topic.repeated and topic.time == "stamp":  # by log time, messages of one moment are no fault
-        remarks.append(f"{topic.repeated} repeated times")
+        remarks.append(counted(topic.repeated, "repeated time"))
     if topic.encoding not in ("cdr", "ros1"):
         remarks.append(f"messages in {plain(topic.encoding) or 'no encoding'}, not looked into")
     if topic.other_clock:
-        remarks.append(f"{topic.other_clock} stamps of another clock")
+        remarks.append(f"{counted(topic.other_clock, 'stamp')} of another clock")
     if topic.effort_unit:
         remarks.append(f"effort in {topic.effort_unit}")
     if topic.time == "log" and topic.count:

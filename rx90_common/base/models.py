@@ -418,6 +418,8 @@ def _list_in_words(schema: JsonSchema, root: JsonSchema | None) -> str:
     most = schema.get("maxItems")
     if most is None:
         text = f"a list of {noun}s" if not least else f"a list of {least} {noun}s or more"
+    elif most == MAX_JOINTS:
+        text = f"a list with one {noun} per joint"
     elif least == most:
         text = f"a list of {least} {noun}{'' if least == 1 else 's'}"
     else:

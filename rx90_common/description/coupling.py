@@ -26,7 +26,7 @@ from numba.core import types
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import MAX_JOINTS
-from rx90_common.base.quoting import listed
+from rx90_common.base.quoting import counted, listed
 from rx90_common.kernels.compiled import by_type, inlined, kernel
 from rx90_common.kernels.lanes import Lanes, append, first, fma, lane, load, size, store
 
@@ -139,7 +139,9 @@ class Coupling:
     def element_names(self, joint_names: Sequence[str]) -> tuple[str, ...]:
         """Return the names of the friction elements: the joints' own, `joint_5_6` for an RX's wrist, else sums."""
         if len(joint_names) != len(self.turns):
-            raise ConfigError(f"joints {listed(joint_names)}; accepted: {len(self.turns)} names, as the coupling has")
+            raise ConfigError(
+                f"joints {listed(joint_names)}; accepted: {counted(len(self.turns), 'name')}, as the coupling has"
+            )
         if self.size.wrist:
             return (*joint_names, "joint_5_6")
         return (*joint_names, *(sum_name(joint_names, self.turns[i]) for i in self.sums))

@@ -21,6 +21,7 @@ from rx90_common.base.quoting import plain, quoted
 _INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # A thin body may miss the triangle inequality by the rounding of its printed digits.
 _TRIANGLE_TOLERANCE = 1e-6
+_MOST_BYTES = 4 << 20  # elements take many times the memory of their text
 
 
 def inertia_fault(values: tuple[float, ...]) -> str | None:
@@ -34,7 +35,43 @@ def inertia_fault(values: tuple[float, ...]) -> str | None:
     return None
 
 
-def check_dynamics(file: Path, root: ET.Element) -> None:
+def robot_name(urdf: str) -> str:
+    """Return the name of the robot in a description, empty if it has none.
+
+    Raises:
+        ET.ParseError, ValueError: for what is no XML.
+    """
+    return ET.fromstring(urdf).get("name", "")
+
+
+def read_urdf(file: Path, encoding: str | None = None) -> ET.Element:
+    """Return the root of a URDF of accepted size, names and <dynamics>.
+
+    Args:
+        file: the URDF.
+        encoding: of its text; None: the one that it states.
+
+    Raises:
+        ConfigError: naming what is not accepted.
+        OSError, ValueError, LookupError: if the file cannot be read, or is no XML (ElementTree.ParseError).
+    """
+    with file.open("rb") as stream:
+        content = stream.read(_MOST_BYTES + 1)
+    if len(content) > _MOST_BYTES:
+        raise ConfigError(f"{plain(file)}: larger than {_MOST_BYTES:,} bytes; accepted: up to that")
+    root = ET.fromstring(content if encoding is None else content.decode(encoding))
+    for element in root.iter():
+        name = element.get("name", "")
+        if not name.isprintable():
+            raise ConfigError(
+                f"{plain(file)}: the name of an element {quoted(element.tag)} is {quoted(name)}; accepted: one line of "
+                "printable characters"
+            )
+    _check_dynamics(file, root)
+    return root
+
+
+def _check_dynamics(file: Path, root: ET.Element) -> None:
     """Refuse <dynamics> of a joint that Pinocchio refuses without naming the joint; nothing here uses its values."""
     for joint in root.findall("joint"):
         for dynamics in joint.findall("dynamics"):
@@ -106,7 +143,6 @@ class UrdfFile:
                 joint.set("type", "fixed")
                 for mimic in joint.findall("mimic"):
                     joint.remove(mimic)
-        check_dynamics(file, self.root)
         self.links = self._named("link")
         self._joints = self._named("joint")
         self._parent_joint = self._tree()
@@ -119,7 +155,7 @@ class UrdfFile:
 
     def _parse(self) -> ET.Element:
         try:
-            root = ET.fromstring(self.file.read_bytes())
+            root = read_urdf(self.file)
         except OSError as error:
             raise ConfigError(f"{self.file}: cannot be read ({error.strerror})") from error
         except (ET.ParseError, ValueError, LookupError) as error:
@@ -128,10 +164,6 @@ class UrdfFile:
             self.refuse("the root element", root.tag, "robot")
         if any("xacro" in element.tag for element in root.iter() if isinstance(element.tag, str)):
             self.refuse("an element", "xacro", "a plain URDF (expand it with xacro first)")
-        for element in root.iter():
-            name = element.get("name", "")
-            if not name.isprintable():
-                self.refuse(f"the name of an element {quoted(element.tag)}", name, "one line of printable characters")
         return root
 
     def _named(self, tag: str) -> dict[str, ET.Element]:

@@ -104,7 +104,7 @@ def count_arrivals(subscription: Subscription, counter: ctypes.c_int64) -> bool:
         Whether messages are counted: not every middleware has such a callback.
     """
     _kept.append(counter)
-    return _set_callback(subscription, _count, ctypes.addressof(counter))
+    return _set_callback(subscription, _count(), ctypes.addressof(counter))
 
 
 class ReceiveBatching:
@@ -120,6 +120,7 @@ class ReceiveBatching:
     def __init__(self, pause: float) -> None:
         self._state = np.zeros(_BATCH_LENGTH, dtype=np.int64)
         self._state[_PAUSE] = round(pause * _MICROSECONDS)
+        self._callback = _receive_batch()
         _kept.append(self._state)
 
     @property
@@ -133,7 +134,7 @@ class ReceiveBatching:
         Returns:
             Whether they are gathered: not every middleware has such a callback.
         """
-        return _set_callback(subscription, _receive_batch, self._state.ctypes.data)
+        return _set_callback(subscription, self._callback, self._state.ctypes.data)
 
 
 def _set_callback(subscription: Subscription, function: object, argument: int) -> bool:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import counted, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.kernels.compiled import c_function
 
@@ -130,7 +130,7 @@ class CdrReader:
 
     def __init__(self, raw: bytes) -> None:
         if len(raw) < ENCAPSULATION:
-            raise ExchangeError(f"message is cut off: {len(raw)} bytes, no CDR encapsulation")
+            raise ExchangeError(f"message is cut off: {counted(len(raw), 'byte')}, no CDR encapsulation")
         order = _BYTE_ORDERS.get(bytes(raw[:2]))
         if order is None:
             found = bytes(raw[:2]).hex()
@@ -143,7 +143,9 @@ class CdrReader:
     def _take(self, size: int, alignment: int, what: str) -> bytes:
         start = self._at + -self._at % alignment
         if start + size > len(self._body):
-            raise ExchangeError(f"message is cut off in {what}: {len(self._body)} bytes of body, {start + size} needed")
+            raise ExchangeError(
+                f"message is cut off in {what}: {counted(len(self._body), 'byte')} of body, {start + size} needed"
+            )
         self._at = start + size
         return self._body[start : self._at]
 
@@ -160,7 +162,8 @@ class CdrReader:
         (count,) = struct.unpack(f"{self._order}I", self._take(4, 4, what))
         remaining = len(self._body) - self._at
         if count * least_bytes > remaining:
-            raise ExchangeError(f"message is cut off in {what}: {count} elements announced, {remaining} bytes left")
+            left = counted(remaining, "byte")
+            raise ExchangeError(f"message is cut off in {what}: {counted(count, 'element')} announced, {left} left")
         return int(count)
 
     def string(self, what: str) -> str:
@@ -354,6 +357,7 @@ class JointStateCodec:
             present: _Layout(self.names, frame_id, present) for present in product((True, False), repeat=_BLOCKS)
         }
         self._expected = self._layouts[True, True, True]
+        self._read_frame = _read_frame()
 
     def encode(
         self, stamp_ns: int, position: Array | None = None, velocity: Array | None = None, effort: Array | None = None
@@ -395,13 +399,14 @@ class JointStateCodec:
         message = layout.outgoing[_MARGIN:]
         outgoing_at = layout.outgoing_at
         shape_at = layout.shape_at
+        write_frame = _write_frame()
 
         # A default argument, so that the owners of the addresses live as long as these are used, also without this
         # codec.
         def encode(stamp_ns: int, _kept: object = (arrays, layout)) -> bytes:
             if not 0 <= stamp_ns <= _MAX_STAMP_NS:
                 raise ExchangeError(f"stamp is {stamp_ns} ns; accepted: 0 to {_MAX_STAMP_NS}")
-            _write_frame(stamp_ns, outgoing_at, first, second, third, shape_at)
+            write_frame(stamp_ns, outgoing_at, first, second, third, shape_at)
             return message.tobytes()
 
         return encode
@@ -448,7 +453,7 @@ class JointStateCodec:
         """
         layout = self._expected
         if len(raw) == layout.size:
-            stamp_ns = _read_frame(raw, *layout.reading)
+            stamp_ns = self._read_frame(raw, *layout.reading)
             if stamp_ns != _NO_MATCH:
                 position, velocity, effort = layout.views  # faster than `*layout.views`
                 return stamp_ns, position, velocity, effort
@@ -485,7 +490,7 @@ def _parse_joint_state(raw: bytes, names: Sequence[str]) -> tuple[int, Arrays]:
     for field in ("position", "velocity", "effort"):
         values = reader.doubles(field)
         if values.size not in (0, len(names)):
-            raise ExchangeError(f"{field} has {values.size} elements; accepted: {len(names)} or none")
+            raise ExchangeError(f"{field} has {counted(values.size, 'element')}; accepted: {len(names)} or none")
         arrays.append(values[order] if values.size else None)
         for name, value in zip(names, values[order] if values.size else (), strict=False):
             if not math.isfinite(value):

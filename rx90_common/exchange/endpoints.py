@@ -31,9 +31,9 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 
 from rx90_common.base.errors import ConfigError, ExchangeError
-from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.quoting import counted, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.pacing import ThrottledLog
+from rx90_common.exchange.pacing import error_log
 
 PREFIX: Final = "qos_overrides."
 _MOST = 100_000  # messages
@@ -132,12 +132,12 @@ def subscribe(
             message = deserialize_message(raw, kind)
         except (ExchangeError, RuntimeError) as error:  # the middleware's text names a place in its source
             type_name = f"{kind.__module__.split('.')[0]}/{kind.__name__}"
-            wrong = error if isinstance(error, ExchangeError) else f"{len(raw)} bytes are no {type_name}"
+            wrong = error if isinstance(error, ExchangeError) else f"{counted(len(raw), 'byte')}, no {type_name}"
             log.say("bytes", f"{subscription.topic_name}: {wrong}; the message is ignored")
             return
         callback(message)
 
-    log = ThrottledLog(lambda text: node.get_logger().error(text))
+    log = error_log(node)
     overrides = _overridable(node, topic, "subscription")
     subscription = node.create_subscription(kind, topic, take, qos, raw=True, qos_overriding_options=overrides)
 

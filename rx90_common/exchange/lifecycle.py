@@ -29,7 +29,7 @@ from rx90_common.base.errors import FAILED, Rx90Error
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.exchange.channel import MakeChannel, TickChannel
 from rx90_common.exchange.endpoints import CLOCK_QOS, TICK_QOS, publish
-from rx90_common.exchange.pacing import ThrottledLog
+from rx90_common.exchange.pacing import ThrottledLog, error_log
 from rx90_common.exchange.parameters import (
     NodeParameters,
     ParameterChanges,
@@ -143,7 +143,7 @@ def _spin(members: Sequence[TickingNode], services: int, cut_off: threading.Time
     gc.collect()
     gc.freeze()
     stopped = stop_request()
-    log = ThrottledLog(lambda text: nodes[0].get_logger().error(text))
+    log = error_log(nodes[0])
     for thread in threads:
         thread.start()
     try:

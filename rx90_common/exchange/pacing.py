@@ -6,9 +6,13 @@ import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import one_line
+from rx90_common.base.quoting import counted, one_line
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
 
 _FORGIVEN = 0.1  # s behind that are caught up; more than that is given up, so that a stall is no burst of ticks
 _LINE_PERIOD = 5.0  # s
@@ -146,7 +150,7 @@ class ThrottledLog:
             return
         self._due[kind] = now + _LINE_PERIOD
         suppressed = self._suppressed.pop(kind, 0)
-        self._announce(one_line(text) + (f" (and {suppressed} times before)" if suppressed else ""))
+        self._announce(one_line(text) + (f" (and {counted(suppressed, 'time')} before)" if suppressed else ""))
 
 
 class OnceLog:
@@ -172,3 +176,8 @@ class OnceLog:
         self._last[fault] = now
         if not known:
             self._announce(one_line(text))
+
+
+def error_log(node: Node) -> ThrottledLog:
+    """Return a log of a node's errors, such as of messages that come by the hundred."""
+    return ThrottledLog(lambda text: node.get_logger().error(text))

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator
-from typing import Any
+from functools import cache
+from typing import Any, Final
 
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+
+NAMES_SENDERS: Final = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp", "rmw_connextdds")
+"""Middlewares whose messages have the GID of DDS; those of others equal that of no process, and count as strangers'."""
 
 _OK = 0
 _GID_LENGTH = 16
@@ -41,16 +45,23 @@ class _Information(ctypes.Structure):
     )
 
 
+@cache
+def _libraries() -> tuple[ctypes.CDLL, ctypes.CDLL]:
+    """Return rcl and its utilities, with the types of the functions that are called."""
+    rcl = ctypes.CDLL("librcl.so")
+    rcl.rcl_take_serialized_message.argtypes = [ctypes.c_void_p] * 4
+    utilities = ctypes.CDLL("librcutils.so")
+    utilities.rcutils_get_default_allocator.restype = _Allocator
+    return rcl, utilities
+
+
 def take_with_sender(subscription: Subscription) -> Iterator[tuple[bytes, bytes]]:
     """Yield the messages that wait, each with the process that sent it, as in `senders_on`.
 
     Args:
         subscription: one that no executor takes messages from.
     """
-    rcl = ctypes.CDLL("librcl.so")
-    utilities = ctypes.CDLL("librcutils.so")
-    utilities.rcutils_get_default_allocator.restype = _Allocator
-    rcl.rcl_take_serialized_message.argtypes = [ctypes.c_void_p] * 4
+    rcl, utilities = _libraries()
     message = _Bytes(allocator=utilities.rcutils_get_default_allocator())
     information = _Information()
     arguments = (ctypes.byref(message), ctypes.byref(information), None)

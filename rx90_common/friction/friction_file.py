@@ -12,7 +12,7 @@ from pydantic import Field
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import FileModel, Named, model_text, quantity, read_model, refusals
-from rx90_common.base.quoting import conjoined, nearest, question, quoted
+from rx90_common.base.quoting import conjoined, counted, nearest, question, quoted
 from rx90_common.friction.element import FrictionElement, legend
 from rx90_common.friction.parts.bristles import MaxwellSlip
 
@@ -114,7 +114,7 @@ class FrictionSet:
 
     def __post_init__(self) -> None:
         if len(self.names) != len(self.elements):
-            counts = f"{len(self.elements)} elements and {len(self.names)} names"
+            counts = f"{counted(len(self.elements), 'element')} and {counted(len(self.names), 'name')}"
             raise ConfigError(f"a friction set of {counts}; accepted: as many of each")
 
     def __getitem__(self, name: str) -> FrictionElement:

@@ -20,7 +20,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 from uuid import uuid4
@@ -275,17 +275,18 @@ def by_type(choose: _Function) -> _Function:
     return cast(_Function, never)
 
 
-def c_function(signature: Any) -> Callable[[Callable[..., Any]], Callable[..., int]]:
-    """Compile a function of integers and addresses when its module is imported, and keep the result on disk.
+def c_function(signature: Any) -> Callable[[Callable[..., Any]], Callable[[], Callable[..., int]]]:
+    """Replace a function of integers and addresses by one that compiles it once, keeps it on disk, and returns it.
 
     Called from Python it takes a fraction of a kernel's time, whose arguments numba examines one by one. It keeps the
-    interpreter's lock: releasing and acquiring it would take longer than most such functions.
+    interpreter's lock: releasing and acquiring it would take longer than most such functions. Commands that import its
+    module, and never call it, do not wait for it.
 
     Args:
         signature: the numba signature; every argument is an int64 or a voidptr, and so is the result.
     """
 
-    def compile_now(function: Callable[..., Any]) -> Callable[..., int]:
+    def compile_once(function: Callable[..., Any]) -> Callable[..., int]:
         # numba raises no event for this compilation, only for its own functions that are called, such as carray.
         types = normalize_signature(signature)  # type: ignore[no-untyped-call]  # numba has no types there
         compiled: Any = CFunc(function, types, locals={}, options={"error_model": "numpy"})
@@ -295,4 +296,4 @@ def c_function(signature: Any) -> Callable[[Callable[..., Any]], Callable[..., i
         address: int = compiled.address
         return ctypes.PYFUNCTYPE(ctypes.c_int64, *arguments)(address)
 
-    return compile_now
+    return lambda function: cache(partial(compile_once, function))

@@ -20,6 +20,7 @@ import pinocchio as pin
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import LineError
+from rx90_common.base.quoting import counted
 from rx90_common.description.chain import RigidChain
 from rx90_common.description.inverse import (
     SphericalWristArm,
@@ -137,7 +138,9 @@ class Postures:
         names = robot.joint_names
         given = task.start_posture
         if not FEWEST <= len(names) <= MOST:
-            raise LineError(f"a {task.what} of an arm of {len(names)} joints; accepted: of {FEWEST} to {MOST}")
+            raise LineError(
+                f"a {task.what} of an arm of {counted(len(names), 'joint')}; accepted: of {FEWEST} to {MOST}"
+            )
         arm = SphericalWristArm.from_chain(robot.chain)
         if given is not None and arm is not None:
             raise LineError("start_posture of an arm with a spherical wrist; accepted: shoulder, elbow and wrist")
@@ -229,7 +232,7 @@ def task_from(robot: RobotModel, posture: Sequence[float], end: Sequence[float])
 
 
 def _wrong_count(given: int, joints: int) -> str:
-    return f"start_posture has {given} numbers; accepted: {joints}, one per joint"
+    return f"start_posture has {counted(given, 'number')}; accepted: {joints}, one per joint"
 
 
 def _with_free_tool(robot: RobotModel) -> RobotModel:

@@ -29,7 +29,7 @@ from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.cdr import ENCAPSULATION, CdrBody
 from rx90_common.exchange.channel import TickChannel
 from rx90_common.exchange.endpoints import LATCHED_QOS, REQUEST_QOS, STATE_QOS, publish, ros_time, subscribe
-from rx90_common.exchange.pacing import ThrottledLog
+from rx90_common.exchange.pacing import error_log
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory.request import Feedback, State, TrajectoryRequest
@@ -118,7 +118,7 @@ class ClientInterfaces:
         self._server.on_result_request = self._on_result_request
         node.create_timer(_WATCH_PERIOD, self._watch_simulation)
         # Some repeat their speed scaling hundreds of times a second, right or wrong.
-        self._complaints = ThrottledLog(lambda text: node.get_logger().error(text))
+        self._complaints = error_log(node)
         self._scaling: float | None = None  # announced last
         # Latched, as the original has it: what was asked for before this node was there counts, too.
         subscribe(node, SpeedScalingFactor, "~/speed_scaling_input", self._on_scaling, LATCHED_QOS)

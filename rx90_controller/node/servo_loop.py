@@ -415,7 +415,7 @@ class ServoLoop:
     def stream(self) -> str:
         """Return the streamed quantity, in words; empty without a stream."""
         stream = self._stream
-        return "" if stream is None else f"{stream.interface}, {stream.count} set-points, {stream.late} late"
+        return "" if stream is None else f"{stream.interface}, {counted(stream.count, 'set-point')}, {stream.late} late"
 
     @property
     def has_goal(self) -> bool:
@@ -516,12 +516,13 @@ class ServoLoop:
         stream = self._stream
         now = cs7b.position_tick
         if stream is None or stream.interface != points.interface or (stream.named != points.named).any():
-            self._drop("replaced by streamed set-points", wanted=True)
             stream = Stream(points.interface, points.named, cs7b.trajectory.limits, self._period, self.streaming)
-            self._stream = stream
-            self._note(f"stream begins at {now * self._period:.3f} s: {points.interface} set-points from {source}")
         told = len(stream.notes)
         cs7b.trajectory.follow_stream(stream, points, now)
+        if stream is not self._stream:
+            self._drop("replaced by streamed set-points", wanted=True)
+            self._stream = stream
+            self._note(f"stream begins at {now * self._period:.3f} s: {points.interface} set-points from {source}")
         for text in list(stream.notes.values())[told:]:
             self._note(f"stream: {text}", wrong=True)
 
@@ -531,7 +532,7 @@ class ServoLoop:
         if stream is not None:
             late = f", {stream.late} of them late" if stream.late else ""
             now = self._cs7b.position_tick * self._period
-            self._note(f"stream ended at {now:.3f} s after {stream.count} set-points{late}; {what}")
+            self._note(f"stream ended at {now:.3f} s after {counted(stream.count, 'set-point')}{late}; {what}")
 
     def _drop(self, reason: str, *, wanted: bool = False) -> None:
         """End the stream, and the goal, if there is one, with -1 and a reason; `wanted`: the end is no failure."""

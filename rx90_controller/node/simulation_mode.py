@@ -8,13 +8,14 @@ from collections.abc import Callable
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
+from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import String
 
 from rx90_common.base.errors import MessageError
-from rx90_common.base.quoting import one_line, quoted
+from rx90_common.base.quoting import counted, one_line, quoted
 from rx90_common.exchange.endpoints import ManualCallbackGroup, never_called
-from rx90_common.exchange.pacing import ThrottledLog
-from rx90_common.exchange.senders import senders_on, take_with_sender
+from rx90_common.exchange.pacing import error_log
+from rx90_common.exchange.senders import NAMES_SENDERS, senders_on, take_with_sender
 from rx90_common.exchange.topics import MOTOR_STATES, TIME_MODE, TimeMode
 
 _LOOK = 0.1  # s between two looks at the topic
@@ -35,7 +36,7 @@ class SimulationMode:
     def __init__(self, node: Node, follow: Callable[[TimeMode], None]) -> None:
         self._node = node
         self._follow = follow
-        self._complaints = ThrottledLog(lambda text: node.get_logger().error(text))
+        self._complaints = error_log(node)
         self._subscription = node.create_subscription(
             String, TIME_MODE, never_called, _QOS, raw=True, callback_group=ManualCallbackGroup()
         )
@@ -67,7 +68,9 @@ class SimulationMode:
             self._complaints.say("mode", f"{error}; ignored")
         except RuntimeError:  # the middleware's text names a place in its source
             topic = self._subscription.topic_name
-            self._complaints.say("mode", f"{topic}: {len(raw)} bytes are no std_msgs/String; the message is ignored")
+            self._complaints.say(
+                "mode", f"{topic}: {counted(len(raw), 'byte')}, no std_msgs/String; the message is ignored"
+            )
         else:
             self._follow(mode)
 
@@ -76,9 +79,9 @@ class SimulationMode:
             self._warned = True
             text = quoted(raw[8:].decode("utf-8", "replace").rstrip("\0"))
             states = self._node.resolve_topic_name(MOTOR_STATES)
-            self._node.get_logger().warning(
-                one_line(
-                    f"{self._subscription.topic_name}: {text} of a process that publishes no {states}; accepted: that "
-                    "of the simulation; all others are ignored"
-                )
-            )
+            why = f"of a process that publishes no {states}; accepted: that of the simulation; all others are ignored"
+            middleware = get_rmw_implementation_identifier()
+            if middleware not in NAMES_SENDERS:
+                why = f"of a process that {middleware} does not name, ignored: the simulation counts as in lock-step; "
+                why += f"accepted: {', '.join(NAMES_SENDERS)}"
+            self._node.get_logger().warning(one_line(f"{self._subscription.topic_name}: {text} {why}"))

@@ -17,6 +17,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
+from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange import endpoints
 from rx90_common.exchange.client_node import POLL, ClientNode, ServiceRequest, spoken
@@ -271,7 +272,9 @@ def deliver(
         points = replace(points, correction=correction.later(line.approach))
     trajectory.send(plan.joint_names, points, start_time)
     start = f"at {start_time:g} s" if start_time else "now"
-    client.say(f"sent {len(line.points.times)} points to {trajectory.topic}: start {start}, {line.duration:.3f} s")
+    client.say(
+        f"sent {counted(len(line.points.times), 'point')} to {trajectory.topic}: start {start}, {line.duration:.3f} s"
+    )
     standing = trajectory.standing_time()
     if standing is not None:
         client.say(f"the simulation's time stands still at {standing:.6g} s: the arm moves when it runs on")

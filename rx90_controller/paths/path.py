@@ -13,6 +13,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import LineError
+from rx90_common.base.quoting import counted
 from rx90_common.description.branch import Branch
 from rx90_common.description.kinematics import PathError, Pose
 from rx90_common.description.rotations import axis_rotation, product, rotated, rpy_rotation, transposed, turn_between
@@ -90,8 +91,8 @@ class Segment:
         if self.kind == "arc" and self.center is None and len(points) == 3:
             return arc_through(*points)
         raise LineError(
-            f"is of kind {self.kind!r} with {len(self.points)} points; accepted: a line with its end, an arc with two "
-            "points or with its centre and its end, a spline with its points"
+            f"is of kind {self.kind!r} with {counted(len(self.points), 'point')}; accepted: a line with its end, an "
+            "arc with two points or with its centre and its end, a spline with its points"
         )
 
 

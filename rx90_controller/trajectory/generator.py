@@ -12,7 +12,7 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.correction import Correction, PlayedCorrection, cut_at
-from rx90_controller.trajectory.paths import JointLimits, connect, stop
+from rx90_controller.trajectory.paths import JointLimits, check_time, connect, stop
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.spline import FollowedPath, Path, Spline, joined, merged, remainder, resting, smooth
 from rx90_controller.trajectory.stream import POSITION, SetPoints, Stream, StreamOptions
@@ -113,8 +113,15 @@ class TrajectoryGenerator:
         return np.concatenate([before, self._next.setpoints(tick + head, count - head)])
 
     def corrected(self, tick: int, count: int = 1) -> Array:
-        """Return the set-points, and where a correction is played beneath them its offsets, rad, (count, 4, j)."""
-        setpoints = self.setpoints(tick, count)
+        """Return set-points as the law takes them, and a played correction's offsets beneath, rad, (count, 4, j).
+
+        Their accelerations are those of `FollowedPath.leading`.
+        """
+        waiting = self._next
+        head = count if waiting is None else min(max(waiting.start - tick, 0), count)
+        setpoints = self._current.leading(tick, head)
+        if waiting is not None:
+            setpoints = np.concatenate([setpoints, waiting.leading(tick + head, count - head)])
         if not self._played:
             return setpoints
         ticks = np.arange(tick, tick + count)
@@ -250,6 +257,9 @@ class TrajectoryGenerator:
         """Follow set-points of a stream from position tick `now` on, in place of whatever runs or waits.
 
         With speed scaling, within that share of the velocities. The motion's end is not announced by `ended`.
+
+        Raises:
+            TrajectoryError: if the stream begins farther away than its time allows.
         """
         self._promote(now)
         base = self._base(now)
@@ -380,9 +390,10 @@ class TrajectoryGenerator:
         allowed = np.where(outside > 0.0, outside + limits.start_tolerance, 0.0)
         points = points.held_at(reference[0])
         limits.check_points(points, allowed)
-        spline = connect(
-            points, np.where(points.named, reference, [reference[0], 0.0 * reference[1], 0.0 * reference[2]]), limits
-        )
+        held = np.where(points.named, reference, [reference[0], 0.0 * reference[1], 0.0 * reference[2]])
+        if len(points.times) == 1 and points.times[0] > 0.0:
+            check_time(points, held, limits, self.period, allowed)
+        spline = connect(points, held, limits)
         last = spline.duration
         if points.velocity is not None and points.velocity[-1].any():
             spline = joined(spline, last, stop(spline.final, points.velocity[-1], limits.acceleration))

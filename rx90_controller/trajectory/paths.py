@@ -8,8 +8,9 @@ allow and of the same duration in all joints, so that the motion stays straight:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,8 @@ _ACCELERATION_SLACK = 1e-5  # of the limit
 # The largest acceleration lies between two set-points, and may be a little more than the largest set-point.
 _BETWEEN_SLACK = 1e-3  # of the limit
 _CHECKED_AT_ONCE = 4096  # set-points
+_LONGEST_MOVE = 100.0  # s: an arm that does not come to a point in it never does
+_MOVE_PRECISION = 1.005  # by how much the stated time for a move may be longer than the least one
 
 
 class _Quantity(NamedTuple):
@@ -122,6 +125,21 @@ class JointLimits:
                 f"at {held[1, joint]:.6g} rad/s; accepted: within {allowed[joint]:.6g} rad/s, or a first point later "
                 "than the start"
             )
+
+    def straight_time(self, way: Array) -> float:
+        """Return the least time of a straight line from rest to rest, s; `way` is not 0, rad, shape (j,)."""
+        ramp = float((np.abs(way) / self.acceleration).max())
+        line = float((np.abs(way) / self.velocity).max())
+        return 2.0 * math.sqrt(ramp) if ramp > line * line else line + ramp / line
+
+    def too_early(self, point: int, way: Array, given: float, needed: float) -> TrajectoryError:
+        """Return the refusal of a point that is farther away, by `way`, rad, shape (j,), than its time allows, s."""
+        joint = int(np.argmax(np.maximum(2.0 * np.sqrt(np.abs(way) / self.acceleration), np.abs(way) / self.velocity)))
+        return TrajectoryError(
+            f"point {point}: {self.names[joint]} cannot go {way[joint]:.6g} rad in {given:.6g} s within its limits, "
+            f"{self.velocity[joint]:.6g} rad/s and {self.acceleration[joint]:.6g} rad/s^2; accepted: from "
+            f"{math.ceil(needed * 1e3) / 1e3:g} s on"
+        )
 
     def check_points(self, points: TrajectoryPoints, allowed: Array) -> None:
         """Check the points themselves: a spline through points within the limits has finite coefficients.
@@ -266,6 +284,42 @@ def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Splin
     if points.smooth:
         return smooth(times, position, velocity)
     return interpolate(times, position, velocity, acceleration)
+
+
+def check_time(points: TrajectoryPoints, held: Array, limits: JointLimits, period: float, allowed: Array) -> None:
+    """Check that the time of a single point that is later than the start allows the way to it.
+
+    The arguments are those of `connect` and `JointLimits.check_motion`, which say what else is wrong.
+
+    Raises:
+        TrajectoryError: naming joint, way, time and the time that it needs.
+    """
+
+    def suffices(time: float) -> bool:
+        later = replace(points, times=np.array([time]))
+        try:
+            limits.check_motion(connect(later, held, limits), period, later, allowed)
+        except TrajectoryError:
+            return False
+        return True
+
+    given = float(points.times[0])
+    if suffices(given):
+        return
+    low = given
+    high = max(2.0 * given, period)
+    while not suffices(high):
+        low = high
+        high = 2.0 * low
+        if low > _LONGEST_MOVE:
+            return
+    while high > _MOVE_PRECISION * low:
+        middle = 0.5 * (low + high)
+        if suffices(middle):
+            high = middle
+        else:
+            low = middle
+    raise limits.too_early(points.first, points.position[0] - held[0], given, high)
 
 
 def _by_degrees(

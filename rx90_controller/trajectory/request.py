@@ -19,7 +19,7 @@ from pydantic import ConfigDict, Field
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.models import Model, quantity
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import counted, quoted
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_controller.trajectory.generator import PastError, Schedule, TrajectoryGenerator
 from rx90_controller.trajectory.points import TrajectoryPoints, check_joints, points_from_message
@@ -360,7 +360,7 @@ def check_request(
             raise TrajectoryError("multi_dof_trajectory is given; accepted: an empty one")
         for name in ("component_path_tolerance", "component_goal_tolerance"):
             if given := getattr(goal, name):
-                raise TrajectoryError(f"{name} of {len(given)} joints; accepted: none")
+                raise TrajectoryError(f"{name} of {counted(len(given), 'joint')}; accepted: none")
         goal_time = message_time_ns(goal.goal_time_tolerance) / NANOSECONDS
         try:
             tolerances = defaults.of_goal(goal.path_tolerance, goal.goal_tolerance, goal_time)

@@ -410,6 +410,15 @@ class FollowedPath:
         """Return the set-points of `count` ticks from `tick` on, shape (count, 3, j)."""
         return self.states(np.arange(tick, tick + count, dtype=np.float64))
 
+    def leading(self, tick: int, count: int) -> Array:
+        """Return set-points whose accelerations lead to the velocities of the next ones, shape (count, 3, j).
+
+        The law holds its torque until then, and would lag by half a period where the acceleration jumps at a set-point.
+        """
+        ahead = self.setpoints(tick, count + 1)
+        ahead[:-1, 2] = np.diff(ahead[:, 1], axis=0) / self.period
+        return ahead[:-1]
+
     def states(self, ticks: Array) -> Array:
         """Return the set-points at n ticks, whole or not, shape (n, 3, j)."""
         if not self.laws:

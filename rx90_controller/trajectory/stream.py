@@ -167,12 +167,15 @@ class Stream:
 
         A set-point takes the place of those that were due later. One that is due already is followed at once, unless a
         later one is still to come. Until the next one is there the reference rests at the last position. Where it
-        exceeds the limits, it is followed within them.
+        exceeds the limits, it is followed within them; but positions with which the stream begins must be in reach.
 
         Args:
             points: of the same interface and joints.
             tick: the first one of the position loop that may still be changed.
             held: the set-point at that tick, shape (3, j).
+
+        Raises:
+            TrajectoryError: if the stream begins farther away than its time allows.
         """
         # Whole ns: what is due at the same time is equal, and never less than that apart.
         now = round(tick * self.period, 9)
@@ -186,6 +189,9 @@ class Stream:
                 "accepted: simulated time (use_sim_time), or no stamps",
             )
         times = np.round(origin + points.times, 9)
+        if not self.count and self.interface == POSITION:
+            positions = np.clip(points.values[:, 0], -_FAR, _FAR)
+            self._check_begin(times - now, positions * self.named, held * self.named)
         self.count += len(times)
         if times[-1] <= now:
             self.late += 1
@@ -221,6 +227,24 @@ class Stream:
         if names:
             self.notes.setdefault("beyond", f"{names}: a {self.interface} beyond the limits; followed within them")
         return interpolate(np.arange(float(len(states))) * self.period, states[:, 0], states[:, 1], None)
+
+    def _check_begin(self, times: Array, positions: Array, held: Array) -> None:
+        """Check that the arm can be at the first positions, shape (n, j), in their times, s, with any velocity there.
+
+        One that turns round has to brake as well, which it may do later. A set-point that is due already has
+        `StreamOptions.delay`, as if it came without a stamp.
+        """
+        limits = self.limits
+        given = np.where(times > 0.0, times, self.options.delay)[:, None]
+        ways = positions - held[0]
+        towards = np.maximum(np.sign(ways) * held[1], 0.0)
+        ramps = np.clip((limits.velocity - towards) / limits.acceleration, 0.0, given)
+        reach = towards * given + limits.acceleration * ramps * (given - 0.5 * ramps)
+        far = np.flatnonzero((np.abs(ways) > reach + limits.start_tolerance).any(axis=1))
+        if far.size:
+            point = int(far[0])
+            needed = limits.straight_time(ways[point])
+            raise limits.too_early(point, ways[point], float(given[point, 0]), needed)
 
     def _reference(self, now: float) -> Array:
         """Return position and velocity asked for in each tick, shape (n, 2, j); at rest in the last two."""

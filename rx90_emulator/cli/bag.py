@@ -100,7 +100,7 @@ def _report(recorder: Recorder, counts: Sequence[TopicCount], output: Path, *, r
     """Print what was recorded, and what not; return the exit code. Requested topics may not stay empty."""
     repeated = sum(count.repeated for count in counts)
     received = sum(count.received for count in counts)
-    left_out = f"; {repeated} repetitions of the sample before are left out" if repeated else ""
+    left_out = f"; left out: {counted(repeated, 'repetition')} of the sample before" if repeated else ""
     topics = counted(len(counts), "topic")
     print(f"recorded {counted(received - repeated, 'message')} of {topics} to {plain(output)}{left_out}")
     failures = []
@@ -111,16 +111,17 @@ def _report(recorder: Recorder, counts: Sequence[TopicCount], output: Path, *, r
         failures.append(f"lost: an unknown number of messages, in {stall:.1f} s in which this process did not run")
     for count in counts:
         if count.other_clock:
-            print(f"{count.topic}: {count.other_clock} messages have stamps of another clock; they are dated by when "
+            print(f"{count.topic}: {counted(count.other_clock, 'message')} with stamps of another clock, dated by when "
                   "they came, by the clock of the bag")  # fmt: skip
         writers = "; ".join(f"{w.lost} of {w.received + w.lost}" for w in count.writers)
-        failures += [f"lost: {count.lost} messages of {count.topic} (by publisher: {writers})"] * bool(count.lost)
+        if count.lost:
+            failures.append(f"lost: {counted(count.lost, 'message')} of {count.topic} (by publisher: {writers})")
         if count.missing:
-            failures.append(f"not recorded: {count.missing} trajectories of {count.topic} that the controller has "
-                            "accepted: sent before the recording was ready, or lost")  # fmt: skip
+            failures.append(f"not recorded: {count.missing} of the trajectories of {count.topic} that the controller "
+                            "has accepted: sent before the recording was ready, or lost")  # fmt: skip
         if count.refused:
-            failures.append(f"not recorded: {count.refused} publishers of {count.topic}, whose quality of service "
-                            "does not fit the first one's")  # fmt: skip
+            failures.append(f"not recorded: {counted(count.refused, 'publisher')} of {count.topic}, whose quality of "
+                            "service does not fit the first one's")  # fmt: skip
     for failure in failures:
         print(failure, file=sys.stderr)
     return 1 if failures else 0
@@ -239,7 +240,8 @@ def _plot(args: argparse.Namespace) -> None:
     The suffix of --output says which: .html, .png, .svg or .pdf. Without options a page shows joint states, friction
     and tracking error, as far as the bag has them.
     """
-    from rx90_common.bags.plotting import is_page, plot_bags, write_plots
+    from rx90_common.bags.plot_files import is_page, write_plots
+    from rx90_common.bags.plotting import plot_bags
     from rx90_emulator.cli.options import progress_bar
 
     if args.align is not None and args.second is None:

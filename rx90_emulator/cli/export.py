@@ -39,8 +39,7 @@ def main(options: argparse.Namespace) -> int:
     """Write the files, and print what they cost."""
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_common.report.picture import write_picture
-    from rx90_emulator.export.export import export_plot, export_robot, write_export
+    from rx90_emulator.export.export import export_robot, write_export
     from rx90_emulator.loop.setup import load_arm
 
     if options.plot is not None:
@@ -53,7 +52,9 @@ def main(options: argparse.Namespace) -> int:
     print(done.text)
     print(f"\nwritten: {', '.join(done.files)} and export.yaml in {options.output}")
     if options.plot is not None:
-        write_picture(export_plot(done), options.plot)
+        from rx90_emulator.export.plots import draw_fits
+
+        draw_fits({fit.name: fit for fit in done.fits}, options.plot)
     if options.within is not None and done.largest > options.within:
         worst = max(done.fits, key=lambda fit: fit.worst)
         line = f"{worst.name} differs by up to {worst.worst:.3g} Nm; accepted: {options.within:g} Nm"

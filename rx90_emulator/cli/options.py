@@ -180,7 +180,7 @@ def check_apart(options: argparse.Namespace, names: Sequence[str], other: str, a
 
 def check_picture(path: Path) -> None:
     """Refuse a picture of another format than Matplotlib is asked for."""
-    from rx90_common.report.picture import PICTURES
+    from rx90_common.report.style import PICTURES
 
     if path.suffix.lower() not in PICTURES:
         raise ConfigError(f"--plot {plain(path)}; accepted: a file with {', '.join(PICTURES)}")

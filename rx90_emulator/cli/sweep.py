@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from rx90_common.base.errors import FailureError, check_replaced
-from rx90_common.base.quoting import one_line, plain
+from rx90_common.base.quoting import counted, one_line, plain
 from rx90_common.process.files import write_text
 from rx90_emulator.cli.options import add_robot_argument, add_verbs, new_file, place, whole_number
 
@@ -52,9 +52,9 @@ def _run(options: argparse.Namespace) -> None:
     )
     elapsed = time.perf_counter() - began
     if counts.computed == 0:
-        print(one_line(f"nothing to do: {options.output} has all {len(sweep)} runs"))
+        print(one_line(f"nothing to do: {options.output} is complete, {counted(len(sweep), 'run')}"))
     else:
-        done = f"{counts.computed} of {len(sweep)} runs in {elapsed:.1f} s, {counts.failed} failed"
+        done = f"{counts.computed} of {counted(len(sweep), 'run')} in {elapsed:.1f} s, {counts.failed} failed"
         why = f" (rx90_sweep info {options.output} says why)" if counts.failed else ""
         print(one_line(f"{done}{why}; {options.output}"))
     if counts.failed == counts.computed:  # perhaps not one run of the file has results, also of calls before

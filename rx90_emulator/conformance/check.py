@@ -10,14 +10,12 @@ from typing import NamedTuple
 
 from rx90_common.description.robot_files import provenance_of
 from rx90_common.report.page import render_page
-from rx90_common.report.plot import COLOURS, Curve, Panel, Plot
 from rx90_emulator.conformance.battery import CASES, Nominal, run_cs7b
 from rx90_emulator.conformance.bench import Candidate, run_on_topics
 from rx90_emulator.conformance.case import Record
 from rx90_emulator.conformance.metrics import TORQUE_OFF
+from rx90_emulator.conformance.plots import errors
 from rx90_emulator.loop.setup import Setup
-
-_MRAD = 1e3
 
 
 class Finding(NamedTuple):
@@ -34,9 +32,10 @@ class Finding(NamedTuple):
     @property
     def words(self) -> str:
         """Return value and limit in words."""
+        unit = "" if self.unit == "1" else f" {self.unit}"
         return (
-            f"{self.case}: {self.quantity} of {self.joint} is {self.value:.4g} {self.unit}; accepted: up to "
-            f"{self.limit:.4g} {self.unit} (CS7B {self.cs7b:.4g})"
+            f"{self.case}: {self.quantity} of {self.joint} is {self.value:.4g}{unit}; accepted: up to "
+            f"{self.limit:.4g}{unit} (CS7B {self.cs7b:.4g})"
         )
 
 
@@ -59,16 +58,6 @@ class CaseResult:
                 limit = metric.factor * cs7b + metric.allowance
                 found.append(Finding(case.name, metric.name, joint, value, cs7b, limit, metric.unit))
         return found
-
-    @property
-    def plot(self) -> Plot:
-        """Return the errors of the joints over the time."""
-        panels = []
-        for j, name in enumerate(self.record.case.setup.robot.joint_names):
-            runs = ((self.record, "controller", COLOURS[1]), (self.cs7b, "CS7B", COLOURS[0]))
-            curves = [Curve(run.times, _MRAD * run.error[:, j], label, colour) for run, label, colour in runs]
-            panels.append(Panel(curves, name, "time, s", "error, mrad"))
-        return Plot(panels, columns=3, height=1.8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +98,10 @@ class CheckResult:
         """Return the report."""
         assert self.nominal.files is not None
         provenance = provenance_of(self.nominal.files)
-        return render_page("rx90_emulator.conformance", "check.html.j2", result=self, provenance=provenance)
+        plots = [errors(case.record, case.cs7b) for case in self.cases]
+        return render_page(
+            "rx90_emulator.conformance", "check.html.j2", result=self, provenance=provenance, plots=plots
+        )
 
 
 def check_controller(

@@ -15,7 +15,7 @@ from rx90_common.bags.limits import DamagedError, load_arrays
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, TrajectoryError, warn_caller
 from rx90_common.base.models import FileModel, NotNegative, PerJoint, Triple, model_text, quantity, read_model
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import counted, plain
 from rx90_common.process.files import write_all
 from rx90_controller.trajectory.correction import Correction, LearnedMotion
 from rx90_emulator.correction.learning import LearnedCorrection, Measurement
@@ -199,6 +199,6 @@ def load_correction(name: Path | str) -> CorrectionFile:
     if best.shape != shape or shape[1] != len(path.start) or trials[0] != trials[1]:
         raise ConfigError(
             f"{plain(offsets_file)}: offsets of shape {shape}, those of the best trial {best.shape}, in {plain(file)} "
-            f"{trials[0]} trials, {trials[1]} seen; accepted: the files written together"
+            f"{counted(trials[0], 'trial')}, {trials[1]} seen; accepted: the files written together"
         )
     return CorrectionFile(file, head, correction, best)

@@ -24,6 +24,7 @@ from rx90_common.base.errors import (
     TrajectoryError,
     check_type,
 )
+from rx90_common.base.quoting import counted
 from rx90_common.description.kinematics import tip_position
 from rx90_controller.lines.task import LineTask
 from rx90_controller.paths.path import Path
@@ -196,7 +197,7 @@ class Learner:
         if error.shape[0] != len(self.nominal.counts) or not np.isfinite(error).all():
             raise ConfigError(
                 f"errors of shape {error.shape}, finite: {bool(np.isfinite(error).all())}; accepted: finite numbers on "
-                f"{len(self.nominal.counts)} set-points"
+                f"{counted(len(self.nominal.counts), 'set-point')}"
             )
         if measured.played is not None:
             full = np.flatnonzero(self.nominal.counts)
@@ -377,7 +378,7 @@ def learn_correction(
 def summary(trials: Iterable[TrialRecord]) -> str:
     """Return a line for each trial."""
     return "\n".join(
-        f"trial {k}: worst {trial.worst * 1e3:.4f} mm, rms {trial.rms * 1e3:.4f} mm"
+        f"trial {k}: worst {trial.worst * 1e3:.4f} mm, RMS {trial.rms * 1e3:.4f} mm"
         + ("" if trial.kept else f", worse: not kept, {0.5 * trial.gain:g} of the gain from here")
         for k, trial in enumerate(trials)
     )

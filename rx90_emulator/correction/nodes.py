@@ -64,13 +64,21 @@ def node_trials(
         follow = partial(follow_trajectory, client, trajectory, robot.joint_names, set_points)
         numbers = count()
 
-        def play(correction: Correction) -> Measured:
+        def approach() -> None:
             motion = Motion(np.asarray(set_points.position))
             motion.move(points.position[0], robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION)
             if motion.duration > 0.0:
                 motion.rest(_REST_S)
                 follow(motion.points(robot.joint_names), lambda _: None)
-            bag = Path(name) / f"trial_{next(numbers)}"
+
+        def play(correction: Correction) -> Measured:
+            number = next(numbers)
+            if number == 0:
+                # Each trial comes from the path's end, with friction as that leaves it; the first one, too.
+                approach()
+                follow(replace(points, correction=correction), lambda _: None)
+            approach()
+            bag = Path(name) / f"trial_{number}"
             played = [CORRECTION] if correction.offsets.any() else []  # without offsets nothing is published
             words = executable("rx90_bag", "record", "--output", bag, *topics, *played)
             recorder = recorders.start(f"recorder of {bag.name}", words)

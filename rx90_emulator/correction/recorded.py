@@ -20,7 +20,7 @@ from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import BagError, ConfigError
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import counted, plain
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_emulator.correction.file import CorrectionFile
 from rx90_emulator.correction.learning import RECORD, LearnedCorrection, Learner, Measured
@@ -68,7 +68,7 @@ def laid_under(times: Array, values: Array, nominal: Array, period: float, count
         what: name of the record, for refusals.
     """
     if len(times) < 2 or not (np.diff(times) > 0.0).all() or not np.isfinite(values).all():
-        raise ConfigError(f"{what}: {len(times)} rows; accepted: two or more, finite, with increasing times")
+        raise ConfigError(f"{what}: {counted(len(times), 'row')}; accepted: two or more, finite, with increasing times")
     count = len(nominal)
     # The record is extended by its first and last value, so that a rest before or after the motion may be missing.
     if not times[-1] - times[0] <= _MAX_ROWS * period:

@@ -19,17 +19,17 @@ from rx90_common.bags.comparison import BagComparison, Verdict, compare_bags
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.summary import summarise
 from rx90_common.bags.tables import comparison_text
-from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ProcessError
 from rx90_common.description.robot_files import RobotFiles, provenance_of
 from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
-from rx90_common.report.plot import COLOURS, INK, Curve, Level, Panel, Plot
+from rx90_controller.law.parameters import FeedForward
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.demo.animation import animate
+from rx90_emulator.demo.plots import effort, friction, path_error, tracking
 from rx90_emulator.loop.line import path_accuracy, run_line
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view import CODE, OPENED, TO_OTHERS
@@ -69,7 +69,7 @@ class RunReport:
         self.friction = read_joint_states(bag, "friction_states", setup.friction.names)
         self.error = read_joint_states(bag, "rx90_controller/tracking_error", names)
         self.path = path_accuracy(setup.robot, task, self.joints.time, self.joints.fields["position"], start_time)
-        controller = setup.controller.replaced(feed_forward=setup.controller.feed_forward.off())
+        controller = replace(setup.controller, feed_forward=FeedForward.off())
         self.path_without = run_line(replace(setup, controller=controller), task).path_accuracy
 
     def write(
@@ -106,45 +106,14 @@ class RunReport:
             topics=comparison.topics,
             joints=_joint_rows(self),
             friction=list(zip(setup.friction.names, setup.friction.elements, strict=True)),
-            plots=_plots(self),
+            plots={
+                "path": path_error(self.path, self.path_without, SWITCHED_OFF, PATH_LIMIT),
+                "tracking": tracking(self.joints, self.error),
+                "friction": friction(self.friction),
+                "effort": effort(self.joints),
+            },
         )
         write_text(page, text)
-
-
-def _plots(run: RunReport) -> dict[str, Plot]:
-    """Return path error along the line, velocities and position errors, friction, and drive torques."""
-    joints = run.joints
-    friction = run.friction.fields
-    names = run.friction.names
-    path = [
-        Curve(path.along * 1e3, path.perpendicular * 1e3, label, colour, 1.2)
-        for path, label, colour in ((run.path_without, SWITCHED_OFF, COLOURS[1]), (run.path, "recorded", COLOURS[0]))
-    ]
-    limit = Level(PATH_LIMIT * 1e3, "asked for laser welding", INK, "dashed")
-    velocities = _curves(joints.time, joints.fields["velocity"], joints.names)
-    errors = _curves(run.error.time, run.error.fields["position"] * 1e3, joints.names, 0.8)
-    over_time = _curves(run.friction.time, friction["effort"], names)
-    over_velocity = _curves(friction["velocity"], friction["effort"], names, 0.8)
-    efforts = _curves(joints.time, joints.fields["effort"], joints.names, 0.8)
-    return {
-        "path": Plot([Panel([*path, limit], "", "distance along the line, mm", "path error, mm", from_zero=True)]),
-        "tracking": Plot(
-            [Panel(velocities, y_label="joint velocity, rad/s"), Panel(errors, "", "time, s", "position error, mrad")],
-            share_x=True,
-        ),
-        "friction": Plot(
-            [
-                Panel(over_time, "", "time, s", "friction torque, Nm"),
-                Panel(over_velocity, "", "input velocity, rad/s", "friction torque, Nm"),
-            ]
-        ),
-        "effort": Plot([Panel(efforts, "", "time, s", "drive torque, Nm")]),
-    }
-
-
-def _curves(x: Array, y: Array, names: tuple[str, ...], width: float = Curve.width) -> list[Curve]:
-    """Return the curves of the columns of `y`, (n, k), over `x`, (n,) or (n, k)."""
-    return [Curve(x if x.ndim == 1 else x[:, k], y[:, k], name, COLOURS[k], width) for k, name in enumerate(names)]
 
 
 def _joint_rows(run: RunReport) -> list[tuple[str, float, float, float, float]]:

@@ -18,10 +18,9 @@ from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.part import LINEAR_SPEED
 from rx90_common.process.files import atomic_files
-from rx90_common.report.plot import COLOURS, INK, Curve, Panel, Plot
 from rx90_emulator.configuration.origins import aligned
 from rx90_emulator.export.files import creep, files_of
-from rx90_emulator.export.fit import POINTS, FrictionFit, fit_friction, speeds_up_to, sum_of
+from rx90_emulator.export.fit import POINTS, FrictionFit, fit_friction, speeds_up_to
 from rx90_emulator.export.targets import TARGETS, Target
 from rx90_emulator.loop.setup import Arm
 
@@ -282,18 +281,3 @@ def write_export(export: Export, folder: Path | str) -> None:
         place.mkdir()
         for name, text in {**export.files, REPORT: export.report()}.items():
             (place / name).write_text(text, encoding="utf-8")
-
-
-def export_plot(export: Export) -> Plot:
-    """Return a panel for each element: its curve, and the simulator's."""
-    panels = []
-    for fit in export.fits:
-        speed = np.sort(fit.speeds)
-        forward = sum_of(fit.elements, speed, 1.0)
-        backward = sum_of(fit.elements, speed, -1.0)
-        marks = [Curve(speed, forward, "here", INK, 1.4)]
-        if not np.array_equal(forward, backward):
-            marks.append(Curve(speed, backward, "here, negative velocity", COLOURS[5], 1.4))
-        marks.append(Curve(speed, fit.law.torque(speed), "exported", COLOURS[1], 1.4, "dashed"))
-        panels.append(Panel(marks, fit.name, "velocity, rad/s", "torque, Nm", x_scale="log"))
-    return Plot(panels, columns=min(3, len(panels)), height=2.2)

@@ -24,7 +24,7 @@ from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.description.coupling import sum_name
-from rx90_common.description.urdf import check_dynamics
+from rx90_common.description.urdf import read_urdf
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import JointTorques
 from rx90_emulator.loop.setup import Setup
@@ -284,8 +284,7 @@ def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
     try:
         # Written anew: the XML parser of Pinocchio 2 accepts no document type, and the parser used here fetches
         # nothing.
-        root = ET.fromstring(urdf.read_text(encoding="utf-8"))
-        check_dynamics(urdf, root)
+        root = read_urdf(urdf, "utf-8")
         with _caught_stderr(lines):
             model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
         if any(line.startswith("Error:") for line in lines):  # an inertial that cannot be read is left out

@@ -19,7 +19,7 @@ from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, IdentificationError
-from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.quoting import counted, plain, quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot_files import RobotFiles
@@ -117,7 +117,9 @@ def _check_sizes(options: MessageOptions, n: int) -> None:
         values = getattr(options, name, None)
         size = n * n if name == "coupling" else n
         if values is not None and len(values) != size:
-            raise IdentificationError(f"{_option(name)}: {len(values)} values; accepted: {size} for {n} joints")
+            raise IdentificationError(
+                f"{_option(name)}: {counted(len(values), 'value')}; accepted: {size} for {counted(n, 'joint')}"
+            )
         if values is not None and name != "names" and not np.isfinite(values).all():
             raise IdentificationError(f"{_option(name)}: {list(values)}; accepted: finite numbers")
 

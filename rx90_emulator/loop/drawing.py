@@ -68,7 +68,11 @@ def read_columns(file: Path, names: Sequence[str]) -> tuple[Array, list[str | No
     rows: list[list[float]] = []
     columns = list(range(len(names)))
     units = list[str | None]()
-    for number, row in enumerate(csv.reader(lines, delimiter=delimiter, skipinitialspace=True), 1):
+    try:
+        table = list(csv.reader(lines, delimiter=delimiter, skipinitialspace=True))
+    except csv.Error as error:
+        raise ConfigError(f"{plain(file)}: {error}; accepted: lines of {asked}") from error
+    for number, row in enumerate(table, 1):
         cells = [cell for cell in row if cell.strip()] if delimiter == " " else row
         if not any(cell.strip() for cell in cells) or cells[0].lstrip().startswith("#"):
             continue

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 import numpy as np
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.kinematics import tip_position
+from rx90_common.description.urdf import robot_name
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.correction import Correction, LearnedMotion
 from rx90_controller.trajectory.points import trajectory_identity
@@ -27,7 +27,9 @@ def learned_motion(setup: Setup, points: TrajectoryPoints) -> LearnedMotion:
     tip = tip_position(setup.robot.chain, setpoints[:, 0])
     speed = float(np.linalg.norm(np.diff(tip, axis=0), axis=1).max()) / period
     start = tuple(points.position[0].tolist())
-    return LearnedMotion(_robot(setup), trajectory_identity(points), speed, float(points.times[-1]), start)
+    return LearnedMotion(
+        robot_name(setup.robot.urdf), trajectory_identity(points), speed, float(points.times[-1]), start
+    )
 
 
 def check_correction(setup: Setup, points: TrajectoryPoints, correction: Correction, name: str) -> None:
@@ -39,7 +41,7 @@ def check_correction(setup: Setup, points: TrajectoryPoints, correction: Correct
     learned = correction.learned_on
     if learned is None:
         return
-    robot = _robot(setup)
+    robot = robot_name(setup.robot.urdf)
     if learned.robot != robot:
         raise ConfigError(
             f"{name} was learned on the robot {learned.robot!r}, this one is {robot!r}; accepted: the same robot"
@@ -49,7 +51,3 @@ def check_correction(setup: Setup, points: TrajectoryPoints, correction: Correct
             f"{name} was learned on {learned.path}, this is {learned_motion(setup, points).path}; "
             "accepted: the same trajectory"
         )
-
-
-def _robot(setup: Setup) -> str:
-    return ET.fromstring(setup.robot.urdf).get("name", "")

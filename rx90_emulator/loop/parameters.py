@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.errors import ConfigError, check_type, located
 from rx90_common.base.models import AnyModel, Model, path_of, unit_of
-from rx90_common.base.quoting import nearest, question, quoted
+from rx90_common.base.quoting import counted, nearest, question, quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
 from rx90_common.friction.parts.scatter import LARGEST_SEED
@@ -204,9 +204,9 @@ class Catalogue:
 def _accepted_indices(name: str, shape: tuple[int, ...]) -> str:
     if not shape:
         return f"{name} is one value; accepted: {name}, without an index"
-    count = " by ".join(str(n) for n in shape)
+    count = counted(shape[0], "number") if len(shape) == 1 else f"{' by '.join(map(str, shape))} numbers"
     last = "".join(f"[{n - 1}]" for n in shape)
-    return f"{name} is {count} numbers; accepted: up to {name}{last}, or * for all of an index"
+    return f"{name} is {count}; accepted: up to {name}{last}, or * for all of an index"
 
 
 def _matches(key: Sequence[str], wanted: Sequence[str]) -> bool:

@@ -57,8 +57,8 @@ class SlowSeries(NamedTuple):
         friction_states: bristle deflection rad, input velocity rad/s, friction torque Nm, shape (m, 3, e).
         reference: set-point rad, rad/s, feed-forward torque Nm, shape (m, 3, j).
         tracking_error: rad, rad/s, commanded torque Nm, shape (m, 3, j).
-        details: set-point acceleration rad/s^2, joints; commanded and motor current A, motors; shape (m, 3, j). The
-            motor current is what the drives report, where their current sensors have errors.
+        details: acceleration to the next set-point rad/s^2, joints; commanded and motor current A, motors; shape
+            (m, 3, j). The motor current is what the drives report, where their current sensors have errors.
         temperatures: of the friction elements, degrees Celsius, at the rate of temperatures, shape (k, e), 0 for those
             that have none; k is 0 where neither joints nor windings get warm.
         windings: of the motors' windings, the same, shape (k, j).

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -16,8 +16,9 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import SweepError
 from rx90_common.base.quoting import plain
 from rx90_common.report.page import render_page
-from rx90_common.report.plot import COLOURS, GREY, INK, Curve, Dots, Level, Mark, Panel, Plot
 from rx90_emulator.loop.parameters import SWITCH
+from rx90_emulator.sweep.effects import MainEffect, SweptColumn, main_effect
+from rx90_emulator.sweep.plots import distribution, main_effects
 from rx90_emulator.sweep.store import about, failures, read_sweep
 
 _PATH_METRICS = "path_error_worst", "path_error_rms", "along_track_worst", "orientation_worst"
@@ -26,60 +27,6 @@ _MOST_PANELS = 12  # parameters that are drawn
 _MOST_DOTS = 8000  # in all panels
 _MOST_WORST = 10
 _SHOWN_VALUES = 6  # parameters of a worst run
-_MOST_LEVELS = 12  # different values that are levels by themselves; more are put into bins
-_BINS = 8
-
-
-class SweptColumn(NamedTuple):
-    """A swept parameter: name of its column, unit, what it sets, and value of each run, (runs,), NaN if not set."""
-
-    name: str
-    unit: str
-    meaning: str
-    values: Array
-
-
-@dataclass(frozen=True, eq=False)
-class MainEffect:
-    """Means of a metric over the runs that share a value of a parameter, or lie in one part of its range.
-
-    Attributes:
-        column: the parameter.
-        levels: mean value of the parameter at each level, increasing, (levels,).
-        means: mean of the metric there, (levels,).
-        runs: number of runs that set the parameter.
-        share: of the metric's variance over these runs that the levels explain, adjusted for their number (epsilon
-            squared; Kelley 1935); 0 where chance alone would explain as much, NaN with one level.
-    """
-
-    column: SweptColumn
-    levels: Array
-    means: Array
-    runs: int
-    share: float
-
-
-def main_effect(column: SweptColumn, metric: Array) -> MainEffect:
-    """Return the main effect of a parameter on a metric, (runs,), NaN where a run failed."""
-    known = np.isfinite(column.values) & np.isfinite(metric)
-    x = column.values[known]
-    y = metric[known]
-    distinct = np.unique(x)
-    if len(distinct) <= _MOST_LEVELS:
-        level = np.searchsorted(distinct, x)
-    else:
-        level = np.searchsorted(np.quantile(x, np.arange(1, _BINS) / _BINS), x, side="right")
-    _, level, counts = np.unique(level, return_inverse=True, return_counts=True)
-    levels = np.bincount(level, weights=x) / counts
-    means = np.bincount(level, weights=y) / counts
-    within = float(np.sum((y - means[level]) ** 2))
-    total = float(np.sum((y - y.mean()) ** 2)) if len(y) else 0.0
-    share = np.nan
-    if len(counts) > 1:
-        # With one run at each level there is nothing to tell their scatter from the effect.
-        scatter = within * (len(y) - 1) / (len(y) - len(counts)) if len(y) > len(counts) else 0.0
-        share = max(0.0, 1.0 - scatter / total) if total else 0.0
-    return MainEffect(column, levels, means, len(y), share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,41 +94,13 @@ def sweep_page(file: Path) -> str:
         median=float(np.median(figures.worst[good])),
         percentile=float(np.quantile(figures.worst[good], 0.95)),
         largest=float(figures.worst[order[0]]),
-        distribution=distribution_plot(figures),
-        effects=effects_plot(figures.worst, drawn, shown) if drawn else None,
+        distribution=distribution({"worst": figures.worst, "RMS": figures.errors[_PATH_METRICS[1]]}),
+        effects=main_effects(figures.worst, drawn, shown),
         sampled=len(shown) if len(shown) < len(good) else 0,
         rows=figures.effects,
         worst=list(_runs(figures, order[:_MOST_WORST])),
         errors=failures(figures.table),
     )
-
-
-def distribution_plot(figures: SweepFigures) -> Plot:
-    """Show which share of the runs stays below a path error, for the worst and the RMS error of each run."""
-    panels = []
-    for metric, label, colour in zip(_PATH_METRICS, ("worst", "RMS"), (COLOURS[1], COLOURS[0]), strict=False):
-        values = figures.errors[metric]
-        known = np.sort(values[np.isfinite(values)])
-        share = np.arange(1, len(known) + 1) / len(known)
-        curve = Curve(np.repeat(known, 2)[1:], np.repeat(share, 2)[:-1], "runs", colour, 1.4)
-        marks: list[Mark] = [Level(0.5, "median", GREY, "dotted"), curve]
-        panels.append(Panel(marks, "", f"{label} path error, mm", "share of runs at or below", from_zero=True))
-    return Plot(panels, columns=2, height=2.8)
-
-
-def effects_plot(worst: Array, effects: Sequence[MainEffect], shown: NDArray[np.intp]) -> Plot:
-    """Show the worst path error of runs against each parameter, with the means that are its main effect."""
-    panels = []
-    for effect in effects:
-        name, unit, _, values = effect.column
-        unit = {SWITCH: " (0 off, 1 on)", "1": ""}.get(unit, f", {unit}")
-        rows = shown[np.isfinite(values[shown])]
-        marks: list[Mark] = [
-            Dots(values[rows], worst[rows], "runs", COLOURS[5]),
-            Curve(effect.levels, effect.means, "mean", INK, 1.8, dots=True),
-        ]
-        panels.append(Panel(marks, "", f"{name}{unit}", "worst path error, mm"))
-    return Plot(panels, columns=min(2, len(panels)), height=2.4)
 
 
 def _runs(figures: SweepFigures, rows: NDArray[np.intp]) -> Iterator[tuple[int, str, str, list[float]]]:

@@ -257,9 +257,9 @@ def describe_results(file: Path) -> list[str]:
     """Describe a sweep's results: state, plan, versions, failures, and each column with unit and range."""
     table = read_sweep(file)
     found = about(table.schema, file)
-    state = f"all {found['runs']} runs"
+    state = f"complete, {counted(found['runs'], 'run')}"
     if len(table) < found["runs"]:
-        state = f"{len(table)} of {found['runs']} runs; go on with --resume"
+        state = f"{len(table)} of {counted(found['runs'], 'run')}; go on with --resume"
     failed = failures(table)
     failure = "no run failed"
     if failed:

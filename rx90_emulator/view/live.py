@@ -22,6 +22,7 @@ from rx90_emulator.view.scene import ArmScene, LineScene, legend_html
 
 _STALE = 2.5  # s; the samples of a simulation come again four times a second while time stands still
 _PACE_WINDOW = 2.0  # s
+_LEAST_WINDOW = 0.5  # s, of a pace: messages that waited come together
 _POSE_PERIOD = 1.0 / 30.0  # s
 _TRACE_PERIOD = 0.2
 _STATUS_PERIOD = 0.25
@@ -78,14 +79,18 @@ class LiveView:
         return state is not None and (span is None or not span.begin <= state.time < span.end + seconds)
 
     def pace(self, now: float) -> float:
-        """Return simulated time per time of the wall clock over the last seconds; `now` is the steady clock's, s."""
+        """Return simulated time per time of the wall clock over the last seconds, NaN while these are too few.
+
+        Args:
+            now: of the steady clock, s.
+        """
         while self._times and self._times[0][0] < now - _PACE_WINDOW:
             self._times.popleft()
         if len(self._times) < 2:
-            return 0.0
+            return math.nan
         (began, first) = self._times[0]
         (ended, last) = self._times[-1]
-        return (last - first) / (ended - began)
+        return (last - first) / (ended - began) if ended - began > _LEAST_WINDOW else math.nan
 
     def _problem(self, now: float) -> str:
         """Return why there are no states to show, as a sentence for the user; empty if there are some."""
@@ -154,9 +159,13 @@ class LiveView:
                 trajectory = f"begins in {span.begin - time_s:.1f} s"
             elif span is not None and time_s <= span.end:
                 trajectory = f"{time_s - span.begin:.1f} of {span.end - span.begin:.1f} s"
+            elif span is not None:  # the controller's own word may be a second old
+                trajectory = f"ended at {span.end:.1f} s"
+            pace = self.pace(now)
+            paced = "" if math.isnan(pace) else f", {pace:.2f} &times; real time"
             rows = [
                 ("simulation", _word(simulation)),
-                ("time", f"{time_s:.2f} s, {self.pace(now):.2f} &times; real time"),
+                ("time", f"{time_s:.2f} s{paced}"),
                 ("brakes", html.escape(simulation.values["brakes"]) if simulation else "unknown"),
                 ("controller", _word(controller)),
                 ("trajectory", trajectory),

@@ -172,24 +172,30 @@ class ControlPanel:
             for joint, name in enumerate(self._limits.names):
                 low, high = self._jogs.ranges[joint]
                 slider = gui.add_slider(f"{name}, deg", low, high, _STEP, min(max(0.0, low), high))
-                slider.on_update(self._from_user(partial(self._drag, joint)))
+                slider.on_update(self._from_user(partial(self._drag, joint), partial(_within, low, high)))
                 sliders.append(slider)
             trace = self._trace
             if trace is not None:
                 drawn = gui.add_dropdown("error drawn \u00d7", _MAGNIFICATIONS)
-                drawn.on_update(self._from_user(partial(_magnify, trace)))
+                magnify = self._from_user(lambda factor: trace.magnify(float(factor)), _MAGNIFICATIONS.__contains__)
+                drawn.on_update(magnify)
                 gui.add_button("Clear the trace").on_click(self._from_user(lambda _: trace.clear()))
         self._sliders[client.client_id] = sliders
 
-    def _from_user(self, function: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
+    def _from_user(
+        self, function: Callable[[Any], None], accepts: Callable[[Any], bool] = lambda _: True
+    ) -> Callable[[Any], Coroutine[Any, Any, None]]:
         """Return a callback of viser's that hands what an unlocked client gave to a function on the page's thread.
+
+        What the input does not offer is left: a message may hold anything.
 
         It is a coroutine, because viser calls those in the order of what was done; functions it calls on many threads.
         """
 
         async def hand_over(event: viser.GuiEvent[Any]) -> None:
-            if event.client_id in self._sliders:  # None: the page has moved a slider
-                self._page.later(partial(function, event.target.value))
+            value = event.target.value
+            if event.client_id in self._sliders and accepts(value):  # None: the page has moved a slider
+                self._page.later(partial(function, value))
 
         return hand_over
 
@@ -316,9 +322,6 @@ class Jogs:
 
         A joint that rests where it was sent stays sent there: friction holds it a little beside.
         """
-        low, high = self.ranges[joint]
-        if not low <= angle <= high:  # no slider sends that, but a message may hold anything
-            return
         target = (arm.position if self.target is None else self.target).copy()
         target[joint] = np.radians(angle)
         self.target = target
@@ -341,7 +344,5 @@ class Jogs:
         return [min(max(round(angle, 1), low), high) for angle, (low, high) in ends]
 
 
-def _magnify(trace: LineScene, factor: object) -> None:
-    """Draw the error as many times larger as a client chose; it may send what the list does not offer."""
-    if factor in _MAGNIFICATIONS:
-        trace.magnify(float(str(factor)))
+def _within(low: float, high: float, angle: object) -> bool:
+    return isinstance(angle, float | int) and low <= angle <= high

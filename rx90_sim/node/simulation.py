@@ -11,7 +11,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import counted, plain
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.channel import Channel, MakeChannel
 from rx90_common.exchange.endpoints import LATCHED_QOS, REQUEST_QOS
@@ -201,7 +201,7 @@ class SimulatedArm:
             response.message = "the node is inactive; accepted: in state active"
             return response
         ticks: int = self._node.get_parameter("step_ticks").value
-        return self._answer(response, self.ticks.control.step(ticks, _REQUEST_TIMEOUT), f"{ticks} ticks")
+        return self._answer(response, self.ticks.control.step(ticks, _REQUEST_TIMEOUT), counted(ticks, "tick"))
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._answer(response, self.ticks.control.reset(_REQUEST_TIMEOUT), "reset")

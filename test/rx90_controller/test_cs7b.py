@@ -172,11 +172,11 @@ def test_each_part_of_the_feed_forward_has_its_switch(shipped: Setup, part: str)
         controller.step(np.full(6, 0.3), np.full(6, -2.0))  # what is measured does not matter to it
         for _ in range(3):
             controller.step(np.zeros(6), np.zeros(6))
-        # 10 s^3 - 15 s^4 + 6 s^5 with its derivatives.
-        s = k / 4000
+        # The derivative of 10 s^3 - 15 s^4 + 6 s^5, and its change until the next set-point.
+        s = np.array([k, k + 4]) / 4000
         # Motor 6 is seen from its own gear's output, which turns with q5 + q6.
-        rate = COUPLING @ goal * (30 * s**2 - 60 * s**3 + 30 * s**4)
-        acceleration = COUPLING @ goal * (60 * s - 180 * s**2 + 120 * s**3)
+        rate, later = np.outer(30 * s**2 - 60 * s**3 + 30 * s**4, COUPLING @ goal)
+        acceleration = (later - rate) / 1e-3
         sign = np.clip(rate / given.feed_forward.coulomb_velocity, -1.0, 1.0)
         want = (
             switch.acceleration * given.inertia * acceleration

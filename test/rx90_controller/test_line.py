@@ -66,7 +66,7 @@ def _integrated(task: LineTask, times: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("which", ["reference", "turning"])
 def test_interpolated_tip_is_on_the_line_at_the_right_time(shipped: Setup, task: LineTask, which: str) -> None:
-    """Between all knots the tip is within 0.1 um of the trapezoidal motion along the line."""
+    """Between all knots the tip is within 0.1 µm of the trapezoidal motion along the line."""
     line = task if which == "reference" else TURNING
     plan = plan_line(shipped.robot, line)
     times = np.linspace(0.0, plan.duration, 20_001)

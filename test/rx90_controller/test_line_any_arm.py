@@ -85,7 +85,7 @@ def plan(seven: RobotModel) -> LinePlan:
 
 
 def test_seven_joints_keep_place_and_orientation_between_the_knots(seven: RobotModel, plan: LinePlan) -> None:
-    """By Pinocchio, SciPy's quintics through the knots keep 0.1 um and 1 urad of the line all the way, in time."""
+    """By Pinocchio, SciPy's quintics through the knots keep 0.1 µm and 1 µrad of the line all the way, in time."""
     times, angles = _between_knots(plan, 1501)
     places, rotations = _asked(plan.task, times)
     for q, place, rotation in zip(angles, places, rotations, strict=True):

@@ -6,17 +6,21 @@ import threading
 import time
 from collections.abc import Callable
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from processes import TIMEOUT, wait_until
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
 
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Matches
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.topics import FREE_RUNNING, TimeMode
-from rx90_controller.node import serving
+from rx90_controller.node import serving, simulation_mode
 from rx90_controller.node.servo_loop import MotorStates
 
 RATES = Rates(1000, 1000)
@@ -322,3 +326,25 @@ def test_two_simulations_get_no_commands(loops: Loops) -> None:
     loops.run_for(1.0)
     assert len(simulation.commands) > sent + 500
     assert "one simulation is left" in loops.said[-1]
+
+
+def test_a_time_mode_counts_from_nobody_where_the_middleware_names_no_sender(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its GID, here a handle as that of Cyclone DDS, is no process's: one warning that names it, and no mode."""
+    raw, warnings, followed, looks = serialize_message(String(data="free_running")), [], [], []
+    log = SimpleNamespace(warning=warnings.append)
+    node: Any = SimpleNamespace(
+        create_subscription=lambda *_, **__: SimpleNamespace(topic_name="/time_mode"),
+        create_timer=lambda _, look: looks.append(look),
+        resolve_topic_name="/{}".format,
+        get_logger=lambda: log,
+    )
+    monkeypatch.setattr(simulation_mode, "take_with_sender", lambda _: [(raw, bytes(12))])
+    monkeypatch.setattr(simulation_mode, "senders_on", lambda *_: {b"process here"})
+    monkeypatch.setattr(simulation_mode, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
+    monkeypatch.setattr(simulation_mode, "_PATIENCE", -1.0)
+    simulation_mode.SimulationMode(node, followed.append)
+    for _ in range(3):
+        looks[0]()
+    (said,) = warnings
+    assert followed == []
+    assert said.startswith("/time_mode: 'free_running' of a process that rmw_cyclonedds_cpp does not name, ignored: ")

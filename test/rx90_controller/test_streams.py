@@ -157,7 +157,7 @@ def test_whatever_is_streamed_the_limits_are_kept_and_the_end_is_rest(
     for _ in range(random.integers(1, 20)):
         stamp = now * T + random.normal(0.0, 0.02) if random.random() < 0.8 else None
         due = np.sort(random.uniform(0.0, 0.05, random.integers(1, 4)))
-        values, slopes = random.normal(0.0, spread, (2, len(due), 6))
+        values, slopes = random.normal(0.0, spread if stream.count else 0.0, (2, len(due), 6))
         slopes[random.random(len(due)) < 0.7] = np.nan
         stamp_ns = 0 if stamp is None else round(stamp * 1e9)
         points = SetPoints(interface, stamp_ns, due, np.stack([values, slopes], axis=1), every)
@@ -175,6 +175,7 @@ def test_whatever_is_streamed_the_limits_are_kept_and_the_end_is_rest(
 
 def test_a_step_is_travelled_as_fast_as_the_limits_allow_without_overshoot(arm: Arm) -> None:
     """A step of 1 rad takes the time of a trapezoid, v/a + way/v, is not overshot, and is said to be beyond limits."""
+    arm.take(state(0.0))
     arm.take(state(1.0))
     setpoints = arm.play([], 3.0)
     keeps_limits(arm.limits, setpoints)
@@ -219,7 +220,7 @@ def test_goals_and_streams_replace_each_other_without_a_jump(arm: Arm) -> None:
     goal = arm.goal(arm.trajectory(0.3), SimpleNamespace(on_feedback=lambda _: None, on_result=told.append))
     arm.loop.offer(goal)
     arm.play([], 0.5)
-    arm.play([(0.5 + k * 0.01, state(0.2)) for k in range(10)], 0.6)
+    arm.play([(0.5 + k * 0.01, state(0.2 if k else arm.cs7b.setpoint[0])) for k in range(10)], 0.6)
     assert told == [goal]
     assert (goal.state, goal.code) == (State.ABORTED, ResultCode.INVALID_GOAL)
     assert goal.reason.startswith("replaced by streamed set-points, at 0.5")
@@ -232,12 +233,12 @@ def test_goals_and_streams_replace_each_other_without_a_jump(arm: Arm) -> None:
 
 def test_joints_that_are_not_named_hold_and_speed_scaling_holds_all(arm: Arm) -> None:
     """With `allow_partial_joints_goal` a stream may be of some joints; at speed scaling 0 nothing moves."""
-    one = state([0.2], names=["joint_3"])
+    one, first = state([0.2], names=["joint_3"]), state([0.0], names=["joint_3"])
     arm.take(one)
     assert "set-point from a topic ignored: joint 'joint_1' is missing" in arm.around.lines[-1]
     arm.loop.options = type(arm.loop.options)(allow_partial_joints_goal=True)
     arm.cs7b.trajectory.set_speed_scaling(0.0, 0)
-    assert not arm.play([(k * 0.01, one) for k in range(20)], 0.2)[:, 0].any()
+    assert not arm.play([(k * 0.01, one if k else first) for k in range(20)], 0.2)[:, 0].any()
     arm.cs7b.trajectory.set_speed_scaling(1.0, arm.cs7b.position_tick)
     setpoints = arm.play([(0.2 + k * 0.01, one) for k in range(20)], 1.0)
     keeps_limits(arm.limits, setpoints)
@@ -248,13 +249,10 @@ def test_joints_that_are_not_named_hold_and_speed_scaling_holds_all(arm: Arm) ->
     ("message", "said"),
     [
         (state(0.1, names=["joint_1", "elbow"]), "unknown joint 'elbow'; accepted: joint_1"),
-        (state([0.1] * 5), "5 positions; accepted: 6, or none"),
         (state([0.1] * 5 + [math.nan]), "positions of joint_6: nan; accepted: a finite number"),
         (state(), "neither position nor velocity; accepted: one of them, or both"),
         (state(0.1, effort=1.0), "carries effort; accepted: position, with velocity or without, or velocity alone"),
         (SimpleNamespace(data=[0.1] * 7), "7 positions; accepted: 6, or none"),
-        (SimpleNamespace(data=[]), "neither position nor velocity; accepted: one of them, or both"),
-        (SimpleNamespace(data=[math.inf] * 6), "positions of joint_1: inf; accepted: a finite number"),
     ],
 )
 def test_what_is_no_set_point_is_one_line(arm: Arm, message: Any, said: str) -> None:
@@ -310,10 +308,41 @@ def test_moveit_servo_drives_the_arm(arm: Arm, jitter: float) -> None:
     assert max(np.abs(q).max() for q in wanted.values()) > 0.08
 
 
+@pytest.mark.parametrize("velocities", [None, np.zeros(6)])
+def test_what_begins_too_far_away_is_refused_with_the_time_it_needs(arm: Arm, velocities: Any) -> None:
+    """By any topic, as a point alone or in a window: nothing moves, and in the stated time the place is reached."""
+    away = np.array([0.0, -1.0, 0.0, 0.0, 0.0, 0.5])
+    arm.take(state(0.2 * away))
+    v, a = arm.limits.velocity[1], arm.limits.acceleration[1]
+    least = 2.0 * math.sqrt(0.2 / a) if 0.2 * a < v * v else 0.2 / v + v / a
+    assert f"joint_2 cannot go -0.2 rad in 0.03 s within its limits, {v:.6g} rad/s" in arm.around.lines[-1]
+    assert float(arm.around.lines[-1].split("accepted: from ")[1][:-5]) == pytest.approx(least, abs=1e-3)
+    window = trajectory([0.02, 0.05], [0.0 * away, away], [velocities] * 2)
+    for message in (SimpleNamespace(data=[1e308] * 6), window, *(trajectory([t], [away]) for t in (1e-9, 0.05, 0.1))):
+        arm.take(message)
+    arm.take(trajectory([0.101], [away], [velocities]))
+    assert arm.loop.rejected == 7
+    assert not arm.play([], 0.2)[:, 0].any()
+    least = float(arm.around.lines[-1].split("joint_2 cannot go -1 rad in 0.101 s ")[1].split("from ")[1][:-5])
+    arm.take(trajectory([0.98 * least], [away], [velocities]))
+    assert arm.loop.rejected == 8
+    arm.take(trajectory([least], [away], [velocities]))
+    assert np.abs(arm.play([], arm.now + least + 0.1)[-1, 0] - away).max() < 1e-9
+
+
+def test_a_running_arm_takes_up_a_stream_where_that_goes_on(arm: Arm) -> None:
+    """What lies ahead on its way is in reach, as far behind it is not, and leaves the motion as it is."""
+    arm.loop.receive(arm.trajectory(0.6))
+    arm.play([], 0.5)
+    position, velocity, _ = arm.cs7b.setpoint
+    arm.take(state(position - velocity * DELAY))
+    assert "cannot go" in arm.around.lines[-1]
+    arm.take(state(position + velocity * DELAY))
+    assert "stream begins" in arm.around.lines[-1]
+
+
 def test_longer_trajectories_are_none_of_a_stream(arm: Arm) -> None:
     """What ends further ahead than `stream.window` is a trajectory as ever: refused beyond limits, not followed."""
-    arm.loop.receive(trajectory([0.101], [0.5], [0.0]))
-    assert "trajectory rejected: point 0: " in arm.around.lines[-1]
     arm.loop.streaming = StreamOptions(window=0.0)
     arm.loop.receive(trajectory([0.02], [0.5]))
     assert arm.around.lines[-1].startswith("trajectory rejected: point 0: ")

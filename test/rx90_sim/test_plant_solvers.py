@@ -23,7 +23,7 @@ POSE = np.array([0.4, 0.9, -0.6, 0.5, 0.3, -0.3])
 
 
 def test_smooth_torques_held_tick_by_tick(shipped: Setup, arm_oracle: Any) -> None:
-    """With torques that change tick by tick, as a controller gives them, the error stays below 10 urad."""
+    """With torques that change tick by tick, as a controller gives them, the error stays below 10 µrad."""
     ticks = 120
     _, gravity = arm_oracle.mass_and_bias(POSE, np.zeros(6))
     share = np.array([40.0, 45.0, -25.0, 9.0, -6.0, 4.0])
@@ -93,7 +93,7 @@ def test_the_solver_solves_the_paper_s_equations(shipped: Setup, arm_oracle: Any
 
 
 def test_second_order_in_the_closed_loop(work: Work) -> None:
-    """Without the encoders' rounding the tip's error falls fourfold per halving of the step, from below 0.2 um."""
+    """Without the encoders' rounding the tip's error falls fourfold per halving of the step, from below 0.2 µm."""
     fine = work._replace(setup=without_rounding(work.setup))
     exact = hybrid_reference(fine.setup, work.points, work.start, work.duration)
     assert np.abs(exact.v).max() > 0.1

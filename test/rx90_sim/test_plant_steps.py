@@ -19,7 +19,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.friction import FrictionSet
 from rx90_common.friction.parts.bristles import ElastoPlastic
 from rx90_common.friction.parts.temperature import TemperaturePart
-from rx90_emulator.loop.parameters import with_parameters
+from rx90_emulator.loop.parameters import parameters, with_parameters
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ FACTORS = {
     "alpha": st.sampled_from([1.0, 0.3, 0.6, 2.0]),
     "undamped": st.booleans(),
     "torques": st.floats(-3.0, 0.5),
-    "weaker": st.tuples(st.sampled_from(["positive", "negative"]), st.floats(-1.3, 0.0)),
+    "weaker": st.tuples(st.sampled_from(["positive", "negative"]), st.floats(-4.0, 0.0)),
     "seed": st.integers(0, 2**32 - 1),
 }
 
@@ -90,7 +90,7 @@ def test_what_sticks_stays_in_its_place(shipped: Setup, draw: dict[str, Any]) ->
 
 
 @given(st.fixed_dictionaries(FACTORS))
-@settings(max_examples=8)
+@settings(max_examples=24)
 def test_what_is_let_pass_agrees_with_a_stiff_solver(shipped: Setup, draw: dict[str, Any]) -> None:
     """Through sticking, break-away, reversal and sticking again within 1 % of each joint's way, or 2 urad, of LSODA."""
     setup = drawn(shipped, draw)
@@ -101,42 +101,16 @@ def test_what_is_let_pass_agrees_with_a_stiff_solver(shipped: Setup, draw: dict[
     assert sticking(setup).share < WORST
 
 
-@pytest.mark.parametrize("case", ["c0 x 50", "c0 x 100", "c1 x 3, light rotors", "alpha 0.3, c2 x 5", "undamped"])
-def test_the_sets_that_were_wrong_agree_with_a_stiff_solver(shipped: Setup, case: str) -> None:
-    """So do the sets that one step in a tick got wrong without a word, within 0.3 %; each takes more by itself."""
-    setup = {
-        "c0 x 50": scaled(shipped, c0=50.0),
-        "c0 x 100": scaled(shipped, c0=100.0),
-        "c1 x 3, light rotors": with_rotors(scaled(shipped, c1=3.0), 0.03),
-        "alpha 0.3, c2 x 5": scaled(shipped, c2=5.0, alpha=0.3),
-        "undamped": scaled(shipped, c0=3.0, c1=0.0, c2=0.0),
-    }[case]
-    assert setup.plant().substeps > 1
-    assert sticking(setup).share < 0.3 * WORST
-
-
 def test_the_shipped_robots_take_one_step(shipped: Setup, tx40: Setup) -> None:
     """Both robots keep one plant step in a tick, with their tools and without, and so the bits of their runs."""
     assert [one.plant().substeps for one in (shipped, tx40)] == [1, 1]
-
-
-def test_the_boundary_is_that_of_the_step() -> None:
-    """(k - 2 d) (k + d) = 4 d and d = 1 part the stable maps of one mass from the others, by their eigenvalues."""
-    for d in (0.02, 0.05, 0.2, 0.45, 0.8):
-        edge = 0.5 * (d + math.sqrt(9.0 * d * d + 16.0 * d))
-        for k, stable in ((0.99 * edge, True), (1.01 * edge, False)):
-            # (v h, z, a h^2) of a mass of 1 after a step
-            middle = np.array([1.0, 0.0, 0.5])
-            after = -(k * np.array([0.0, 1.0, 0.0]) + (0.5 * k + d) * middle)
-            step = np.array([np.eye(3)[0] + after, np.eye(3)[1] + middle, after])
-            assert (np.abs(np.linalg.eigvals(step)).max() < 1.0) == stable
 
 
 def test_the_refusal_says_what_asks_for_steps(shipped: Setup) -> None:
     """Too few steps name element, value, what they bear, and the steps that would do; those then do."""
     stiff = scaled(shipped, c0=100.0)
     needed = stiff.plant().substeps
-    line = rf"friction\.joint_6\.c0 is 500000 Nm/rad, .* times what 2 plant steps.*accepted: .*substeps {needed}$"
+    line = rf"friction\.joint_6\.c0 is 500000 Nm/rad, .* times what 2 plant steps.*substeps {needed}; likewise friction"
     with pytest.raises(ConfigError, match=line):
         stiff.plant(2)
     assert stiff.plant(needed).substeps == needed
@@ -154,18 +128,30 @@ def test_the_refusal_says_what_asks_for_steps(shipped: Setup) -> None:
 
 
 @pytest.mark.parametrize("weaker", ["positive", "negative"])
-def test_directions_that_are_far_apart_are_refused(shipped: Setup, weaker: str) -> None:
-    """With 1e-3 Nm in one direction and 5 Nm in the other, a step a tick was 12 % of the joint's way off."""
+def test_a_weak_direction_takes_more_steps(shipped: Setup, weaker: str) -> None:
+    """As many as the ratio, from one on that a step does not resolve; each is as the stiff solver has it."""
+    values = parameters(shipped)
+    given = {path: float(values[path].value) for path in values if re.match(rf"friction.joint_5.tau_._{weaker}", path)}
+    setups = [
+        with_parameters(shipped, {path: torque / ratio for path, torque in given.items()}) for ratio in (60, 1e3, 3e3)
+    ]
+    first, second, third = (setup.plant().substeps for setup in setups)
+    assert first == 1
+    assert third == pytest.approx(3.0 * second, abs=3.0)
+    assert max(sticking(setup).share for setup in setups) < WORST
 
-    def setup(ratio: float) -> Setup:
-        one = shipped.friction.elements[4]
-        torques = {f"{name}_{weaker}": one.parameters[f"{name}_{weaker}"] / ratio for name in ("tau_c", "tau_s")}
-        elements = [*shipped.friction.elements[:4], one.with_parameters(torques), *shipped.friction.elements[5:]]
-        return dataclasses.replace(shipped, friction=FrictionSet(shipped.friction.names, tuple(elements)))
 
-    setup(19.9).plant()
-    with pytest.raises(ConfigError, match=rf"joint_5\.tau_c_{weaker} is 0\.199.* Nm, .*accepted: up to 20 times apart"):
-        setup(20.1).plant()
+def test_a_refusal_names_all_that_ask_for_more(shipped: Setup) -> None:
+    """With less than the limits that it names in place of the values the set is taken at once."""
+    hard = {f"friction.joint_{k}.c0": 1e11 for k in (2, 4, 6)} | {"friction.joint_3.c1": 1e9}
+    weak = {f"friction.joint_5.{name}_negative": 1e-9 for name in ("tau_c", "tau_s")}
+    with pytest.raises(ConfigError, match=r"joint_5\.c\d is .* with torques \S+ times apart in both directions, "):
+        with_parameters(shipped, weak).plant()
+    with pytest.raises(ConfigError) as refused:
+        with_parameters(shipped, hard | weak).plant()
+    named = dict(re.findall(r"(friction\.\S+) (?:is .*? )?up to about ([\d.e+-]+)", str(refused.value)))
+    assert {*hard, "friction.joint_5.c0", "friction.joint_5.c1"} <= set(named)
+    with_parameters(shipped, weak | {name: 0.3 * float(limit) for name, limit in named.items()}).plant()
 
 
 def test_parts_count_where_they_stiffen(shipped: Setup) -> None:

@@ -164,6 +164,7 @@ class PageSession:
             return ["/bin/bash", "-c", f"PATH={folder}:$PATH; {line}"]
         expanded = ["bash", "-c", f"printf '%s\\0' {line}"]
         words = subprocess.run(expanded, capture_output=True, text=True, check=True).stdout.split("\0")[:-1]
+        words = [sys.executable if word == "python" else word for word in words]
         if first == "ros2":
             return [sys.executable, str(_STAND_IN), *words[1:]]
         return executable(words[0], *words[1:])

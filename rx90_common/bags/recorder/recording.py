@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 import rclpy
@@ -19,13 +18,11 @@ from rx90_common.bags.ordering import Arrived, Dated, LogOrder, TimeSource
 from rx90_common.bags.recorder.stream import Stream, Streams, WriterCount
 from rx90_common.bags.writing import BagWriter
 from rx90_common.base.errors import FAILED, BagWriteError
+from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.ros_start import start_ros
 from rx90_common.process.interrupts import StopRequest, end_with
 from rx90_common.process.threads import calls_of, place_of
-
-READY: Final = "ready: all"
-"""Beginning of the line that reports that all topics are matched."""
 
 _CYCLE_S = 0.1
 _ANNOUNCE_WAIT_S = 1.0
@@ -263,7 +260,8 @@ class Recorder:
                     stream.start()
                 if all(stream.time_source is not TimeSource.CLOCK for stream in streams):
                     self._order.expect_no_clock()
-                self._status.say(f"{READY} {len(self._names)} topics are matched, recording to {writer.path}")
+                topics = counted(len(self._names), "topic")
+                self._status.say(f"ready: all topics are matched, recording {topics} to {writer.path}")
             if not reported and math.isinf(matched_at) and now > start + _ANNOUNCE_WAIT_S:
                 reported = True
                 self._status.say(f"waiting for {', '.join(streams.missing())}")

@@ -31,6 +31,7 @@ from scipy.sparse import csr_array
 
 from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import counted
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import fma, load, store
 from rx90_emulator.identification.records import BagSource, JointRecord, block_means, stretches
@@ -356,7 +357,7 @@ def _filtered(
 def _rate(time: Array) -> float:
     """Return samples per second, gaps excluded."""
     if len(time) < 2:
-        raise IdentificationError(f"a run of {len(time)} samples; accepted: a second of motion or more")
+        raise IdentificationError(f"a run of {counted(len(time), 'sample')}; accepted: a second of motion or more")
     steps = np.diff(time)
     usual = steps[steps < _GAP_PERIODS * np.median(steps)]
     return float(len(usual) / usual.sum())

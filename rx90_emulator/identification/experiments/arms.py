@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, TrajectoryError
-from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.chain import RigidChain
 from rx90_common.description.robot import MOUNT_LINK, TCP_LINK, RobotModel, attach, joint_of, load_tool
@@ -114,7 +114,7 @@ class PlannedArm:
         most = robot.max_velocity / FULL_SPEED_TIME
         if acceleration is not None:
             if len(acceleration) not in (1, n):
-                raise IdentificationError(f"--acceleration: {len(acceleration)} values; accepted: 1, or {n}")
+                raise IdentificationError(f"--acceleration: {counted(len(acceleration), 'value')}; accepted: 1, or {n}")
             most = np.broadcast_to(np.array(acceleration, dtype=np.float64), (n,)).copy()
         limits = JointLimits(names, robot.lower, robot.upper, robot.max_velocity, most, _START_TOLERANCE)
         one = np.eye(n)
@@ -241,7 +241,9 @@ def _home(robot: RobotModel, given: Sequence[float] | None, whose: str) -> tuple
     if given is None:
         return middle_of_ranges(robot), "the middle of the joints' ranges, assumed"
     if len(given) != len(robot.joint_names):
-        raise IdentificationError(f"--home: {len(given)} values; accepted: {len(robot.joint_names)}, one per joint")
+        raise IdentificationError(
+            f"--home: {counted(len(given), 'value')}; accepted: {len(robot.joint_names)}, one per joint"
+        )
     check_pose("home", given, robot)
     return np.array(given, dtype=np.float64), whose
 

@@ -26,6 +26,7 @@ from scipy.optimize import minimize
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import counted
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
 from rx90_emulator.identification.experiments.arms import PlannedArm
@@ -114,7 +115,9 @@ class ExcitationPlan:
         if options.torque_noise is not None:
             self.noise = np.array(options.torque_noise)
             if len(self.noise) != n:
-                raise IdentificationError(f"--torque-noise: {len(self.noise)} values; accepted: {n}, one per joint")
+                raise IdentificationError(
+                    f"--torque-noise: {counted(len(self.noise), 'value')}; accepted: {n}, one per joint"
+                )
         self.standard = StandardColumns(arm.rigid)
         self.base = BaseGroups.of(self.standard)
         self._leading = list(self.base.leading)

@@ -286,8 +286,15 @@ def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions |
     planned = [_sweeps(robot, drives, chosen, name, vector) for name, vector in picked.items()]
     planned += [_oscillations(robot, chosen, name, one) for name, one in picked.items() if "together" not in name]
     planned.append(_validation(robot, chosen))
-    for *_, motion, _ in planned:
+    names: dict[str, str] = {}
+    for name, _, motion, _ in planned:
         _approach(robot, motion, chosen.poses.home)
+        earlier = names.setdefault(file_stem(name), name)
+        if earlier != name:
+            raise IdentificationError(
+                f"experiments {quoted(earlier)} and {quoted(name)}: one file name; accepted: names of "
+                "joints that differ in more than / \\ and :"
+            )
     return tuple(
         Experiment(file_stem(name), kind, motion.points(robot.joint_names), n) for name, kind, motion, n in planned
     )

@@ -15,7 +15,7 @@ from rx90_common.bags.writing import string_message, write_joint_states
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import counted, plain
 from rx90_common.process.files import write_all
 from rx90_controller.trajectory.points import message_content
 from rx90_controller.trajectory.spline import interpolate
@@ -36,7 +36,8 @@ def describe(plan: Sequence[Experiment], arm: PlannedArm) -> str:
         used = [np.append(shares[name], shares[f"motor_{name}"]) for name in ("speed", "torque")]
         speed, torque = (f"{share.max():>6.0%} ({names[int(np.argmax(share))]})" for share in used)
         lines.append(f"{one.name:<30}{one.sweeps:>6}{one.duration:>9.1f}   {speed}          {torque}")
-    return "\n".join([*lines, f"{len(plan)} experiments, {sum(one.sweeps for one in plan)} runs, {_whole_time(plan)}"])
+    runs = counted(sum(one.sweeps for one in plan), "run")
+    return "\n".join([*lines, f"{counted(len(plan), 'experiment')}, {runs}, {_whole_time(plan)}"])
 
 
 def _whole_time(plan: Sequence[Experiment]) -> str:
@@ -92,7 +93,7 @@ def describe_excitation(plan: ExcitationPlan) -> str:
         lines.append(f"meshes do not count for collisions: those of {', '.join(workspace.meshes)}")
     if workspace.uncounted:
         lines.append(f"too near to each other at home to count: {', '.join(workspace.uncounted)}")
-    return "\n".join([*lines, f"{len(plan.experiments)} runs, {_whole_time(plan.experiments)}"])
+    return "\n".join([*lines, f"{counted(len(plan.experiments), 'run')}, {_whole_time(plan.experiments)}"])
 
 
 def _run_lines(plan: ExcitationPlan, experiment: Experiment) -> Iterator[str]:

@@ -21,7 +21,7 @@ from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError, IdentificationError, TrajectoryError, check_type
 from rx90_common.base.models import MAX_JOINTS
-from rx90_common.base.quoting import listed
+from rx90_common.base.quoting import counted, listed
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot_files import RobotFiles
@@ -75,7 +75,7 @@ def simulated_setup(files: RobotFiles) -> Setup:
         joints = tuple(UrdfFile(files.urdf).limits)
         turning = load_drives(files.drives).turning
         if len(joints) != len(turning.turns):
-            counts = f"{len(joints)} movable joints, and {files.drives} is of {len(turning.turns)}"
+            counts = f"{counted(len(joints), 'movable joint')}, and {files.drives} is of {len(turning.turns)}"
             raise IdentificationError(f"{files.urdf}: {counts}; {_OTHER_ARMS}")
         names = turning.element_names(joints)
         there = FrictionFile.read(files.friction).elements.entries
@@ -427,9 +427,9 @@ def _remarks(record: JointRecord, pieces: tuple[FilteredRun, ...], run: Filtered
             f"{record.time[-1]:.3f} s is compared, the longest part without one"
         )
     if record.outliers:
-        found.append(f"{record.outliers} samples were left out: NaN, single spikes or repeated stamps")
+        found.append(f"left out: {counted(record.outliers, 'sample')} (NaN, single spikes or repeated stamps)")
     if record.missing:
-        found.append(f"{record.missing} messages are missing from the stream")
+        found.append(f"missing from the stream: {counted(record.missing, 'message')}")
     return tuple(found)
 
 
@@ -456,8 +456,8 @@ def read_setpoints(
 
 
 def setpoint_rows(position: Array, velocity: Array, setup: Setup) -> Array:
-    """Return set-points at the position loop's rate with their accelerations, shape (m, 3, n)."""
-    acceleration = np.gradient(velocity, setup.rates.position_period, axis=0)
+    """Return set-points at the position loop's rate with accelerations that lead to the next, shape (m, 3, n)."""
+    acceleration = np.diff(velocity, axis=0, append=velocity[-1:]) / setup.rates.position_period
     return np.ascontiguousarray(np.stack([position, velocity, acceleration], axis=1))
 
 

@@ -108,7 +108,7 @@ class Validation:
         return (
             *torque_criteria(self.names, torque.total_share, torque.rms_share, limits.total, limits.torque),
             *([worst] if math.isfinite(limits.worst_torque) else []),
-            Criterion("tip worst", self.tip_worst, limits.tip, unit="um"),
+            Criterion("tip worst", self.tip_worst, limits.tip, unit="µm"),
         )
 
     @property

@@ -202,7 +202,7 @@ class Criterion:
         value: its largest value, NaN if it is not compared.
         limit: up to which it agrees.
         joint: joint with the value; "" for a quantity of the whole arm.
-        unit: of the text: %, mrad or um.
+        unit: of the text: %, mrad or µm.
         digits: after the decimal point.
     """
 
@@ -221,7 +221,7 @@ class Criterion:
     @property
     def text(self) -> str:
         """Return quantity, value, joint and limit: "torque RMS 0.13% (joint_6, limit 5%)"."""
-        scale, unit, after = {"%": (1e2, "%", "%"), "mrad": (1e3, " mrad", ""), "um": (1e6, " µm", "")}[self.unit]
+        scale, unit, after = {"%": (1e2, "%", "%"), "mrad": (1e3, " mrad", ""), "µm": (1e6, " µm", "")}[self.unit]
         whose = f"{self.joint}, " if self.joint else ""
         return (
             f"{self.quantity} {scale * self.value:.{self.digits}f}{unit} ({whose}limit {scale * self.limit:g}{after})"

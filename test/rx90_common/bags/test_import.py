@@ -317,8 +317,8 @@ def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureF
         np.testing.assert_array_equal(series.effort, POSITION * 1e-3)
         label = f"effort [{unit.removeprefix('m')}]"
         assert series.quantities["effort"] == series.take(slice(0, 2)).select(["b"]).quantities["effort"] == label
-        (panel,) = plot_bags([folder / "bag"])[0].plot.panels
-        assert panel.y_label == label.replace(" [", ", ").removesuffix("]")
+        (plot,) = plot_bags([folder / "bag"])
+        assert plot.label("effort") == label.replace(" [", ", ").removesuffix("]")
         tables, again = folder / "tables", folder / "again"
         export_bag(folder / "bag", tables)
         assert (tables / "joint_states.csv").read_text().splitlines()[0] == f"time [s],a {label},b {label}"

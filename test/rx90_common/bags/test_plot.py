@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from processes import files_up_to
 
+from rx90_common.bags.charts import topic_figures
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.plotting import TopicPlot, plot_bags
+from rx90_common.bags.plotting import plot_bags
 from rx90_common.bags.writing import write_joint_states
-from rx90_common.report.picture import write_picture
-from rx90_common.report.plot import Curve, Panel, Plot
+from rx90_common.report.picture import picture
 from rx90_emulator.cli.frame import run
 
 pytestmark = pytest.mark.slow
@@ -44,53 +44,45 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {name: folder / name for name in content}
 
 
-def curves(plot: TopicPlot, panel: int) -> list[Curve]:
-    """Return the curves of a panel."""
-    found = plot.plot.panels[panel]
-    assert isinstance(found, Panel)
-    return [mark for mark in found.marks if isinstance(mark, Curve)]
-
-
 def test_an_error_s_effort_is_the_commanded_torque(tmp_path: Path) -> None:
     """Beside the errors of position and velocity the controller's topic holds no error, but a torque."""
     write_joint_states(tmp_path / "bag", [series("/cell/rx90_controller/tracking_error")])
-    (drawn,) = plot_bags([tmp_path / "bag"])
-    panels = [panel for panel in drawn.plot.panels if isinstance(panel, Panel)]
-    assert [panel.y_label for panel in panels] == ["position, rad", "commanded torque, Nm"]
+    (plot,) = plot_bags([tmp_path / "bag"])
+    assert [plot.label(field) for field in plot.fields] == ["position, rad", "commanded torque, Nm"]
 
 
 def test_without_options_the_usual_topics_are_drawn(bags: dict[str, Path]) -> None:
     """Joint states, then friction, by what they hold, with units; other topics, and chosen joints, where asked for."""
     joints, friction = plot_bags([bags["first"]])
     assert (joints.topic, friction.topic) == ("/joint_states", "/friction_states")
-    panels = [panel for panel in (*joints.plot.panels, *friction.plot.panels) if isinstance(panel, Panel)]
-    assert [panel.y_label for panel in panels] == [
-        "position, rad", "effort, Nm", "bristle deflection, rad", "friction torque, Nm",
-    ]  # fmt: skip
-    assert panels[1].x_label == "time, s"
-    assert [curve.label for curve in curves(joints, 0)] == list(NAMES)
-    assert np.array_equal(curves(joints, 1)[1].y, 30.0 * POSITION[:, 1])
-    assert np.array_equal(curves(joints, 1)[1].x, TIME)
+    assert [joints.label(field) for field in joints.fields] == ["position, rad", "effort, Nm"]
+    assert [friction.label(field) for field in friction.fields] == ["bristle deflection, rad", "friction torque, Nm"]
+    positions, efforts = topic_figures(joints)
+    assert efforts.xaxis.axis_label.text == "time, s"
+    assert [line.name for line in positions.renderers] == list(NAMES)
+    second = efforts.renderers[1].data_source.data
+    assert np.array_equal(second["y"], 30.0 * POSITION[:, 1])
+    assert np.array_equal(second["x"], TIME)
     (extra,) = plot_bags([bags["first"]], topics=["extra"], joints=["joint_2"])  # what is asked for, alone
-    assert (extra.topic, [curve.label for curve in curves(extra, 0)]) == ("/extra", ["joint_2"])
+    assert (extra.topic, [line.name for line in extra.lines("position")]) == ("/extra", ["joint_2"])
     (walls,) = plot_bags([bags["walls"]])  # from 0 on, and when that was
-    assert np.array_equal(curves(walls, 0)[0].x, TIME)
-    assert walls.plot.panels[-1].x_label == "time since 2026-09-21 14:13:20 and 0 ns UTC, s"  # type: ignore[union-attr]
+    assert np.array_equal(walls.lines("position")[0].time, TIME)
+    assert walls.time_label == "time since 2026-09-21 14:13:20 and 0 ns UTC, s"
 
 
 def test_two_bags_are_drawn_with_their_difference(bags: dict[str, Path]) -> None:
     """Both lie over each other, below is the second less the first; the table has largest and RMS difference."""
     plot = plot_bags([bags["first"], bags["second"]])[0]
-    assert [curve.label for curve in curves(plot, 0)] == [
+    assert [line.name for line in plot.lines("position")] == [
         "joint_1, first", "joint_2, first", "joint_1, second", "joint_2, second",
     ]  # fmt: skip
-    first, second = curves(plot, 1)
-    assert not first.y.any()
-    assert np.allclose(second.y, 0.25)
+    first, second = plot.lines_less("position")
+    assert not first.values.any()
+    assert np.allclose(second.values, 0.25)
     assert plot.differences[1][:3] == ("position [rad]", "joint_2", pytest.approx(0.25))
     assert plot.differences[1][4:] == (pytest.approx(0.25), 400)
     moved = plot_bags([bags["first"], bags["later"]], align="start")[0]
-    assert not curves(moved, 1)[1].y.any()
+    assert not moved.lines_less("position")[1].values.any()
 
 
 def test_one_command_makes_a_page_or_a_picture(
@@ -114,7 +106,8 @@ def test_a_full_disk_leaves_the_old_page_or_picture(
     bags: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What cannot be written to its end, here by a limit of the size of files, does not stay; an old file does."""
-    write_picture(Plot((Panel((Curve(TIME, TIME),)),)), tmp_path / "a.png")  # with what matplotlib keeps on the disk
+    with picture(tmp_path / "a.png") as figure:  # with what matplotlib keeps on the disk
+        figure.subplots().plot(TIME, TIME)
     old = {name: f"old {name}".encode() for name in ("a.html", "a.png")}
     for name, content in old.items():
         (tmp_path / name).write_bytes(content)

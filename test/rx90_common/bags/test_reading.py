@@ -127,7 +127,7 @@ def test_sets_of_joints_are_kept_apart(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("second", "complaint"),
     [
-        (joint_state(7, ["a", "b"], [1.0, 2.0], [1.0]), "1 numbers in velocity for 2 joints"),
+        (joint_state(7, ["a", "b"], [1.0, 2.0], [1.0]), "1 number in velocity for 2 joints"),
         (joint_state(7, ["a", "a"], [1.0, 2.0]), "each once"),
         (joint_state(7, [], []), "one or more"),
         (joint_state(7, ["a", "b"], [1.0, 2.0], [1.0, 2.0]), "carries position in some messages and position, vel"),
@@ -207,10 +207,10 @@ def test_table_and_json_agree(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     out = capsys.readouterr().out
     expected = ["/joint_states", "sensor_msgs/msg/JointState", "11", "1000.000", "0.000000", "0.010000"]
     assert out.splitlines()[2].split() == expected
-    assert "repeated times" not in out
+    assert "repeated time" not in out
     assert run("rx90_bag", ["info", "--json", str(tmp_path / "bag")]) == 0
     content = json.loads(capsys.readouterr().out)
     assert (content["count"], content["topics"][0]["last_ns"]) == (11, 10_000_000)
     write_joint_states(tmp_path / "twice", [series(11).take([0, 1, 1, 2])])
     assert run("rx90_bag", ["info", str(tmp_path / "twice")]) == 0
-    assert "repeated times" in capsys.readouterr().out
+    assert "1 repeated time" in capsys.readouterr().out

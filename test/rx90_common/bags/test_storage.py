@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bz2
 import faulthandler
 import os
 import shutil
@@ -550,7 +551,27 @@ def bomb_of_columns(path: Path) -> None:
             writer.write_table(part)
 
 
+def bomb_of_a_file(path: Path) -> None:
+    """Write a bag that is compressed as a whole, and does not state its size."""
+    packer = zstd.ZstdCompressor()
+    with path.open("wb") as file:
+        file.writelines(packer.compress(MCAP_MAGIC if k == 0 else bytes(1 << 20)) for k in range(LARGE >> 20))
+        file.write(packer.flush())
+
+
+def bomb_of_ros1(path: Path, stated: int) -> None:
+    """Write a bag of ROS 1 with one chunk of zeros."""
+    packed = bz2.compress(bytes(100 << 20))
+    fields = (b"op=\x05", b"compression=bz2", b"size=" + struct.pack("<I", stated))
+    head = b"".join(struct.pack("<I", len(field)) + field for field in fields)
+    parts = (struct.pack("<I", len(part)) + part for part in (head, packed))
+    path.write_bytes(b"#ROSBAG V2.0\n" + b"".join(parts))
+
+
 BOMBS = {
+    "file.mcap.zstd": bomb_of_a_file,
+    "chunk.bag": lambda path: bomb_of_ros1(path, 100 << 20),
+    "lying.bag": lambda path: bomb_of_ros1(path, 1000),
     "chunk.mcap": lambda path: bomb_of_chunks(path, LARGE),
     "endless.mcap": lambda path: bomb_of_chunks(path, 1 << 63),
     "blob.db3": bomb_of_rows,
@@ -570,5 +591,5 @@ def test_what_unpacks_to_far_more_is_refused_before(name: str, tmp_path: Path) -
         [sys.executable, "-c", PEAK, str(tmp_path / name)], capture_output=True, text=True, check=True
     )
     line, peak = done.stdout.splitlines()
-    assert "bytes unpacked; accepted: up to" in line
+    assert "bytes unpacked; accepted: up to" in line or "unpacks to another length than 1,000 bytes" in line
     assert int(peak) <= 500

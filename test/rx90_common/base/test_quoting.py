@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rx90_common.base.errors import BagError
-from rx90_common.base.quoting import LIMIT, conjoined, counted, listed, one_line, plain, quoted
+from rx90_common.base.quoting import LIMIT, listed, one_line, plain, quoted
 
 FORGED = "joint_1\n[INFO] [rx90_sim]: all is well"
 HOSTILE = st.text(st.sampled_from("a é\u0000\u0007\u001b\n\r\u0085\u2028\u202e\u2066\u200f\ud800\U0001f600\\'"))
@@ -48,22 +48,3 @@ def test_a_large_value_is_quoted_by_its_beginning() -> None:
         shown = quoted(value)
         assert len(shown) < 2 * LIMIT + 40
         assert "\n" not in shown
-
-
-def test_an_integer_too_long_to_write_is_told_by_its_number_of_digits() -> None:
-    """Ten to the power of 5000 has 5001 digits."""
-    assert quoted(10**5000) == "an integer of some 5,001 digits"
-
-
-def test_an_error_is_one_line_whatever_it_was_made_of() -> None:
-    """The last defence: a text that nobody quoted forges no line, and fills no screen."""
-    assert str(BagError(f"{FORGED}: no such bag")) == "joint_1\\n[INFO] [rx90_sim]: all is well: no such bag"
-    assert len(str(BagError("x" * 3_000_000))) < 2100
-
-
-def test_names_and_counts_stand_in_a_sentence() -> None:
-    """One name stands alone, the last of several after "and"; only one of a thing is not a plural."""
-    names = ["temperature", "ripple", "scatter"]
-    told = [conjoined(names[:count]) for count in range(1, 4)]
-    assert told == ["temperature", "temperature and ripple", "temperature, ripple and scatter"]
-    assert [counted(count, "run") for count in range(3)] == ["0 runs", "1 run", "2 runs"]

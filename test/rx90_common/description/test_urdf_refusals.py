@@ -195,3 +195,22 @@ def test_dynamics_that_nobody_can_read_are_told_with_their_joint(
         with pytest.raises(Rx90Error) as refusal:
             read(file)
         assert f"arm.urdf: joint 'joint_3' dynamics {key} is '{value}'; accepted: a finite number" in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('<link name="flange"/>', '<link name="a&#10;b"/>', r"'link' is 'a\nb'; accepted: one line of printable"),
+        ("</robot>", f"</robot>{' ' * (4 << 20)}", "larger than 4,194,304 bytes"),
+    ],
+)
+def test_every_reader_of_a_urdf_refuses_names_of_lines_and_sizes(
+    old: str, new: str, said: str, tmp_path: Path, shipped_files: RobotFiles
+) -> None:
+    """Also that of foreign robots, whose names go into files and pages."""
+    file = tmp_path / "arm.urdf"
+    file.write_text(shipped_files.urdf.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    for read in (load_robot, lambda urdf: joint_model(urdf, None)):
+        with pytest.raises(Rx90Error) as refusal:
+            read(file)
+        assert said in str(refusal.value)

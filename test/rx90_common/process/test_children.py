@@ -131,7 +131,7 @@ def test_children_run_no_module_of_the_working_folder(tmp_path: Path, monkeypatc
     """Neither in place of the package, nor of a library, nor of what Python itself begins with."""
     monkeypatch.setattr(subprocess, "Popen", COLD)  # a warm process has imported them
     names = ("rx90_emulator", "rx90_common", "queue", "numpy", "runpy", "pkgutil", "pathlib", "yaml", "argparse")
-    for name in names:
+    for name in (*names, "sitecustomize", "usercustomize", "signal", "threading"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('hostile')\n", encoding="ascii")
     monkeypatch.chdir(tmp_path)
     child = ChildProcess("check", executable("rx90_config", "check", config_path("robots/rx90b/friction.yaml")))

@@ -8,23 +8,13 @@ import numpy as np
 import pytest
 
 from rx90_common.base.arrays import least_and_largest
-from rx90_common.report.plot import Curve, Panel, Plot, with_fewer_points
+from rx90_common.report.charts import MOST_POINTS, chart, thin
+from rx90_common.report.few_points import few_points
 
 pytestmark = pytest.mark.slow
 
 
-def thinned(plot: Plot) -> Plot:
-    """Return the plot with 8000 columns of each curve."""
-    return with_fewer_points(plot, 32_000)
-
-
-def only_curve(plot: Plot) -> tuple[Panel, Curve]:
-    """Return a plot's panel and the curve in it."""
-    (panel,) = plot.panels
-    assert isinstance(panel, Panel)
-    (curve,) = panel.marks
-    assert isinstance(curve, Curve)
-    return panel, curve
+MOST = 32_000  # points: 8000 columns
 
 
 def extremes(x: np.ndarray, y: np.ndarray, edges: np.ndarray) -> np.ndarray:
@@ -39,38 +29,41 @@ def test_each_column_keeps_its_extremes() -> None:
     x = np.cumsum(0.01 + random.random(5_000_000, dtype=np.float32), dtype=np.float64)
     y = np.sin(x / 1e5) + 0.2 * random.standard_normal(len(x), dtype=np.float32)
     y[[1_234_567, 4_000_000]] = 9.0, -7.0
-    _, kept = only_curve(thinned(Plot([Panel([Curve(x, y)])])))
-    assert len(kept.x) <= 32_001
-    assert np.array_equal(kept.y, y[np.searchsorted(x, kept.x)])
+    rows = few_points(x, y, MOST)
+    assert len(rows) <= MOST + 1
+    assert np.all(np.diff(rows) > 0)
     edges = np.linspace(x[0], x[-1], 2001)
-    np.testing.assert_array_equal(extremes(kept.x, kept.y, edges), extremes(x, y, edges))
+    np.testing.assert_array_equal(extremes(x[rows], y[rows], edges), extremes(x, y, edges))
 
 
-def test_gaps_loops_and_decades_stay() -> None:
-    """A gap keeps its ends, a curve that goes back its way, one over decades its points in each, and dots stay."""
+def test_gaps_and_loops_stay() -> None:
+    """A gap keeps its ends, a line that goes back its way, a short one all; of equal values the first is enough."""
     turns = np.linspace(0.0, 6.0 * np.pi, 1_000_000)
-    loops = np.cos(turns), np.sin(turns) * np.exp(-0.01 * turns)
-    holed = np.where((turns > 5.0) & (turns < 8.0), np.nan, loops[1])
-    few = only_curve(thinned(Plot([Panel([Curve(turns, holed)])])))[1]
-    empty = np.flatnonzero(np.isnan(few.y))
-    assert np.array_equal(few.x[empty], turns[np.isnan(holed)][[0, -1]])
-    assert np.array_equal(few.x[[empty[0] - 1, empty[-1] + 1]], [turns[turns <= 5.0][-1], turns[turns >= 8.0][0]])
-    back = only_curve(thinned(Plot([Panel([Curve(*loops)])])))[1]
-    rows = np.flatnonzero(np.isin(loops[1], back.y))
-    assert np.array_equal(loops[1][rows], back.y)  # in the order of the way
-    assert len(rows) < 200_000
-    assert np.abs(np.diff(loops[0][rows])).max() < 1e-3  # of 2: beside each other in a column, or in the next
+    x, y = np.cos(turns), np.sin(turns) * np.exp(-0.01 * turns)
+    hole = (turns > 5.0) & (turns < 8.0)
+    rows = few_points(turns, np.where(hole, np.nan, y), MOST)
+    inside = np.flatnonzero(hole)
+    assert rows[hole[rows]].tolist() == inside[[0, -1]].tolist()
+    assert {inside[0] - 1, inside[-1] + 1} <= set(rows.tolist())
+    back = few_points(x, y, MOST)
+    assert len(back) < 200_000
+    assert np.abs(np.diff(x[back])).max() < 1e-3  # of 2: beside each other in a column, or in the next
+    assert len(few_points(turns, np.sign(np.sin(turns)), MOST)) < 17_000
+    assert len(few_points(turns[:MOST], y[:MOST], MOST)) == MOST
+    assert len(few_points(turns, np.full(len(turns), np.nan), MOST)) == 2
+
+
+def test_a_page_thins_lines_by_their_axes() -> None:
+    """Lines share the points of a page; over decades each decade keeps its own, and dots all of theirs."""
     decades = np.logspace(-6.0, 6.0, 200_000)
-    panel = Panel([Curve(np.append(-1.0, decades), np.append(1.0, decades**2))], x_scale="log", y_scale="log")
-    spread = only_curve(thinned(Plot([panel])))[1]
-    assert len(spread.x) < 33_000
-    assert np.diff(np.log10(spread.x[1:])).max() < 0.01
-    steps = only_curve(thinned(Plot([Panel([Curve(turns, np.sign(np.sin(turns)))])])))[1]
-    assert len(steps.x) < 17_000  # of equal values the first one is enough
-    dots = Curve(turns, np.sin(turns), dots=True)  # each of which is drawn
-    assert len(only_curve(thinned(Plot([Panel([dots])])))[1].x) == len(turns)
-    nothing = only_curve(thinned(Plot([Panel([Curve(turns, np.full(len(turns), np.nan))])])))[1]
-    assert len(nothing.x) == 2
+    shown = chart(x_axis_type="log", y_axis_type="log")
+    line = shown.line(np.append(-1.0, decades), np.append(1.0, decades**2))
+    dots = shown.scatter(decades, decades)
+    thin([shown])
+    x = line.data_source.data["x"]
+    assert len(x) < 1.1 * MOST_POINTS
+    assert np.diff(np.log10(x[1:])).max() < 0.01
+    assert len(dots.data_source.data["x"]) == len(decades)
 
 
 def test_the_extremes_of_rows_leave_out_what_is_no_number() -> None:

@@ -2,67 +2,59 @@
 
 from __future__ import annotations
 
-import base64
-import gzip
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bokeh.models import PlainText
 from jinja2 import UndefinedError
 
 from rx90_common.base.share import PACKAGES, ROOT
-from rx90_common.report.page import plot_json, render_page
-from rx90_common.report.picture import as_svg, write_picture
-from rx90_common.report.plot import Band, Curve, Dots, Level, Panel, Plot
+from rx90_common.report.charts import chart, join
+from rx90_common.report.page import render_page
+from rx90_common.report.picture import picture
 
 pytestmark = pytest.mark.slow
 
 TIME = np.linspace(0.0, 8.0, 8001)
-NOISE = np.random.default_rng(5).normal(size=len(TIME))
+TEX = r"$$\frac{a$b"
 
 
-def panel(*marks: Curve | Dots | Band | Level, **options: object) -> Panel:
-    """Return a panel with labels."""
-    return Panel(marks, "a title", "time, s", "torque, Nm", **options)  # type: ignore[arg-type]
-
-
-def arrays(text: str) -> list[np.ndarray]:
-    """Return the arrays that stand in Bokeh's JSON."""
-    found = re.findall(r'"data":"([^"]*)"\},"shape":\[\d+\],"dtype":"(\w+)"', text)
-    return [np.frombuffer(gzip.decompress(base64.b64decode(data)), kind).astype(np.float64) for data, kind in found]
-
-
-def test_numbers_in_the_page_keep_their_precision_far_from_zero() -> None:
-    """What is zoomed is right to 1e-5 of its range, also a small motion about a large angle."""
-    for offset, size in ((1.5, 1e-6), (0.5, 1.0), (1e6, 1.0)):
-        values = offset + size * NOISE[:100]
-        stored = arrays(plot_json(Plot([panel(Dots(TIME[:100], values))])))
-        assert min(np.abs(found - values).max() for found in stored if len(found) == 100) < 1e-5 * np.ptp(values)
-
-
-def test_equal_plots_are_equal_bytes(tmp_path: Path) -> None:
-    """Pictures of each format and the data to be zoomed hold no date, chance or counter."""
-
-    def plot() -> Plot:
-        x = np.array([-2.0, -0.1, 0.1, 1.0])
-        return Plot([panel(Curve(x, x**2, "square"), Dots(x, x, "line", error=x**2), x_scale="symlog", smallest=0.1)])
-
-    assert as_svg(plot()) == as_svg(plot())
-    assert plot_json(plot()) == plot_json(plot())
-    assert '"name":"p1"' in plot_json(Plot([panel(Curve(TIME[:2], NOISE[:2], "p1"))]))  # named like Bokeh's models
+def test_equal_pictures_are_equal_bytes(tmp_path: Path) -> None:
+    """Pictures of each format hold no date, chance or counter."""
     for suffix, start in ((".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")):
         pictures = [tmp_path / f"{k}{suffix}" for k in range(2)]
-        for picture in pictures:
-            write_picture(plot(), picture, "a title")
-        first, second = (picture.read_bytes() for picture in pictures)
+        for path in pictures:
+            with picture(path) as figure:
+                figure.subplots().plot(TIME, np.sin(TIME))
+        first, second = (path.read_bytes() for path in pictures)
         assert first.startswith(start)
         assert first == second
 
 
-def test_names_are_written_as_they_are() -> None:
+def test_names_are_shown_as_they_are(tmp_path: Path) -> None:
     """Dollar signs in a name from outside do not make it a formula, which could even be a wrong one."""
-    assert "a$\\frac$b" in as_svg(Plot([panel(Curve(TIME[:2], NOISE[:2], r"a$\frac$b"))]))
+    with picture(tmp_path / "a.svg") as figure:
+        axes = figure.subplots()
+        axes.plot(TIME, TIME, label=TEX)
+        axes.set(title=TEX, xlabel=TEX)
+        axes.legend()
+    assert f"<!-- {TEX} -->" in (tmp_path / "a.svg").read_text(encoding="utf-8")
+    shown = chart(TEX, TEX, TEX)
+    for text in (shown.title.text, shown.xaxis.axis_label, shown.yaxis.axis_label):
+        assert isinstance(text, PlainText)
+
+
+def test_figures_that_are_shown_together_have_one_legend() -> None:
+    """Each name has one entry, above the first figure with it, which hides what has the name in all of them."""
+    figures = [chart(), chart()]
+    for shown, names in zip(figures, (("a", None), ("a", "b")), strict=True):
+        for name in names:
+            shown.line(TIME, TIME, name=name)
+    join(figures)
+    first, second = (shown.legend[0].items for shown in figures)
+    assert [(item.label.value, len(item.renderers)) for item in (*first, *second)] == [("a", 2), ("b", 1)]
 
 
 TEMPLATES = {

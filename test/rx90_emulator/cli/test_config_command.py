@@ -149,7 +149,7 @@ def test_a_parameter_file_of_the_nodes_is_checked(tmp_path: Path, capsys: Captur
     )
     assert f"{file}:8: rx90_controller.ros__parameters.feed_forward.columb is not a known key; accepted" in said[1]
     assert said[2].startswith(
-        f"{file}:7: rx90_controller.ros__parameters.servo.kp is [1, 2, 3, 4, 5, 6, 7, 8]; accepted: a list of 1 to "
+        f"{file}:7: rx90_controller.ros__parameters.servo.kp is [1, 2, 3, 4, 5, 6, 7, 8]; accepted: a list with one "
     )
     for node, parameter, fault in (
         ("rx90_sim", "paused: {}", "paused is {}; accepted: true or false"),

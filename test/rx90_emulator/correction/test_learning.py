@@ -309,7 +309,7 @@ def test_any_trajectory_is_a_path(shipped: Setup, task: rx.LineTask) -> None:
 
 
 def test_a_closed_path_is_measured_around_where_the_tip_should_be(shipped: Setup) -> None:
-    """A tip 50 um above a triangle that ends where it began is that far from it, near its ends, too."""
+    """A tip 50 µm above a triangle that ends where it began is that far from it, near its ends, too."""
     corners = ((0.65, 0.0, 0.2), (0.57, 0.05, 0.2), (0.6, 0.0, 0.2))
     plan = rx.plan_path(shipped, rx.Path(corners[-1], tuple(rx.Segment((corner,)) for corner in corners)))
     for path in (plan, TrajectoryPath.of(shipped, plan.points, plan.counted)):

@@ -112,7 +112,7 @@ def test_the_report_in_a_browser(check_report: Any, pages: list[Path], animation
     assert check_report.pages_of_paper(report) >= 3
     page.context.close()
     plain = check_report.open(pages[0], java_script_enabled=False)
-    assert plain.page.locator(".still svg").first.is_visible()
+    assert plain.page.locator("noscript").count() == plain.page.locator("figure.plot").count()
     assert plain.page.locator(".player polygon").first.is_visible()
     assert not plain.page.locator(".player button").is_visible()
     plain.page.context.close()

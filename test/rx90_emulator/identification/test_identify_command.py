@@ -115,7 +115,7 @@ REFUSED_CASES = {
     "prismatic": (urdf("revolute", "prismatic"), "'hinge' is prismatic; accepted: revolute and continuous"),
     "fixed": (urdf("revolute", "fixed"), "no movable joint"),
     "mimic": (mimicking, "'jaw' mimics hinge; accepted: .*--joints hinge"),
-    "gears": (options("--gear", 1, 2), "--gear: 2 values; accepted: 1 for 1 joints"),
+    "gears": (options("--gear", 1, 2), "--gear: 2 values; accepted: 1 for 1 joint"),
     "coupling": (options("--coupling", 0), r"coupling: \[\[0.0\]\]; accepted: an invertible matrix"),
     "tool": (options("--tool", "none"), "--tool with --urdf; accepted"),
     "fallback": (options("--fallback", "nowhere.yaml"), "nowhere.yaml"),

@@ -67,6 +67,7 @@ REFUSED = {
     "two units": ("p.csv", "x [mm],y [mm],z [mm]\n1,2,3\n4,5,6\n", {"unit": "m"}, "is in mm, unit is m"),
     "a gap": ("p.csv", "x [m],y [m],z [m]\n1,2,3\n4,,6\n", {}, "line 3 is '4, , 6'; accepted: finite numbers, x, y, z"),
     "not a number": ("p.csv", "1 2 nan\n", {"unit": "m"}, "line 1 is '1, 2, nan'"),
+    "a stray quotation mark": ("p.csv", 'x,y,z\n"1,2,3' + "\n1,2,3" * 30_000, {"unit": "m"}, "field larger than field"),
     "twice": ("p.csv", "1 2 3\n1 2 3\n", {"unit": "m"}, r"points 1 and 2 are both \(1.0, 2.0, 3.0\)"),
     "one point": ("p.csv", "1 2 3\n", {"unit": "m"}, "holds 1 point; accepted: two or more"),
     "another kind": ("p.svg", "", {}, "ends with '.svg'; accepted: .csv, .dxf"),
@@ -174,7 +175,7 @@ SPLINES = {
 
 @pytest.mark.parametrize("name", SPLINES)
 def test_dxf_splines_are_kept_within_the_tolerance(tmp_path: File, drawing: Any, name: str) -> None:
-    """By SciPy's B-splines: the path is nowhere farther than 10 um from one, and has its corners."""
+    """By SciPy's B-splines: the path is nowhere farther than 10 µm from one, and has its corners."""
     control, degree, knots, weights, corners = SPLINES[name]
     space = drawing.modelspace()
     if weights is None:
@@ -201,7 +202,7 @@ def test_dxf_splines_are_kept_within_the_tolerance(tmp_path: File, drawing: Any,
 
 
 def test_dxf_spline_that_takes_too_many_points_is_refused(tmp_path: File, drawing: Any) -> None:
-    """Within 10 um of a spline of some 100 km in each span no path is made."""
+    """Within 10 µm of a spline of some 100 km in each span no path is made."""
     control = 1e8 * np.random.default_rng(1).normal(size=(900, 3))
     drawing.modelspace().add_open_spline(control.tolist(), 3)
     with pytest.raises(ConfigError, match=r"do not keep the curve within 1e-05 m of it; accepted: a spline that"):

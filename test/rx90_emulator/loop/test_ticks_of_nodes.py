@@ -143,14 +143,13 @@ def limit(x: Array, bound: Array | float) -> Array:
     return np.minimum(np.maximum(x, -bound), bound)
 
 
-def set_points(k: int) -> tuple[Array, Array, Array]:
-    """Return the rest-to-rest quintic from START to GOAL at position tick k."""
+def set_points(k: int) -> tuple[Array, Array]:
+    """Return place and velocity of the rest-to-rest quintic from START to GOAL at position tick k."""
     s = min(k * RATIO * T / SECONDS, 1.0)
     way = GOAL - START
     return (
         START + way * (10 * s**3 - 15 * s**4 + 6 * s**5),
         way * (30 * s**2 - 60 * s**3 + 30 * s**4) / SECONDS,
-        way * (60 * s - 180 * s**2 + 120 * s**3) / SECONDS**2,
     )
 
 
@@ -167,7 +166,8 @@ class Controller:
     def position_loop(self, k: int, theta: Array) -> None:
         """Run PI and feed-forward."""
         c, n = self.c, self.n
-        r, dr, ddr = (n * (N @ x) for x in set_points(k))
+        r, dr = (n * (N @ x) for x in set_points(k))
+        ddr = (n * (N @ set_points(k + 1)[1]) - dr) / (RATIO * T)
         e = r - theta
         advanced = limit(self.integral + c.inertia / n**2 * c.ki * RATIO * T * e, c.servo.integrator_limit / n)
         self.integral = np.where(e * self.sign > 0, self.integral, advanced)

@@ -15,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ros_client import JOINTS, Client, seconds
 from rosgraph_msgs.msg import Clock
 from scipy.optimize import brentq
+from short_task import SHORT_TASK
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -196,7 +197,7 @@ def test_either_node_is_killed_and_comes_back(processes: Processes, client: Clie
     first = processes.start("rx90_controller")
     # As deep as the simulation can get until the signal arrives: nobody takes messages while the line is waited for.
     heard = client.listen("joint_states", depth=20_000)
-    client.spin_until(lambda: "ready: all 2 topics" in recorder.output, "the recorder")
+    client.spin_until(lambda: "ready: all topics" in recorder.output, "the recorder")
     client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > 0.2, "time to run")
     recorder.signal(signal.SIGKILL)
     killed, lines = seconds(heard[-1]), len(simulation.lines)
@@ -236,3 +237,16 @@ def _drained(client: Client, heard: list[object]) -> bool:
     before = len(heard)
     client._executor.spin_once(timeout_sec=0.3)
     return len(heard) == before
+
+
+@pytest.mark.ros
+def test_trials_begin_alike(processes: Processes, tmp_path: Path) -> None:
+    """What the first trial teaches holds for the next: as on the engine, less than a quarter of its error remains."""
+    task = tmp_path / "task.yaml"
+    line = SHORT_TASK.replace("[0.6034, -0.2808, 0.1955]", "[0.634, -0.108, 0.155]").replace("0.05", "0.3")
+    task.write_text(line, encoding="utf-8")
+    processes.start("rx90_cell")
+    words = ("--on-nodes", "--trials", "1", "--output", tmp_path / "line.yaml")
+    done = processes.run("rx90_correct", "learn", task, *words)
+    first, second = (float(worst) for worst in re.findall(r"trial \d: worst (\S+) mm", done.stdout))
+    assert second < 0.25 * first, done.stdout

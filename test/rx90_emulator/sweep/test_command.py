@@ -109,7 +109,7 @@ def test_run_and_info(speeds: str, tmp_path: Path, task_file: Path, capsys: pyte
     grid = f"{{a: {{grid: {{task.speed: {{value: [{speeds}]}}}}}}}}"
     plan.write_text(f"base: {{task: {task_file}}}\nblocks: {grid}", encoding="utf-8")
     words, lost = ["run", str(plan), "--output", str(output), "--workers", "1"], not speeds.startswith("0")
-    for more, said in ((["--report", str(page)], "3 of 3 runs"), (["--resume"], "has all 3 runs")):
+    for more, said in ((["--report", str(page)], "3 of 3 runs"), (["--resume"], "is complete, 3 runs")):
         assert run("rx90_sweep", [*words, *more]) == (3 if lost else 0)
         out, err = capsys.readouterr()
         if lost:

@@ -19,10 +19,11 @@ import scipy.stats
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, SweepError
-from rx90_common.report.plot import Curve, Panel
 from rx90_emulator.cli.frame import run
 from rx90_emulator.sweep import store
-from rx90_emulator.sweep.report import MainEffect, SweepFigures, SweptColumn, distribution_plot, main_effect
+from rx90_emulator.sweep.effects import MainEffect, SweptColumn, main_effect
+from rx90_emulator.sweep.plots import distribution
+from rx90_emulator.sweep.report import SweepFigures
 from rx90_emulator.sweep.store import KEY, ResultStore, describe_results, parts_folder, read_sweep
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
@@ -60,7 +61,7 @@ def test_units_and_plan_are_in_the_file(output: Path, sweep: Sweep) -> None:
     assert len(about["plan"]["files"]["task"]["sha256"]) == 64
     assert about["versions"]["numpy"]
     lines = describe_results(output)
-    assert lines[0].endswith("all 40 runs")
+    assert lines[0].endswith("complete, 40 runs")
     assert any(line.startswith("4 runs failed (ConfigError 4), for example: ConfigError: arm") for line in lines)
     mass = next(line for line in lines if line.startswith("arm.link_3.mass"))
     assert mass.split() == ["arm.link_3.mass", "kg", "-1", "12", "20"]
@@ -213,11 +214,11 @@ def test_the_figures_are_those_of_the_runs(results: Path, sweep: Sweep, outcomes
     good = sorted(1e3 * value for value in errors if value is not None)
     assert np.sort(figures.worst[np.isfinite(figures.worst)]) == pytest.approx(good)
     assert {effect.column.name for effect in figures.effects} == {column.title for column in sweep.runs.columns}
-    panels = [panel for panel in distribution_plot(figures).panels if isinstance(panel, Panel)]
-    assert [panel.x_label for panel in panels] == ["worst path error, mm", "RMS path error, mm"]
-    (curve,) = (mark for mark in panels[0].marks if isinstance(mark, Curve))
-    assert (curve.x[0], curve.x[-1], curve.y[-1]) == (pytest.approx(good[0]), pytest.approx(good[-1]), 1.0)
-    assert np.interp(good[17], curve.x, curve.y) == pytest.approx(18 / 36, abs=1 / 36)
+    (shown,) = distribution({"worst": figures.worst})
+    assert shown.xaxis.axis_label.text == "worst path error, mm"
+    curve = shown.select_one({"name": "runs"}).data_source.data
+    assert (curve["x"][0], curve["x"][-1], curve["y"][-1]) == (pytest.approx(good[0]), pytest.approx(good[-1]), 1.0)
+    assert np.interp(good[17], curve["x"], curve["y"]) == pytest.approx(18 / 36, abs=1 / 36)
 
 
 def test_the_page_says_what_came_and_from_where(

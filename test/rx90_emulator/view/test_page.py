@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import io
 import logging
-import queue
 import signal
 import socket
 import threading
 import time
 import webbrowser
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from functools import partial
-from types import FrameType, SimpleNamespace
+from types import FrameType
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -22,12 +20,10 @@ import pytest
 from browser import BrowserPage, served
 from PIL import Image
 from pinocchio_chain import tip_pose
-from processes import wait_until
 
 from rx90_common.base.errors import ConfigError
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view import page as page_module
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.scene import ArmScene, LineScene
 
@@ -153,62 +149,12 @@ def test_a_browser_that_is_waited_for_does_not_hold_the_page(
     assert "other machines" not in said  # which is said of a page that they reach
 
 
-def test_on_a_telephone_the_arm_is_above_the_panel(shipped: Setup, page: Page, open_page: Open) -> None:
-    """In an upright window the camera is farther away and looks below the arm; in a wide one it is where it was."""
-    page.look_at_arm(shipped.robot)
-    first = page.server.initial_camera
-    length = float(np.linalg.norm(first.position - first.look_at))
-    seen: list[Any] = []
-    page.server.on_client_connect(seen.append)
-
-    def looks(away: float, lower: bool) -> bool:
-        camera = seen[-1].camera if seen else page.server.initial_camera
-        distance = float(np.linalg.norm(camera.position - camera.look_at))
-        return abs(distance / length / away - 1.0) < 0.02 and bool(camera.look_at[2] < 0.0) is lower
-
-    def open_and_look(size: tuple[int, int], away: float, lower: bool) -> None:
-        # A browser's report of where its camera was may cross the server's order to it: then the page is opened again.
-        for _ in range(3):
-            seen.clear()
-            open_page(page.address, size)
-            with suppress(pytest.fail.Exception):
-                wait_until(lambda: looks(away, lower), "the page's camera", timeout=20.0)
-                return
-        pytest.fail(f"a page of {size} never had its camera at {away:g} of the distance")
-
-    open_and_look((390, 844), 0.9 * 844 / 390, True)
-    open_and_look((900, 600), 1.0, False)
-
-
-class Clock:
-    """Time that goes on by what is waited for, s; stands for the queue of what is handed over, too."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def get(self, timeout: float) -> None:
-        """Wait in vain."""
-        self.now += timeout
-        raise queue.Empty
-
-
 @pytest.fixture
 def idle() -> Iterator[Page]:
     """Give a page that no thread runs."""
     page = Page("test", port=0)
     yield page
     page.close()
-
-
-def test_while_time_hurries_calls_come_a_third_as_often(idle: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of calls every 0.1 s, in 6 s of a hurry every third is made, and later all, on time."""
-    clock, made = Clock(), list[float]()
-    monkeypatch.setattr(page_module, "time", SimpleNamespace(monotonic=lambda: clock.now))
-    monkeypatch.setattr(idle, "_handed_over", clock)
-    idle.every(0.1, made.append, busy=lambda now: now < 105.95)
-    idle.run(until=lambda: clock.now >= 110.02)
-    expected = np.concatenate([np.arange(100.0, 106.1, 0.3), np.arange(106.1, 110.05, 0.1)])
-    np.testing.assert_allclose(made, expected, atol=1e-6)
 
 
 def test_a_signal_that_is_handled_beyond_the_wait_does_not_stop_the_page(idle: Page) -> None:

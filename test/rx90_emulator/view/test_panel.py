@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from urllib.parse import urlsplit
@@ -12,19 +13,22 @@ import numpy as np
 import pytest
 import viser
 from browser import BrowserPage, served
+from hostile_texts import TEXTS, check_harmless, hostile_robot
 from pinocchio_chain import tip_place
 from processes import Processes, wait_until
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
-from rx90_common.exchange.arm_watch import ArmWatch, JointSample
+from rx90_common.exchange.arm_watch import ArmWatch, JointSample, NodeStatus
 from rx90_common.exchange.client_node import client_node
 from rx90_controller.lines.plan import Approach, LinePlan
 from rx90_controller.lines.task import TOOL_DOWN, LineTask
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.setup import Setup
+from rx90_emulator.view import live as live_module
 from rx90_emulator.view import panel as panel_module
+from rx90_emulator.view.live import LiveView
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel import TRIES, ControlPanel, Jogs, Lock, jog
 
@@ -39,8 +43,6 @@ CAMERA = {
     "image_height": 100, "image_width": 100, "look_at": [0, 0, 0], "up_direction": [0, 0, 1],
 }  # fmt: skip
 """With its first camera a client is there for viser."""
-SCRIPT = '<iframe srcdoc="<script>parent.x = 1</script>"></iframe>'
-ESCAPED = "&lt;iframe srcdoc="
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +175,9 @@ class Bench:
         monkeypatch.setattr(panel_module, "subscribe_log", lambda _, __, hear: setattr(self, "hear", hear))
         self.page = Page("test", port=0)
         client: Any = SimpleNamespace(spin=lambda _: None)
-        self.panel = ControlPanel(self.page, client, setup, plan, None, lambda: self.arm, "rx90_controller")
+        self.magnified: list[float] = []
+        trace: Any = SimpleNamespace(magnify=self.magnified.append)
+        self.panel = ControlPanel(self.page, client, setup, plan, trace, lambda: self.arm, "rx90_controller")
 
     def stranger(self) -> tuple[Stranger, Any]:
         """Return a client that has come, and its form."""
@@ -214,8 +218,8 @@ def test_wrong_codes_of_all_clients_count_together(bench: Bench, capfd: pytest.C
         client.close()
 
 
-def test_what_no_slider_sends_moves_nothing(bench: Bench) -> None:
-    """Of an unlocked client, too: no number, none of the slider's range; and viser's tunnel is not made for anybody."""
+def test_what_no_input_offers_does_nothing(bench: Bench) -> None:
+    """Of an unlocked client, too: no number, none of the slider's or the list's; viser's tunnel is made for nobody."""
     known, form = bench.stranger()
     known.give(form, bench.panel.lock.code)
     wait_until(lambda: bool(bench.panel._sliders), "its inputs")
@@ -224,7 +228,13 @@ def test_what_no_slider_sends_moves_nothing(bench: Bench) -> None:
     for value in (float("nan"), float("inf"), 1e9, -1e9, "x", [1.0], None):
         known.change(slider, value)
     known.change(slider, 12.3)
-    wait_until(lambda: bool(bench.offered), "the value that can be")
+    (client,) = bench.page.server.get_clients().values()
+    inputs = client.gui._gui_input_handle_from_uuid.values()
+    (drawn,) = [field for field in inputs if "error drawn" in str(getattr(field, "label", ""))]
+    for factor in ("10", "7", "nan", 10.0, [1.0], None, "100"):
+        known.change(drawn, factor)
+    wait_until(lambda: bool(bench.offered) and bench.magnified[-1:] == [100.0], "the values that can be")
+    assert bench.magnified == [10.0, 100.0]
     (points,) = bench.offered
     assert points is not None
     assert np.degrees(points.position[-1][0]) == pytest.approx(12.3)
@@ -245,11 +255,32 @@ def test_a_code_has_eight_characters_that_cannot_be_mistaken() -> None:
     assert not lock.opens(lock.code)
 
 
-def test_what_nodes_say_is_text(bench: Bench) -> None:
-    """A line of a log, and the name of a node, run no script on the page."""
-    bench.hear(SCRIPT, SCRIPT, True)
-    assert bench.panel._said.content.count(ESCAPED) == 2
-    assert "<iframe" not in bench.panel._said.content
+def test_texts_of_files_and_nodes_are_texts_on_the_page(
+    plan: LinePlan, task_file: Path, tmp_path: Path, open_page: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In Chromium: names of joints at sliders, of nodes and robots, what these say of themselves, and lines of logs."""
+    setup = Setup.load(hostile_robot(tmp_path, task_file))
+    bench = Bench(setup, plan, monkeypatch)
+    watch = SimpleNamespace(
+        trajectory=None, publishers=1, robot=TEXTS[5], problem="", topic="", look_around=lambda: None, joints=list,
+        diagnostics={text: NodeStatus(2, text, {"brakes": text, text: text}) for text in TEXTS},
+    )  # fmt: skip
+    monkeypatch.setattr(live_module, "ArmWatch", lambda *_: watch)
+    client: Any = SimpleNamespace(node=None)
+    LiveView(bench.page, client, setup.robot, "rx90_controller", None)
+    with served(bench.page):
+        shown = open_page(bench.page.address, SIZE)
+        unlock(shown, bench.panel.lock.code)
+        shown.wait_until(lambda: f"{TEXTS[5]}, deg" in shown.text(), "the sliders")
+        for text in TEXTS:
+            bench.hear(text, text, True)
+        shown.wait_until(lambda: f"{TEXTS[0]} {TEXTS[0]}" in shown.text(), "the lines")
+        check_harmless(shown, *(f"{text} {text}" for text in TEXTS), *(f"{text}, deg" for text in TEXTS))
+        shown.page.get_by_role("tab", name="Live").click()
+        shown.page.get_by_text("Diagnostics").click()
+        shown.wait_until(lambda: f"{TEXTS[5]}: {TEXTS[5]}" in shown.text(), "what nodes say")
+        check_harmless(shown, f"The simulation's robot is {TEXTS[5]}", *(f"{text}: {text}" for text in TEXTS))
+        assert (shown.complaints, shown.foreign_requests) == ([], [])
 
 
 ZERO = np.zeros(6)

@@ -1,0 +1,146 @@
+"""Bokeh figures for pages: their style, their legend, and long lines with few points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from bokeh.models import HoverTool, Line, LogScale, PlainText, Scatter
+from bokeh.models.annotations import Legend, LegendItem, Title
+from bokeh.models.renderers import GlyphRenderer
+from bokeh.plotting import figure
+from bokeh.themes import Theme
+
+from rx90_common.report.few_points import few_points
+
+MOST_POINTS: Final = 80_000
+"""In all lines of a page: about 1 MB."""
+_FEWEST = 40  # points of a line
+_FONT = "system-ui, sans-serif"
+_TEXT = {"text_font": _FONT, "text_font_size": "13px", "text_font_style": "normal"}
+_WRAPPED = """
+.bk-grid { display: flex; flex-wrap: wrap; width: auto; gap: 0 0.9em; }
+.bk-label { white-space: normal; }
+"""
+THEME: Final = Theme(
+    json={
+        "attrs": {
+            "Plot": {
+                "sizing_mode": "stretch_width",
+                "min_border_left": 72,  # of figures below each other the frames are, too
+                "min_border_right": 12,
+                "outline_line_color": None,
+            },
+            "Line": {"line_width": 1.3},
+            "Toolbar": {"logo": None, "autohide": True},
+            "DataRange1d": {"range_padding": 0.06},
+            "Title": _TEXT,
+            "Grid": {"grid_line_color": "#e3e6e9"},
+            "Axis": {
+                **{f"axis_label_{name}": value for name, value in _TEXT.items()},
+                "major_label_text_font": _FONT,
+                "major_label_text_font_size": "12px",
+                "axis_line_color": "#555555",
+                "major_tick_line_color": "#555555",
+                "minor_tick_line_color": None,
+            },
+            "Legend": {
+                "orientation": "horizontal",
+                "location": "top_left",
+                "click_policy": "hide",
+                "label_text_font": _FONT,
+                "border_line_color": None,
+                "margin": 2,
+                "stylesheets": [_WRAPPED],
+            },
+        }
+    }
+)
+
+
+def inert(text: str) -> PlainText:
+    """Return a text that is shown as it is: in a plain string Bokeh looks for TeX between dollar signs."""
+    return PlainText(text=text)
+
+
+def chart(title: str = "", x_label: str = "", y_label: str = "", *, height: int | None = 180, **options: Any) -> figure:
+    """Return an empty figure.
+
+    What is drawn in it with a `name` has an entry in the legend; lines and dots show their values below the pointer.
+
+    Args:
+        title: one line; "" for none.
+        x_label: of the axis, with unit.
+        y_label: of the axis, with unit.
+        height: of the frame, pixels; None where options have another size.
+        options: Bokeh's own.
+    """
+    empty = figure(
+        title=Title(text=inert(title), visible=bool(title)),
+        x_axis_label=inert(x_label),
+        y_axis_label=inert(y_label),
+        frame_height=height,
+        tools="box_zoom,pan,wheel_zoom,reset",
+        active_drag="box_zoom",
+        active_scroll=None,
+        **options,
+    )
+    labels = [("", "$name"), (x_label or "x", "@x{%.6g}"), (y_label or "y", "@y{%.6g}")]
+    empty.add_tools(
+        HoverTool(tooltips=labels, formatters={"@x": "printf", "@y": "printf"}, renderers=[], visible=False)
+    )
+    return empty
+
+
+def over_one_x(figures: Sequence[figure], x_label: str, across: int = 1) -> None:
+    """Let figures show the same range of the x axis, with its label below the last, so many side by side."""
+    for shown in figures[1:]:
+        shown.x_range = figures[0].x_range
+    for shown in figures[-across:]:
+        shown.xaxis.axis_label = inert(x_label)
+
+
+def _glyphs(shown: figure) -> list[GlyphRenderer[Any]]:
+    return [renderer for renderer in shown.renderers if isinstance(renderer, GlyphRenderer)]
+
+
+def join(figures: Sequence[figure]) -> None:
+    """Give figures that are shown together one legend, each entry above the first that has it; a click hides it in all.
+
+    What shows its value below the pointer is set, too.
+    """
+    named: dict[str, list[GlyphRenderer[Any]]] = {}
+    for shown in figures:
+        for renderer in _glyphs(shown):
+            if renderer.name:
+                named.setdefault(renderer.name, []).append(renderer)
+        for tool in shown.hover:
+            tool.renderers = [renderer for renderer in _glyphs(shown) if isinstance(renderer.glyph, Line | Scatter)]
+    for shown in figures:
+        names = dict.fromkeys(renderer.name for renderer in _glyphs(shown))
+        items = [LegendItem(label={"value": name}, renderers=named.pop(name)) for name in names if name in named]
+        if items:
+            shown.add_layout(Legend(items=items), "above")
+
+
+def thin(figures: Sequence[figure]) -> int:
+    """Leave about MOST_POINTS in the lines of figures; return how many a long line may have, 0 if none is long."""
+    lines = [
+        (renderer, isinstance(shown.x_scale, LogScale), isinstance(shown.y_scale, LogScale))
+        for shown in figures
+        for renderer in _glyphs(shown)
+        if isinstance(renderer.glyph, Line)
+    ]
+    most = max(_FEWEST, MOST_POINTS // max(1, len(lines)))
+    longest = 0
+    for renderer, logarithmic_x, logarithmic_y in lines:
+        source: Any = renderer.data_source
+        x = source.data[renderer.glyph.x]
+        y = source.data[renderer.glyph.y]
+        longest = max(longest, len(x))
+        if len(x) > most:
+            with np.errstate(divide="ignore", invalid="ignore"):  # values without a logarithm are no points
+                rows = few_points(np.log10(x) if logarithmic_x else x, np.log10(y) if logarithmic_y else y, most)
+            source.data = {name: values[rows] for name, values in source.data.items()}
+    return most if longest > most else 0

@@ -1,0 +1,149 @@
+"""Texts of files and bags are texts on every page: names that HTML, Markdown, a template or a formula would run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pytest
+import yaml
+from foreign_arms import drive_torque, write
+from hostile_texts import TEXTS, check_harmless, hostile, hostile_robot
+from report_pages import ReportCheck
+from rx90_common.report.plot import Curve, Heat, Panel, Plot
+from two_joints import CURVES, NAMES, RATE, Bench, fourier
+
+import rx90_emulator as rx
+from rx90_common.bags.comparison import compare_bags
+from rx90_common.base.share import SOURCE_RIG, config_path
+from rx90_common.report.page import render_page
+from rx90_controller.lines.task import load_task
+from rx90_emulator.cli.frame import run
+from rx90_emulator.conformance.battery import Nominal, run_cs7b, step
+from rx90_emulator.conformance.check import CaseResult, CheckResult
+from rx90_emulator.demo.demonstration import RunReport
+from rx90_emulator.loop.setup import Setup
+
+_NOTE_CANVAS = """() => {
+    window.written = [];
+    const canvas = CanvasRenderingContext2D.prototype;
+    const write = canvas.fillText;
+    canvas.fillText = function (text, ...rest) { window.written.push(text); write.call(this, text, ...rest); };
+}"""
+Arm = tuple[Path, Setup, Path]
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory, task_file: Path) -> Arm:
+    """Return the folder of a robot whose names are hostile, its setup, and a bag of a short line."""
+    folder = tmp_path_factory.mktemp("arm") / "<b>robot & 'co'"
+    folder.mkdir()
+    task = folder / "task"
+    task.write_text(re.sub("(rest_.*):.*", r"\1: 0.4", task_file.read_text(encoding="utf-8")), encoding="utf-8")
+    setup = Setup.load(hostile_robot(folder, task))
+    bag = folder / "<img src=x onerror=window.ran=1> ``` {{7*7}}"
+    rx.write_bag(rx.run_line(setup, load_task(folder / "task.yaml"), record_fast=True), bag)
+    return folder, setup, bag
+
+
+def _plotted(arm: Arm, page: Path) -> None:
+    assert run("rx90_bag", ["plot", str(arm[2]), "-o", str(page)]) == 0
+
+
+def _demonstrated(arm: Arm, page: Path) -> None:
+    folder, setup, bag = arm
+    report = RunReport(bag, setup, load_task(folder / "task.yaml"), 0.0)
+    report.write(page, bag, compare_bags(bag, bag), pace=0.0, reached=1.0, composed=False)
+
+
+def _measured(arm: Arm, page: Path) -> None:
+    words = [str(arm[2]), "--robot", str(arm[0]), "--report", str(page), "--bandwidth", "60"]
+    assert run("rx90_compare_measured", words) in (0, 1)
+
+
+def _swept(arm: Arm, page: Path) -> None:
+    parameter = {"paths": ["friction.*.c0"], "factor": [0.5, 2.0]}
+    plan = {"base": {"robot": str(arm[0])}, "blocks": {TEXTS[1]: {"grid": {TEXTS[2]: parameter}}}}
+    file = page.with_suffix(".yaml")
+    file.write_text(yaml.safe_dump(plan), encoding="utf-8")
+    words = ["run", str(file), "--output", str(page.with_suffix(".parquet")), "--report", str(page)]
+    assert run("rx90_sweep", [*words, "--workers", "1"]) == 0
+
+
+def _checked(arm: Arm, page: Path) -> None:
+    nominal = Nominal(arm[1], page.parent)
+    record = run_cs7b(step(nominal, TEXTS[3]), arm[1])
+    record.fault = TEXTS[4]
+    page.write_text(CheckResult(TEXTS[5], arm[1], [CaseResult(record, record)]).page, encoding="utf-8")
+
+
+def _identified(_arm: Arm, page: Path) -> None:
+    names = list(TEXTS[:2])
+    bench = Bench.make(page.parent)
+    urdf = bench.urdf.read_text(encoding="utf-8")
+    for name, text in zip(NAMES, names, strict=True):
+        urdf = urdf.replace(f'"{name}"', quoteattr(text))
+    bench.urdf.write_text(urdf, encoding="utf-8")
+    bags = []
+    for seed in (1, 2):
+        motion = fourier(seed, 20.0)
+        torque = drive_torque(bench.model, np.eye(2), CURVES, motion, RATE) + bench.noise(motion, seed)
+        bags.append(
+            write(page.parent / f"{TEXTS[seed].replace('/', '')}", "/joint_states", names, RATE, (*motion, torque))
+        )
+    words = ["--excitation", bags[0], "--validation", bags[1], "--output", page.parent / "found"]
+    assert bench.identify(*words) in (0, 1)
+    (page.parent / "found" / "report.html").rename(page)
+
+
+def _ramped(_arm: Arm, page: Path) -> None:
+    rig = page.parent / f"{TEXTS[2]}.yaml"
+    content = hostile(yaml.safe_load(config_path(SOURCE_RIG).read_text(encoding="utf-8")))
+    rig.write_text(yaml.safe_dump(content), encoding="utf-8")
+    out = page.parent / "out"
+    assert run("friction_ramp", ["--source", "--repeats", "4", "--rig", str(rig), "--output", str(out)]) in (0, 1)
+    (out / "report.html").rename(page)
+
+
+def _drawn(_arm: Arm, page: Path) -> None:
+    x = np.linspace(0.0, 1.0, 9)
+    plots = [Plot([Panel([Curve(x, x, text)], text, text, text)]) for text in TEXTS]
+    plots.append(Plot([Heat(TEXTS, 0.5 * np.eye(len(TEXTS)), TEXTS[0])]))
+    rows = [
+        {"topic": text, "messages": [text], "differences": [], "plot": plot}
+        for text, plot in zip((*TEXTS, "heat"), plots, strict=True)
+    ]
+    named = {"names": TEXTS, "paths": TEXTS, "plots": rows, "robots": TEXTS[0]}
+    page.write_text(render_page("rx90_common.bags", "bag.html.j2", **named), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("make", "visible"),
+    [
+        (_plotted, 6),
+        (_demonstrated, 6),
+        (_measured, 6),
+        (_swept, 0),
+        (_checked, 6),
+        (_identified, 2),
+        (_ramped, 0),
+        (_drawn, 6),
+    ],
+)
+def test_a_report_shows_texts_as_texts(
+    make: Callable[[Arm, Path], None], visible: int, arm: Arm, check_report: ReportCheck, tmp_path: Path
+) -> None:
+    """Nothing runs, nothing is asked for, and names stand there as they are, also where a plot is drawn."""
+    page = tmp_path / "page.html"
+    make(arm, page)
+    report = check_report.open(page)
+    report.page.evaluate(_NOTE_CANVAS)
+    for number in range(report.page.locator("figure.plot").count()):
+        report.plot(number)
+    check_harmless(report, *TEXTS[:visible])
+    assert report.faults == []
+    if make is _drawn:
+        assert TEXTS[-1] in report.page.evaluate("window.written")
