@@ -8,7 +8,7 @@ import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 import yaml
@@ -18,9 +18,9 @@ from pydantic import ValidationError
 from refusals import refusal_by
 from schema_faults import validator
 
-from rx90_common.base.config import PROVENANCE, read_yaml
+from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import FileModel, unit_of
+from rx90_common.base.models import FileModel, Provenance, unit_of
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, FrictionSet, load_friction
@@ -170,7 +170,7 @@ NAMES_OF_ELEMENTS = WORDS.filter(lambda name: name not in {"source", "provenance
 @pytest.mark.slow
 @given(
     st.dictionaries(NAMES_OF_ELEMENTS, elements(), min_size=1, max_size=3),
-    st.sampled_from([None, *PROVENANCE]),
+    st.sampled_from([None, *get_args(Provenance)]),
     st.none() | WORDS,
     st.none() | st.dictionaries(WORDS.filter(lambda name: name != "provenance"), REMARKS),
 )
