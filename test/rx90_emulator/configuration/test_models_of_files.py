@@ -28,7 +28,7 @@ from rx90_emulator.identification.experiments.plan import INDEX
 
 WITH_MODELS = [kind for kind in KINDS if kind.model is not None]
 WRONG = (None, "text", True, 7, -3.5, 0, -1e30, math.nan, math.inf, [], [1.0], [["text"]], {}, {"odd": 1})
-ENDLESS = {"stiffness", "omega_d"}
+ENDLESS = {"stiffness", "omega_d", "thermal_resistance", "heat_capacity", "derating", "limit"}
 """Keys whose values may be .inf."""
 FEW = 200  # misspelt keys of a file
 Place = tuple[Any, ...]
