@@ -84,7 +84,7 @@ def test_all_problems_of_files_are_told_with_their_lines(arm: Path, capsys: Capt
     ]
     colour = f"{tool}:{line_of(tool, 'colour:')}: \\u202ecolour is not a known key; accepted: inertial, tcp, "
     assert said[0].startswith(colour)
-    assert said[3].startswith(f"{friction}:{line_of(friction, 'joint_3:') + 1}: elements.joint_3.tau_s is 23.0")
+    assert said[3].startswith(f"{friction}:{line_of(friction, 'joint_3:')}: elements.joint_3.tau_s is 23.0")
     assert re.match(rf"{re.escape(str(task))}:\d+: not valid YAML", said[4])
     assert run("rx90_config", ["check", "nowhere.yaml", *files]) == 2
     again = capsys.readouterr()
