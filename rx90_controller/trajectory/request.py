@@ -75,7 +75,7 @@ def constraint_parameters(names: Sequence[str]) -> dict[str, tuple[float, str]]:
         "constraints.goal_time": (0.0, "how long after its end a motion may take to be at its goal, s; 0: for ever"),
         "constraints.stopped_velocity_tolerance": (
             0.01,
-            "velocity that a joint may have at the goal, rad/s; 0: any",
+            "velocity at the goal, rad/s; without effect, as in joint_trajectory_controller with commands of position",
         ),
     }
     for name in names:
@@ -147,17 +147,21 @@ class GoalTolerances:
         return GoalTolerances(self.names, tables[0], tables[1], most)
 
     def worst(self, error: Array, limit: Array) -> str | None:
-        """Return the relatively largest violation of a tolerance, in words; None without one; shape (3, j) each."""
-        beyond = ~(np.abs(error) <= limit) & np.isfinite(limit)
+        """Return the relatively largest violation of a tolerance of position, in words; None without one.
+
+        joint_trajectory_controller leaves the errors of velocity and acceleration at 0 where it commands positions.
+
+        Args:
+            error: of position, rad, shape (j,).
+            limit: one of `path` and `goal`.
+        """
+        accepted = limit[0]
+        beyond = ~(np.abs(error) <= accepted) & np.isfinite(accepted)
         if not beyond.any():
             return None
-        share = np.where(beyond, np.nan_to_num(np.abs(error) / limit, nan=np.inf), -1.0)
-        row, joint = divmod(int(np.argmax(share)), error.shape[1])
-        quantity, unit = _QUANTITIES[row]
-        return (
-            f"{self.names[joint]}: {quantity} error {error[row, joint]:.4g} {unit}, accepted up to "
-            f"{limit[row, joint]:.4g} {unit}"
-        )
+        share = np.where(beyond, np.nan_to_num(np.abs(error) / accepted, nan=np.inf), -1.0)
+        joint = int(np.argmax(share))
+        return f"{self.names[joint]}: position error {error[joint]:.4g} rad, accepted up to {accepted[joint]:.4g} rad"
 
 
 def _resolved(what: str, unit: str, value: float, default: float) -> float:
@@ -284,7 +288,7 @@ class TrajectoryRequest:
         if first:
             self.state = State.FOLLOWED
             self._began = tick
-        error = desired - actual
+        error = desired[0] - actual[0]
         self.feedback = Feedback(tick, desired, actual, time, (tick - self._began) * period)
         reached = time >= last
         now = f"{tick * period:.6g} s"
