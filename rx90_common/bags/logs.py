@@ -27,7 +27,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
-from rx90_common.bags.limits import DamagedError, check_arrays, library_errors, load_arrays
+from rx90_common.bags.limits import DamagedError, check_whole, library_errors, load_arrays
 from rx90_common.bags.mapping import ARRAYS, DELIMITERS, SECONDS, UNITS, Column, LogMapping, mapping_of
 from rx90_common.bags.topics import absolute
 from rx90_common.bags.writing import write_joint_states
@@ -296,7 +296,7 @@ def _open_arrays(path: Path, more: Callable[[int], object]) -> _Source:
         with library_errors():
             if parquet:
                 about = pq.read_metadata(path)
-                check_arrays(path, 8 * about.num_rows * about.num_columns)
+                check_whole(path, "arrays", 8 * about.num_rows * about.num_columns)
                 table = pq.read_table(path, page_checksum_verification=True)
                 for name, column in zip(table.column_names, table.columns, strict=True):
                     if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
