@@ -90,7 +90,9 @@ def compare(setup: Setup, a: ReferenceRun, b: ReferenceRun) -> Miss:
 
 def without_rounding(setup: Setup) -> Setup:
     """Return the setup with encoders so fine that they do not round."""
-    drives = setup.drives.replaced(encoder={"counts_per_revolution": FINE_COUNTS})
+    drives = setup.drives.replaced(
+        encoder=setup.drives.encoder.model_copy(update={"counts_per_revolution": FINE_COUNTS})
+    )
     return dataclasses.replace(setup, drives=drives)
 
 
@@ -145,7 +147,7 @@ class FullSpeed(NamedTuple):
 def scaled(setup: Setup, **factors: float) -> Setup:
     """Return a setup with parameters of all elements multiplied."""
     elements = tuple(
-        dataclasses.replace(one, **{name: factor * getattr(one, name) for name, factor in factors.items()})
+        one.with_parameters({name: factor * one.parameters[name] for name, factor in factors.items()})
         for one in setup.friction.elements
     )
     return dataclasses.replace(setup, friction=FrictionSet(setup.friction.names, elements))
@@ -213,7 +215,7 @@ def sticking(setup: Setup) -> Sticking:
 def _pushes(setup: Setup) -> list[Array]:
     """Return the motor torques of each tick: the arm's weight and a share of its static friction."""
     model = setup.robot.model
-    static = np.array([max(e.tau_s_positive, e.tau_s_negative) for e in setup.friction.elements])
+    static = np.array([max(e.tau_s.positive, e.tau_s.negative) for e in setup.friction.elements])
     weight = np.array(pin.computeGeneralizedGravity(model, model.createData(), STICKING_POSE))
     weight += setup.drives.spring_torque * np.sin(STICKING_POSE)
     needed = static[:6] + static[6] * np.array([0, 0, 0, 0, 1, 1])

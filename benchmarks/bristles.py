@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -113,12 +112,12 @@ def _lead(
         stored[k] = lane(bristles_energy(element.c0, kinds, state, z, 1), 0)
 
 
-ELEMENT = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
-FLAT = replace(ELEMENT, tau_s_positive=25.0, tau_s_negative=25.0, c2=0.0)
+ELEMENT = FrictionElement(tau_c=25.0, tau_s=32.0, omega_s=0.05, delta=1.0, c0=1e5, c1=100.0, c2=14.0, omega_d=1.0)
+FLAT = ELEMENT.replaced(tau_s=25.0, c2=0.0)
 KINDS: dict[str, BristlesPart | None] = {
     "LuGre": None,
-    "elasto-plastic": ElastoPlastic(0.7),
-    "Maxwell slip": MaxwellSlip((0.5, 0.3, 0.2), (0.2, 0.3, 0.5), 2000.0),
+    "elasto-plastic": ElastoPlastic(break_away=0.7),
+    "Maxwell slip": MaxwellSlip(stiffness=(0.5, 0.3, 0.2), share=(0.2, 0.3, 0.5), attraction=2000.0),
 }
 LOW, HIGH = 0.2, 0.6
 """Of the Coulomb torque, between which the load oscillates."""
@@ -133,7 +132,7 @@ def drift(kind: BristlesPart | None) -> tuple[Array, float]:
     phase = (np.arange(CYCLES * PER_CYCLE) + 0.5) / PER_CYCLE
     load = 0.5 * (HIGH + LOW) - 0.5 * (HIGH - LOW) * np.cos(2.0 * math.pi * phase)
     force = 25.0 * np.concatenate([LOW * np.linspace(0.0, 1.0, PER_CYCLE), load])
-    position = driven_mass(replace(FLAT, bristles=kind), 0.2, force, STEP).position
+    position = driven_mass(FLAT.replaced(bristles=kind), 0.2, force, STEP).position
     return position, float(position[-1] - position[-1 - PER_CYCLE])
 
 
@@ -141,7 +140,7 @@ def inner_loop(kind: BristlesPart | None) -> tuple[Array, Array]:
     """Return position, rad, and torque, Nm, of a slow motion with an inner loop, at rest after each step."""
     velocity = np.concatenate([np.full(_POINTS, (b - a) / _POINTS / STEP) for a, b in pairwise(_TURNS)])
     with_rests = np.column_stack([velocity, np.zeros_like(velocity)]).ravel()
-    torque = led(replace(FLAT, c1=0.0, bristles=kind), with_rests, STEP)[0][1::2]
+    torque = led(FLAT.replaced(c1=0.0, bristles=kind), with_rests, STEP)[0][1::2]
     return np.cumsum(velocity) * STEP, torque
 
 
@@ -157,7 +156,7 @@ def step_errors(kind: BristlesPart | None) -> list[float]:
         h = 2.5e-4 / substeps
         t = (np.arange(round(0.25 / h)) + 0.5) * h
         force = 45.0 * np.sin(60.0 * t) + 6.0 * np.sin(171.0 * t)
-        return driven_mass(replace(ELEMENT, bristles=kind), 1.5, force, h, 0.2).position[substeps - 1 :: substeps]
+        return driven_mass(ELEMENT.replaced(bristles=kind), 1.5, force, h, 0.2).position[substeps - 1 :: substeps]
 
     exact = position(800)
     return [float(np.max(np.abs(position(n) - exact))) for n in _SUBSTEPS]
@@ -167,7 +166,7 @@ def costs() -> dict[str, float]:
     """Return the CPU time of one step of one element, s, of each kind, taking turns; slow motion with reversals."""
     velocity = 0.05 * np.sin(np.arange(200_000) * 0.01)
     runs = {
-        name: timed(lambda one=one: led(replace(ELEMENT, bristles=one), velocity, 2.5e-4), velocity.size)  # type: ignore[misc]
+        name: timed(lambda one=one: led(ELEMENT.replaced(bristles=one), velocity, 2.5e-4), velocity.size)  # type: ignore[misc]
         for name, one in KINDS.items()
     }
     return {name: min(times) for name, times in in_turns(runs, 7).items()}

@@ -140,8 +140,8 @@ class PinocchioArm:
         self._c0, self._c1, self._c2, self._alpha, self._omega_s, self._omega_d, self._delta = np.array(
             [(e.c0, e.c1, e.c2, e.alpha, e.omega_s, e.omega_d, e.delta) for e in elements]
         ).T
-        self._coulomb = np.array([(e.tau_c_positive, e.tau_c_negative) for e in elements]).T
-        self._static = np.array([(e.tau_s_positive, e.tau_s_negative) for e in elements]).T
+        self._coulomb = np.array([(e.tau_c.positive, e.tau_c.negative) for e in elements]).T
+        self._static = np.array([(e.tau_s.positive, e.tau_s.negative) for e in elements]).T
         self.q, self.v, self.z = np.array(position, dtype=np.float64), np.zeros(6), np.zeros(7)
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:

@@ -67,7 +67,7 @@ def scaled(friction: FrictionSet, scale: float) -> FrictionSet:
     """Return a friction set with all torques scaled; deflections and velocities stay."""
     names = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
     elements = tuple(
-        dataclasses.replace(element, **{name: scale * getattr(element, name) for name in names})
+        element.with_parameters({name: scale * element.parameters[name] for name in names})
         for element in friction.elements
     )
     return FrictionSet(friction.names, elements)
@@ -229,7 +229,7 @@ class Models:
         """Return the setup with a controller that knows all friction by a factor wrong."""
         path = self._folder / f"friction_{factor}.yaml"
         elements = dict(zip(self._setup.friction.names, scaled(self._setup.friction, factor).elements, strict=True))
-        path.write_text(FrictionFile(elements).text(), encoding="utf-8")
+        path.write_text(FrictionFile.of(elements).text(), encoding="utf-8")
         setup = self._with(self._files.replaced(friction=path))
         own = setup.controller
         wrong = own.replaced(
@@ -260,7 +260,7 @@ class Models:
             return there
         path = self._folder / f"friction_{hall:g}_{believed.sum():.6f}.yaml"
         known = dict(zip(warm.names, _warm(warm, hall, believed), strict=True))
-        path.write_text(FrictionFile(known).text(), encoding="utf-8")
+        path.write_text(FrictionFile.of(known).text(), encoding="utf-8")
         model = self._files.replaced(friction=path)
         return dataclasses.replace(there, controller=there.controller.replaced(model=model))
 
@@ -268,11 +268,10 @@ class Models:
 def _warm(friction: FrictionSet, hall: float, start: Array) -> tuple[FrictionElement, ...]:
     """Return elements that begin at temperatures, degrees Celsius, shape (7,)."""
     return tuple(
-        dataclasses.replace(
-            element,
-            temperature=dataclasses.replace(
-                WARMTH, start=float(begin), ambient=hall, resistance=resistance, capacity=TIME_CONSTANT / resistance
-            ),
+        element.replaced(
+            temperature=WARMTH.replaced(
+                start=float(begin), ambient=hall, resistance=resistance, capacity=TIME_CONSTANT / resistance
+            )
         )
         for element, begin, resistance in zip(friction.elements, start, RESISTANCES, strict=True)
     )
@@ -315,12 +314,12 @@ def own_budget(setup: Setup, task: LineTask) -> list[tuple[str, float, float]]:
     # A ramp that is over within rounding of zero: the sign function as written.
     plain = with_parameters(known, {"controller.coulomb_velocity": 1e-12})
     coulomb = tuple(
-        dataclasses.replace(e, tau_s_positive=e.tau_c_positive, tau_s_negative=e.tau_c_negative, c0=_STIFF * e.c0)
+        e.replaced(tau_s={"positive": e.tau_c.positive, "negative": e.tau_c.negative}, c0=_STIFF * e.c0)
         for e in setup.friction.elements
     )
     without = with_parameters(plain, {"controller.coulomb[5]": 0.0, "controller.viscous[5]": 0.0})
     none = dict.fromkeys(("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative"), 1e-9)
-    wrist = tuple(dataclasses.replace(element, **none, c1=0.0, c2=0.0) for element in coulomb[5:])
+    wrist = tuple(element.with_parameters({**none, "c1": 0.0, "c2": 0.0}) for element in coulomb[5:])
 
     def of(controlled: Setup, elements: tuple[FrictionElement, ...]) -> Setup:
         return dataclasses.replace(controlled, friction=dataclasses.replace(setup.friction, elements=elements))

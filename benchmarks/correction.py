@@ -92,7 +92,8 @@ def rubbing(setup: Setup, factor: float) -> Setup:
     """Return an arm with so many times the friction: each of its torques, and so the bristles' stiffness, too."""
     keys = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
     elements = tuple(
-        replace(element, **{key: factor * getattr(element, key) for key in keys}) for element in setup.friction.elements
+        element.with_parameters({key: factor * element.parameters[key] for key in keys})
+        for element in setup.friction.elements
     )
     return replace(setup, friction=replace(setup.friction, elements=elements))
 

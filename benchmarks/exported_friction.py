@@ -7,7 +7,6 @@ The element, by default of the RX90B, is given two signs and a viscous exponent,
 
 from __future__ import annotations
 
-import dataclasses
 import tempfile
 from pathlib import Path
 
@@ -28,13 +27,12 @@ SIGNS_APART, EXPONENT = 0.9, 0.8
 def exports(friction: FrictionFile, name: str) -> list[Export]:
     """Return the exports of a robot with a changed element."""
     element = friction.elements[name]
-    harder = dataclasses.replace(
-        element,
-        tau_c_negative=SIGNS_APART * element.tau_c_positive,
-        tau_s_negative=SIGNS_APART * element.tau_s_positive,
+    harder = element.replaced(
+        tau_c={"positive": element.tau_c.positive, "negative": SIGNS_APART * element.tau_c.positive},
+        tau_s={"positive": element.tau_s.positive, "negative": SIGNS_APART * element.tau_s.positive},
         alpha=EXPONENT,
     )
-    changed = dataclasses.replace(friction, elements={**friction.elements, name: harder})
+    changed = friction.replaced(elements={**friction.elements.entries, name: harder})
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "friction.yaml"
         file.write_text(changed.text(), encoding="utf-8")

@@ -41,8 +41,20 @@ THROUGH = np.vstack([np.eye(6), [0, 0, 0, 0, 0, 1]])
 THROUGH[4, 5] = -1
 """Torques that go through the elements for those of the joints: all of joint 6 goes through motor 6, past motor 5."""
 STEPS = np.array([1, 2, 4, 8])
-_LOAD, _SCATTER = LoadPart(0.05, 0.08), ScatterPart(0.02, 10.0)
-_WARM = TemperaturePart(40.0, 20.0, 90.0, 25.0, 20.0, 9000.0, 0.4, 20.7, 0.3, 0.03, 0.02)
+_LOAD, _SCATTER = LoadPart(driving=0.05, driven=0.08), ScatterPart(deviation=0.02, correlation_time=10.0)
+_WARM = TemperaturePart(
+    reference=40.0,
+    lowest=20.0,
+    highest=90.0,
+    start=25.0,
+    ambient=20.0,
+    capacity=9000.0,
+    resistance=0.4,
+    viscous_scale=20.7,
+    viscous_floor=0.3,
+    speed_slope=0.03,
+    static_slope=0.02,
+)
 _RIPPLE = RipplePart(motor_harmonic=(2.0,), motor_amplitude=(0.05,))
 _ALL_WARM = {"load": _LOAD, "temperature": _WARM, "alpha": 0.7}
 
@@ -79,14 +91,14 @@ _KEYS = {
 
 def with_elements(setup: Setup, **values: Any) -> Setup:
     """Return a setup whose elements all have these values."""
-    elements = tuple(replace(element, **values) for element in setup.friction.elements)
+    elements = tuple(element.replaced(**values) for element in setup.friction.elements)
     return replace(setup, friction=replace(setup.friction, elements=elements))
 
 
 def knowing(setup: Setup, file: Path) -> Setup:
     """Return a setup whose controller feeds forward by a model with the setup's friction, written to a file."""
     elements = dict(zip(setup.friction.names, setup.friction.elements, strict=True))
-    file.write_text(FrictionFile(elements).text(), encoding="utf-8")
+    file.write_text(FrictionFile(elements=elements).text(), encoding="utf-8")
     own = setup.controller
     assert own.model is not None
     switches = {"inverse_dynamics": True, "friction_model": True}
@@ -117,11 +129,26 @@ def speed(rounds: int = ROUNDS) -> dict[str, list[float]]:
 
 def loaded(shipped: Setup) -> Setup:
     """Return the arm with a load part in every element, each with other values, and a ripple in three."""
-    ripple = RipplePart((1.0,), (0.2,), (0.4,), (2.0,), (0.15,), (1.0,))
+    ripple = RipplePart(
+        joint_harmonic=(1.0,),
+        joint_amplitude=(0.2,),
+        joint_phase=(0.4,),
+        motor_harmonic=(2.0,),
+        motor_amplitude=(0.15,),
+        motor_phase=(1.0,),
+    )
     elements = []
     for i, element in enumerate(shipped.friction.elements):
-        part = LoadPart(0.05 + 0.02 * i, 0.3 - 0.02 * i, 0.1, 0.05, 1e-3, 2e-3, relax_time=1e-3 * (1 + i % 3))
-        elements.append(replace(element, load=part, ripple=ripple if i % 2 else None))
+        part = LoadPart(
+            driving=0.05 + 0.02 * i,
+            driven=0.3 - 0.02 * i,
+            stribeck_driving=0.1,
+            stribeck_driven=0.05,
+            quadratic_driving=1e-3,
+            quadratic_driven=2e-3,
+            relax_time=1e-3 * (1 + i % 3),
+        )
+        elements.append(element.replaced(load=part, ripple=ripple if i % 2 else None))
     return replace(shipped, friction=replace(shipped.friction, elements=tuple(elements)))
 
 
@@ -186,7 +213,7 @@ class StiffArm:
         return self.setup.friction.elements
 
     def _of(self, name: str) -> Array:
-        return np.array([getattr(element, name) for element in self._elements])
+        return np.array([element.parameters[name] for element in self._elements])
 
     def _of_load(self, name: str) -> Array:
         return np.array([getattr(element.load, name) for element in self._elements])
@@ -195,7 +222,7 @@ class StiffArm:
 def snapshot(plant: Plant) -> Array:
     """Return (q, v, z, transmitted), shape (26,)."""
     state = plant.state[0]
-    return np.concatenate([state["q"], state["v"], state["z"], state["parts"]["load"]])
+    return np.concatenate([state["q"], state["v"], state["z"], state["parts"]["load"]["torque"]])
 
 
 def convergence(setup: Setup, ticks: int = 40) -> Array:

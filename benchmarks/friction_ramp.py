@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from itertools import product
 from typing import NamedTuple
@@ -33,7 +33,7 @@ from friction_bench.experiment.session import near_limits
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort, native_library
 from friction_bench.rig.plant import SLICE, RigJoint, Shaft, joint_record, shaft_of, turn, turn_with_joint
-from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, JointFriction, PlantParameters, Rig, load_rig
+from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, Emulation, JointFriction, LuGreJoint, Rig, load_rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.share import SOURCE_RIG, config_path
@@ -85,9 +85,14 @@ class Cell:
     def rig(self) -> Rig:
         """Return the shipped rig with this friction and inertia, without a joint."""
         rig = _shipped()
-        assert rig.plant is not None
-        load = (self.inertia - rig.plant.rotor_inertia) * rig.gear_ratio**2 * rig.gear_efficiency
-        return replace(rig, plant=replace(rig.plant, coulomb=self.coulomb, viscous=self.viscous, load_inertia=load))
+        assert rig.emulation is not None
+        load = (self.inertia - rig.emulation.motor.rotor_inertia) * rig.gear.ratio**2 * rig.gear.efficiency
+        return rig.replaced(
+            emulation={
+                "motor_friction": {"coulomb": self.coulomb, "viscous": self.viscous},
+                "load_inertia": load,
+            }
+        )
 
 
 class GridOutcome(NamedTuple):
@@ -121,7 +126,7 @@ def grid_experiment(job: tuple[Cell, int]) -> GridOutcome:
     records = [
         run_ramp(client, slope, cell.end_torque, False, f"{slope:g}") for _ in range(REPEATS) for slope in cell.slopes
     ]
-    found = identify_ramps(records, rig.scale_uncertainty)
+    found = identify_ramps(records, rig.torque.scale_uncertainty)
     errors, hits = {}, {}
     for method, quantity in product(METHODS, QUANTITIES):
         estimate = getattr(getattr(found, method), quantity)
@@ -168,16 +173,16 @@ class QuickRig:
     seed: int
 
     def __post_init__(self) -> None:
-        assert self.rig.plant is not None
-        self.plant: PlantParameters = self.rig.plant
+        assert self.rig.emulation is not None
+        self.plant: Emulation = self.rig.emulation
         self._rng = np.random.default_rng(self.seed)
-        self.gain = 1.0 + self.plant.gain_error * self._rng.standard_normal()
+        self.gain = 1.0 + self.plant.amplifier.gain_error * self._rng.standard_normal()
 
     def _drawn(self, loaded: bool) -> tuple[float, Shaft]:
         """Draw what differs from ramp to ramp: the torque's gain, and the shaft with its joint's Coulomb friction."""
         gain, shaft, plant = self.gain, shaft_of(self.rig, loaded), self.plant
-        if plant.ramp_error:
-            gain *= 1.0 + plant.ramp_error * self._rng.standard_normal()
+        if plant.amplifier.ramp_error:
+            gain *= 1.0 + plant.amplifier.ramp_error * self._rng.standard_normal()
         if loaded and plant.joint_spread and isinstance(plant.joint, JointFriction):
             more = plant.joint_spread * self._rng.standard_normal() * plant.joint.coulomb / self.rig.joint_scale
             shaft = shaft._replace(coulomb=shaft.coulomb + more)
@@ -188,33 +193,37 @@ class QuickRig:
         rig, plant = self.rig, self.plant
         step = rig.ramp_step(slope)
         ticks = np.arange((rig.end_code(end_torque) * RAMP_FRACTION - 128 + step - 1) // step)
-        command = rig.torque(1) * ((128 + ticks * step) // RAMP_FRACTION)
-        noise = plant.torque_noise * self._rng.standard_normal((ticks.size, SLICES))
+        command = rig.commanded_torque(1) * ((128 + ticks * step) // RAMP_FRACTION)
+        noise = plant.amplifier.torque_noise * self._rng.standard_normal((ticks.size, SLICES))
         joint = plant.joint
         gain, shaft = self._drawn(loaded)
-        element = joint if isinstance(joint, FrictionElement) else FrictionElement(1, 1, 1, 1, 1, 1, 1, 0, 0)
+        element = (
+            joint
+            if isinstance(joint, FrictionElement)
+            else FrictionElement(tau_c=1, tau_s=1, omega_s=1, delta=1, c0=1, c1=0, c2=0)
+        )
         angle, motor = _ramp(
             gain * command,
             noise,
-            (plant.torque_constant, plant.resistance, plant.supply),
+            (plant.motor.torque_constant, plant.motor.resistance, plant.motor.supply),
             shaft,
-            (rig.gear_ratio, rig.gear_efficiency, plant.load_inertia + plant.joint_inertia),
-            joint_record(element, rig.gear_ratio, SLICE, self.seed),
+            (rig.gear.ratio, rig.gear.efficiency, plant.load_inertia + plant.joint_inertia),
+            joint_record(element, rig.gear.ratio, SLICE, self.seed),
             loaded and isinstance(joint, FrictionElement),
         )
         scale = rig.counts_per_revolution / math.tau
         counts = np.floor(angle * scale + self._rng.random())
         beyond = near_limits(rig, counts)
         end = int(np.argmax(beyond)) if beyond.any() else ticks.size
-        reading = np.maximum(0.0, motor + plant.adc_noise * self._rng.standard_normal(ticks.size))
-        codes = np.minimum(CODES, np.rint(reading / rig.adc_full_scale * CODES))
+        reading = np.maximum(0.0, motor + plant.amplifier.adc_noise * self._rng.standard_normal(ticks.size))
+        codes = np.minimum(CODES, np.rint(reading / rig.torque.adc_full_scale * CODES))
         return RampRecord(
             time=ticks[:end] * rig.tick,
             angle=(counts[:end] - counts[0]) / scale,
             slope=rig.slope_of_step(step),
             angle_step=1 / scale,
             torque=command[:end],
-            measured_torque=codes[:end] * rig.adc_full_scale / CODES,
+            measured_torque=codes[:end] * rig.torque.adc_full_scale / CODES,
             loaded=loaded,
             label=label,
         )
@@ -233,33 +242,43 @@ class Outcome:
 def random_rig(seed: int, number: int, kind: str) -> Rig:
     """Return the shipped rig with random friction and inertia; equal numbers share all but the joint's law."""
     rig = _shipped()
-    assert rig.plant is not None
+    assert rig.emulation is not None
     rng = np.random.default_rng((seed, number))
 
     def between(low: float, high: float) -> float:
         return float(np.exp(rng.uniform(math.log(low), math.log(high))))
 
-    ratio, torque = rig.gear_ratio, rig.gear_ratio * rig.gear_efficiency
+    ratio, torque = rig.gear.ratio, rig.gear.ratio * rig.gear.efficiency
     own, viscous = between(0.006, 0.05), between(4e-4, 1.2e-3)
     inertia, more = between(6e-6, 6e-5), between(1e-5, 2e-4)
     coulomb, slope = between(0.01, 0.05) * torque, viscous * between(0.1, 0.6) * torque * ratio
     rise = min(rng.uniform(1.05, 1.6), (HEAVIEST - own) * torque / coulomb)
     bristle, damping = between(2e-4, 1e-3), between(3e-4, 3e-3)
     stribeck, exponent = between(0.02, 0.2), rng.uniform(0.7, 2.0)
-    joint: JointFriction | FrictionElement = JointFriction(coulomb, slope)
+    joint: JointFriction | LuGreJoint = JointFriction(model="coulomb_viscous", coulomb=coulomb, viscous=slope)
     if kind == "LuGre":
-        static, stiffness = coulomb * max(rise, 1.0), coulomb / bristle
-        torques = coulomb, coulomb, static, static
-        joint = FrictionElement(*torques, stribeck, exponent, stiffness, damping * stiffness, slope, 1.0)
-    plant = replace(
-        rig.plant,
-        coulomb=own,
-        viscous=viscous,
-        load_inertia=(inertia - rig.plant.rotor_inertia) * ratio * torque,
-        joint_inertia=more * ratio * torque,
-        joint=joint,
+        stiffness = coulomb / bristle
+        element = FrictionElement.of(
+            {
+                "tau_c": coulomb,
+                "tau_s": coulomb * max(rise, 1.0),
+                "omega_s": stribeck,
+                "delta": exponent,
+                "c0": stiffness,
+                "c1": damping * stiffness,
+                "c2": slope,
+                "omega_d": 1.0,
+            }
+        )
+        joint = LuGreJoint(model="lugre", lugre=element)
+    return rig.replaced(
+        emulation={
+            "motor_friction": {"coulomb": own, "viscous": viscous},
+            "load_inertia": (inertia - rig.emulation.motor.rotor_inertia) * ratio * torque,
+            "joint_inertia": more * ratio * torque,
+            "joint_friction": joint,
+        }
     )
-    return replace(rig, plant=plant)
 
 
 def measure(rig: Rig, seed: int) -> list[RampRecord]:
@@ -278,13 +297,13 @@ def measure(rig: Rig, seed: int) -> list[RampRecord]:
 
 def truth_of(rig: Rig, loaded: bool) -> Array:
     """Return the true f_c, f_v and J at the motor."""
-    assert rig.plant is not None
+    assert rig.emulation is not None
     shaft = shaft_of(rig, loaded)
     values = np.array([shaft.coulomb, shaft.viscous, shaft.inertia])
-    if loaded and isinstance(rig.plant.joint, FrictionElement):
-        torque = rig.gear_ratio * rig.gear_efficiency
-        joint = rig.plant.joint
-        values += joint.tau_c_positive / torque, joint.c2 / (torque * rig.gear_ratio), 0.0
+    if loaded and isinstance(rig.emulation.joint, FrictionElement):
+        torque = rig.gear.ratio * rig.gear.efficiency
+        joint = rig.emulation.joint
+        values += joint.tau_c.positive / torque, joint.c2 / (torque * rig.gear.ratio), 0.0
     return values
 
 

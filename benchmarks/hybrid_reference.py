@@ -176,7 +176,7 @@ def hybrid_reference(
 
 def negligible_element() -> FrictionElement:
     """Return friction so small that it does not show."""
-    return FrictionElement(1e-12, 1e-12, 1e-12, 1e-12, 1.0, 1.0, 1e-9, 0.0, 0.0)
+    return FrictionElement(tau_c=1e-12, tau_s=1e-12, omega_s=1.0, delta=1.0, c0=1e-9, c1=0.0, c2=0.0)
 
 
 def decoupled_setup(shipped: Setup, elements: Sequence[FrictionElement], inertia: float) -> Setup:

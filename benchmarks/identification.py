@@ -119,7 +119,7 @@ def sliding(sets: int) -> None:
             tally.seconds.append(time.perf_counter() - began)
             for estimate, element in zip(fit.estimates, friction.elements, strict=True):
                 for name, found in estimate.parameters.items():
-                    true = getattr(element, name)
+                    true = element.parameters[name]
                     error = found.value / true - 1.0 if found.identifiable else np.nan
                     score = (found.value - true) / found.deviation if found.identifiable else np.nan
                     tally.add(f"{name} of {estimate.element}", error, score)

@@ -38,17 +38,16 @@ def mujoco_arm(setup: Setup) -> Any:
 
 def as_in_mujoco(element: FrictionElement) -> FrictionElement:
     """Return an element with what MuJoCo can hold of it."""
-    return dataclasses.replace(
-        element,
-        tau_c_negative=element.tau_c_positive,
-        tau_s_negative=element.tau_s_positive,
+    return element.replaced(
+        tau_c=element.tau_c.positive,
+        tau_s=element.tau_s.positive,
         delta=2.0,
         omega_d=math.inf,
     )
 
 
 def _add_friction(actuator: Any, element: FrictionElement) -> None:
-    lugre = [element.c0, element.c1, element.tau_c_positive, element.tau_s_positive, element.omega_s]
+    lugre = [element.c0, element.c1, element.tau_c.positive, element.tau_s.positive, element.omega_s]
     actuator.set_to_dcmotor(
         motorconst=_NO_MOTOR, resistance=1.0, lugre=lugre, ctrlspec=mujoco.mjtCtrlInput.mjINPUT_NONE
     )

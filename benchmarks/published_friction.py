@@ -56,7 +56,13 @@ def published(speed: Array, torque: float, temperature: float) -> Array:
 def element_at(temperature: float) -> FrictionElement:
     """Return an element with the paper's load and temperature, which starts with this one."""
     static, viscous, speed = _stribeck(REFERENCE), _viscous(REFERENCE), _stribeck_speed(REFERENCE)
-    by_load = LoadPart(COULOMB_LOAD, COULOMB_LOAD, STATIC_LOAD, STATIC_LOAD, omega_s=SPEED_LOAD)
+    by_load = LoadPart(
+        driving=COULOMB_LOAD,
+        driven=COULOMB_LOAD,
+        stribeck_driving=STATIC_LOAD,
+        stribeck_driven=STATIC_LOAD,
+        omega_s=SPEED_LOAD,
+    )
     by_temperature = TemperaturePart(
         reference=REFERENCE, lowest=TEMPERATURES[0], highest=TEMPERATURES[-1], start=temperature,
         ambient=TEMPERATURES[0], capacity=1e9, resistance=1.0, viscous_scale=TEMPERATURE_SCALE,
@@ -65,7 +71,15 @@ def element_at(temperature: float) -> FrictionElement:
     )  # fmt: skip
     peak = COULOMB + static
     return FrictionElement(
-        COULOMB, COULOMB, peak, peak, speed, EXPONENT, 1e3, 0.0, viscous, load=by_load, temperature=by_temperature
+        tau_c=COULOMB,
+        tau_s=peak,
+        omega_s=speed,
+        delta=EXPONENT,
+        c0=1e3,
+        c1=0.0,
+        c2=viscous,
+        load=by_load,
+        temperature=by_temperature,
     )
 
 

@@ -6,7 +6,7 @@ Sweeps: an analytic Stribeck curve, Pinocchio, noise. Presliding: random frictio
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -148,16 +148,14 @@ def random_friction(base: FrictionSet, rng: np.random.Generator) -> FrictionSet:
     """Return elements with every parameter moved at random, each sign of the velocity by itself."""
     elements = []
     for name, element in zip(base.names, base.elements, strict=True):
-        up, down = rng.uniform(0.7, 1.4, 2) * element.tau_c_positive
+        up, down = rng.uniform(0.7, 1.4, 2) * element.tau_c.positive
         if name == "joint_5_6":
             down = up  # the difference is a constant torque that joints 5 and 6 may as well have
         rise = rng.uniform(0.2, 0.5, 2)
         elements.append(
             FrictionElement(
-                tau_c_positive=up,
-                tau_c_negative=down,
-                tau_s_positive=up * (1 + rise[0]),
-                tau_s_negative=down * (1 + rise[1]),
+                tau_c={"positive": up, "negative": down},
+                tau_s={"positive": up * (1 + rise[0]), "negative": down * (1 + rise[1])},
                 omega_s=element.omega_s * rng.uniform(0.7, 1.5),
                 delta=rng.uniform(0.8, 1.8),
                 c0=element.c0,
@@ -208,7 +206,7 @@ def outcomes(estimates: Sequence[ElementEstimate], truth: Sequence[FrictionEleme
     found = []
     for estimate, element in zip(estimates, truth, strict=True):
         for name in PRESLIDING:
-            one, true = estimate.parameters[name], getattr(element, name)
+            one, true = estimate.parameters[name], element.parameters[name]
             error = one.value - true  # NaN if it is not identifiable
             score = error / one.deviation if one.identifiable else error
             found.append(Outcome(estimate.element, name, error / true, score))
@@ -221,12 +219,12 @@ def random_bristles(base: FrictionSet, rng: np.random.Generator) -> FrictionSet:
     for element in base.elements:
         names = ("tau_c", "rise", "omega_s", "delta", "c0", "c1", "c2")
         scale = dict(zip(names, rng.uniform(*SCALES, len(names)), strict=True))
-        changed: dict[str, float] = {name: scale[name] * getattr(element, name) for name in names[2:]}
+        changed: dict[str, float] = {name: scale[name] * element.parameters[name] for name in names[2:]}
         for sign in ("positive", "negative"):
-            coulomb, static = getattr(element, f"tau_c_{sign}"), getattr(element, f"tau_s_{sign}")
+            coulomb, static = element.parameters[f"tau_c_{sign}"], element.parameters[f"tau_s_{sign}"]
             changed[f"tau_c_{sign}"] = scale["tau_c"] * coulomb
             changed[f"tau_s_{sign}"] = scale["tau_c"] * coulomb + scale["rise"] * (static - coulomb)
-        elements.append(replace(element, **changed))
+        elements.append(element.with_parameters(changed))
     return FrictionSet(base.names, tuple(elements))
 
 
@@ -258,7 +256,7 @@ def recorded(setup: Setup, run: Run, rng: np.random.Generator, noise: Noise) -> 
 def sliding_covariance(element: FrictionElement) -> Array:
     """Return the covariance of a sliding regime as it is identified, in the order of SLIDING, shape (7, 7)."""
     names = [name.removesuffix("_positive").removesuffix("_negative") for name in SLIDING]
-    deviation = [_SLIDING_ERROR[name] * getattr(element, full) for name, full in zip(names, SLIDING, strict=True)]
+    deviation = [_SLIDING_ERROR[name] * element.parameters[full] for name, full in zip(names, SLIDING, strict=True)]
     return np.diag(np.square(deviation))
 
 
@@ -267,8 +265,8 @@ def measured_sliding(elements: Sequence[FrictionElement], rng: np.random.Generat
     found = []
     for element in elements:
         errors = np.sqrt(np.diag(sliding_covariance(element))) * rng.standard_normal(len(SLIDING))
-        changed = {name: getattr(element, name) + error for name, error in zip(SLIDING, errors, strict=True)}
+        changed = {name: element.parameters[name] + error for name, error in zip(SLIDING, errors, strict=True)}
         for sign in ("positive", "negative"):
             changed[f"tau_s_{sign}"] = max(changed[f"tau_s_{sign}"], changed[f"tau_c_{sign}"])
-        found.append(replace(element, **changed))
+        found.append(element.with_parameters(changed))
     return found

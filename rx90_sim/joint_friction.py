@@ -20,9 +20,8 @@ from rx90_common.friction.arm_elements import (
 )
 from rx90_common.friction.bristle import bristle_step, friction_torque
 from rx90_common.friction.compiled_elements import load_elements
-from rx90_common.friction.parts.load import advance_load
-from rx90_common.friction.parts.scatter import advance_scatter
-from rx90_common.friction.parts.step import parts_energy, parts_step, parts_torque, reset_parts
+from rx90_common.friction.parts import step as part_steps
+from rx90_common.friction.parts.step import parts_energy, parts_step, parts_torque, reset_parts, tick_parts
 from rx90_common.friction.parts.temperature import add_work, advance_temperatures
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, load, size, store
@@ -143,13 +142,15 @@ def advance_loads(plant: Any, state: Any, torque: Array, acceleration: Array, st
         step: s.
     """
     transmit(plant.gear, plant.arm.rotor, torque, acceleration, state.parts.transmitted)
-    advance_load(plant.parts.load, state.parts, load(state.parts.transmitted, size(state.z)), step, size(state.z))
+    n = size(state.z)
+    part_steps.advance_parts(plant.parts, state.parts, load(state.parts.transmitted, n), step, n)
 
 
 @kernel
 def advance_parts(plant: Any, state: Any) -> None:
     """Advance the slow states by a tick: random walks and temperatures of the friction."""
-    advance_scatter(plant.parts.scatter, state.parts)
+    n = size(state.z)
+    tick_parts(plant.parts, state.parts, load(state.parts.transmitted, n), plant.period, n)
     if plant.parts.temperature.used:
         _warm_joints(plant, state)
 

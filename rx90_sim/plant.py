@@ -196,7 +196,10 @@ def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
 def _brake_elements(torque: Row, stiffness: Row, damping: Row) -> Record:
     """Return torque, stiffness and damping as bristle elements; runs of a sweep mostly have the same."""
     values = zip(torque, stiffness, damping, strict=True)
-    return element_arrays([FrictionElement(tau, tau, tau, tau, 1.0, 1.0, c0, c1, 0.0) for tau, c0, c1 in values])
+    law = {"omega_s": 1.0, "delta": 1.0, "c2": 0.0}
+    return element_arrays(
+        [FrictionElement.of({"tau_c": tau, "tau_s": tau, "c0": c0, "c1": c1, **law}) for tau, c0, c1 in values]
+    )
 
 
 class Plant:

@@ -158,7 +158,7 @@ def plant_steps(
 
 def _ratio(element: FrictionElement) -> float:
     """Return how many times the friction torque of one direction is that of the other."""
-    torques = [(element.tau_c_positive, element.tau_c_negative), (element.tau_s_positive, element.tau_s_negative)]
+    torques = [(torque.positive, torque.negative) for torque in (element.tau_c, element.tau_s)]
     return max(max(both) / min(both) for both in torques)
 
 

@@ -321,8 +321,8 @@ def joint_friction(unloaded: RampIdentification, loaded: RampIdentification, rig
     Both were measured on the same torque scale: its error scales the difference and counts once.
     The gear takes the torque to the joint's side with n eta, the viscous coefficient with n^2 eta.
     """
-    factors = rig.joint_scale, rig.joint_scale * rig.gear_ratio
-    motor = difference(loaded.best, unloaded.best, rig.scale_uncertainty)
+    factors = rig.joint_scale, rig.joint_scale * rig.gear.ratio
+    motor = difference(loaded.best, unloaded.best, rig.torque.scale_uncertainty)
     return JointFrictionEstimate(*motor, *difference(loaded.best, unloaded.best, rig.joint_scale_uncertainty, factors))
 
 
@@ -445,7 +445,7 @@ def evaluate(records: Sequence[RampRecord], rig: Rig, as_source: bool = False) -
     """
     loads = {"no-load": [r for r in records if not r.loaded], "loaded": [r for r in records if r.loaded]}
     names, parts, refusals = _usable(
-        [name for name in loads if loads[name]], lambda name: identify_ramps(loads[name], rig.scale_uncertainty)
+        [name for name in loads if loads[name]], lambda name: identify_ramps(loads[name], rig.torque.scale_uncertainty)
     )
     if not parts:
         raise refusals[0] if refusals else IdentificationError("no ramp to identify from")
@@ -465,7 +465,7 @@ def _compare_models(part: RampIdentification, rig: Rig) -> FourWay | None:
     ramp = min(part.ramps, key=lambda ramp: ramp.slope)
     if best.inertia is not None:
         inertia = best.inertia.value
-    elif rig.plant is not None:
+    elif rig.emulation is not None:
         inertia = shaft_of(rig, ramp.record.loaded).inertia
     else:
         return None
@@ -473,4 +473,4 @@ def _compare_models(part: RampIdentification, rig: Rig) -> FourWay | None:
         return None
     release = max(ramp.break_away * ramp.slope - best.coulomb.value, 0.0)
     model = RampModel(best.coulomb.value, best.viscous.value, inertia, ramp.slope, release)
-    return compare(ramp.record, model, rig.gear_ratio)
+    return compare(ramp.record, model, rig.gear.ratio)

@@ -6,7 +6,6 @@ import argparse
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 from friction_bench.experiment.identification import evaluate
@@ -29,6 +28,7 @@ from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.messages import Command, RigError, State
 from friction_bench.rig.rig_file import TRAVEL_UNIT, RampPlan, Rig, load_rig
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError, IdentificationError
+from rx90_common.base.models import refusals
 from rx90_common.base.quoting import counted, one_line, plain, quoted
 from rx90_common.base.share import SHIPPED_RIG, SOURCE_RIG, resolve_config
 from rx90_common.description.robot_files import RobotFiles
@@ -92,7 +92,7 @@ def run_ramp(
         angle=(counts - counts[0]) * rig.angle_step,
         slope=slope,
         angle_step=rig.angle_step,
-        torque=rig.torque(dac),
+        torque=rig.commanded_torque(dac),
         measured_torque=rig.measured_torque(adc),
         loaded=loaded,
         label=label,
@@ -165,7 +165,7 @@ def plan_from(first: RampRecord, plan: RampPlan, rig: Rig) -> RampPlan:
         slopes = (float(f"{low:.3g}"), float(f"{high:.3g}"))
     readings = rise / max(slopes) / rig.tick
     repeats = min(max(plan.repeats, math.ceil(MIN_SLIDING_READINGS / readings)), MAX_REPEATS)
-    return replace(plan, slopes=slopes, repeats=repeats)
+    return plan.replaced(slopes=slopes, repeats=repeats)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -176,8 +176,9 @@ def run(options: argparse.Namespace) -> int:
     """
     rig = load_rig(resolve_config(SOURCE_RIG if options.source and options.rig == SHIPPED_RIG else options.rig))
     out: Path = options.output
-    base = FrictionFile.read(RobotFiles.of_options(options).friction)
-    _check(options, base)
+    path = RobotFiles.of_options(options).friction
+    base = FrictionFile.read(path)
+    _check(options, base, path)
     if options.no_load_file or options.loaded_file:
         records = _read(options, rig)
         new_measurement(out)
@@ -202,13 +203,14 @@ def run(options: argparse.Namespace) -> int:
     return VERDICT_NO if found.unphysical else DONE
 
 
-def _check(options: argparse.Namespace, base: FrictionFile) -> None:
+def _check(options: argparse.Namespace, base: FrictionFile, path: Path) -> None:
     """Refuse errors now that would otherwise be noticed after minutes of ramps."""
-    if options.element not in base.elements:
-        known = ", ".join(base.elements)
+    elements = base.elements.entries
+    if options.element not in elements:
+        known = ", ".join(elements)
         raise ConfigError(f"--element is {quoted(options.element)}; accepted: {known}")
-    replaced = {options.element: base.elements[options.element]}
-    refuse_parts(replaced, "the element that a ramp test replaces", f"{base.path}: elements.")
+    replaced = {options.element: elements[options.element]}
+    refuse_parts(replaced, "the element that a ramp test replaces", f"{path}: elements.")
     check_line(options.port, options.baud)
     if options.seed is not None and options.port != EMULATED:
         raise ConfigError(f"--seed with --port {plain(options.port)}; accepted: with the emulated rig alone")
@@ -227,14 +229,20 @@ def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
         raise ConfigError("--slopes with --source; accepted: the rig file's, the first no-load, the second loaded")
     slopes = tuple(options.slopes or rig.ramps.slopes)
     torque = options.end_torque
-    if torque is not None and not 0.0 < torque <= rig.dac_full_scale:
-        raise ConfigError(f"--end-torque is {torque:g}; accepted: (0, {rig.dac_full_scale:g}] Nm")
+    if torque is not None and not 0.0 < torque <= rig.torque.dac_full_scale:
+        raise ConfigError(f"--end-torque is {torque:g}; accepted: (0, {rig.torque.dac_full_scale:g}] Nm")
     for slope in slopes:
         rig.ramp_step(slope)
         if slopes.count(slope) > 1:
             raise ConfigError(f"--slopes has {slope:g} twice; accepted: each slope once, and --repeats for more ramps")
-    ends = torque or rig.ramps.end_torque, torque or rig.ramps.end_torque_loaded
-    return RampPlan(slopes, *ends, options.repeats or rig.ramps.repeats, rig.ramps.hold)
+    with refusals(RampPlan):
+        return RampPlan(
+            slopes=slopes,
+            end_torque=torque or rig.ramps.end_torque,
+            end_torque_loaded=torque or rig.ramps.end_torque_loaded,
+            repeats=options.repeats or rig.ramps.repeats,
+            hold=rig.ramps.hold,
+        )
 
 
 def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[RampRecord]:
@@ -257,7 +265,7 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
                 return planned
             chosen = plan_from(first, plan, rig)
             slopes = plan.slopes if options.slopes else chosen.slopes
-            chosen = replace(chosen, slopes=slopes, repeats=options.repeats or chosen.repeats)
+            chosen = chosen.replaced(slopes=slopes, repeats=options.repeats or chosen.repeats)
             if chosen != plan:
                 text = f"{' and '.join(f'{slope:g}' for slope in slopes)} Nm/s, {chosen.repeats} repeats"
                 bar.write(f"{LOADS[loaded]}: {text}, by the first ramp", sys.stderr)
@@ -267,7 +275,7 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan) -> list[Ramp
         for loaded in loads:
             session.couple(loaded)
             try:
-                planned = replace(plan, slopes=(plan.slopes[loaded],)) if options.source else plan
+                planned = plan.replaced(slopes=(plan.slopes[loaded],)) if options.source else plan
                 run_planned(run_one, planned, loaded, choose)
             except IdentificationError as error:  # earlier measurements are on disk, and are evaluated
                 bar.write(f"{error}; no more ramps", sys.stderr)

@@ -165,13 +165,23 @@ def write_friction(path: Path, found: RampTestResult, element: str, base: Fricti
     # the element that is replaced.
     assumed = base.elements[element]
     stiffness = coulomb.value / STIFFNESS_SHARE
-    rise = assumed.tau_s_positive / assumed.tau_c_positive
+    rise = assumed.tau_s.positive / assumed.tau_c.positive
     tau_c = _rounded(coulomb.value)
     c2 = _rounded(max(viscous.value, 0.0))
     tau_s = max(_rounded(rise * coulomb.value), tau_c)
     c0 = _rounded(stiffness)
     c1 = _rounded(1e-3 * stiffness)
-    measured = FrictionElement(tau_c, tau_c, tau_s, tau_s, 0.05, 1.0, c0, c1, c2, 1.0)
+    values = {
+        "tau_c": tau_c,
+        "tau_s": tau_s,
+        "omega_s": 0.05,
+        "delta": 1.0,
+        "c0": c0,
+        "c1": c1,
+        "c2": c2,
+        "omega_d": 1.0,
+    }
+    measured = FrictionElement.of(values)
     assumption: dict[str, Any] = {"provenance": "assumed", "identifiable": False}
     identified = "tau_c and c2"
     of_c2 = {"provenance": "identified", **_interval(viscous)}
@@ -185,8 +195,10 @@ def write_friction(path: Path, found: RampTestResult, element: str, base: Fricti
         "tau_s": {"provenance": "assumed", "value": tau_s, "identifiable": False, "reason": STATIC},
         **{name: assumption.copy() for name in ("omega_s", "delta", "c0", "c1", "omega_d")},
     }
-    elements = {**base.elements, element: measured}
-    write_text(path, FrictionFile(elements, "assumed", source, {"parameters": {element: parameters}}).text())
+    elements = {**base.elements.entries, element: measured}
+    known = {"parameters": {element: parameters}}
+    file = FrictionFile.of(elements, provenance="assumed", source=source, identification=known)
+    write_text(path, file.text())
 
 
 def _rounded(value: float) -> float:

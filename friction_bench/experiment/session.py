@@ -145,7 +145,9 @@ def readings_series(samples: list[Sample], rig: Rig) -> list[JointSeries]:
     state = position[:, None], velocity[:, None], rig.measured_torque(adc)[:, None]
     return [
         JointSeries("/friction_bench/joint_states", ("rig_motor",), stamps, *state),
-        JointSeries("/friction_bench/joint_commands", ("rig_motor",), stamps, effort=rig.torque(dac)[:, None]),
+        JointSeries(
+            "/friction_bench/joint_commands", ("rig_motor",), stamps, effort=rig.commanded_torque(dac)[:, None]
+        ),
     ]
 
 

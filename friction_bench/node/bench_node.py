@@ -44,7 +44,9 @@ def declare_bench_parameters(node: Node) -> tuple[Rig, str, int, int]:
     about = "slope of run_ramp, Nm/s at the motor"
     declare(node, "ramp_slope", rig.ramps.slopes[0], about, low=1e-4, high=1.0, read_only=False)
     about = "torque at which run_ramp ends, Nm at the motor"
-    declare(node, "ramp_end_torque", rig.ramps.end_torque, about, low=0.0, high=rig.dac_full_scale, read_only=False)
+    declare(
+        node, "ramp_end_torque", rig.ramps.end_torque, about, low=0.0, high=rig.torque.dac_full_scale, read_only=False
+    )
     return rig, port, baud, seed
 
 
@@ -108,7 +110,7 @@ class BenchNode:
             velocity=[velocity],
             effort=[self.rig.measured_torque(sample.report.adc)],
         )
-        command = JointState(name=[JOINT], effort=[self.rig.torque(sample.report.dac)])
+        command = JointState(name=[JOINT], effort=[self.rig.commanded_torque(sample.report.dac)])
         state.header.stamp = command.header.stamp = ros_time(self._epoch_ns + round(sample.time * NANOSECONDS))
         self._states.publish(state)
         self._commands.publish(command)

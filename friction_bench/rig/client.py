@@ -294,7 +294,7 @@ class RigClient:
     def end_code(self, torque: float) -> int:
         """Return the DAC code of a ramp's end."""
         limit = self.hello.torque_limit_code if self.hello is not None else CODES
-        if not self.rig.torque(0.5) <= torque < self.rig.torque(limit + 0.5):
-            accepted = f"{self.rig.torque(1):.2g} to {self.rig.torque(limit):.3g} Nm"
+        if not self.rig.commanded_torque(0.5) <= torque < self.rig.commanded_torque(limit + 0.5):
+            accepted = f"{self.rig.commanded_torque(1):.2g} to {self.rig.commanded_torque(limit):.3g} Nm"
             raise RigInputError(f"end torque {torque:g} Nm; accepted by the firmware: {accepted}")
         return self.rig.end_code(torque)

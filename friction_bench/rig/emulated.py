@@ -142,7 +142,7 @@ class EmulatedRig:
     def __init__(self, rig: Rig, seed: int = 0, board: NativeBoard | None = None) -> None:
         self.plant = RigPlant(rig, seed)
         self.rig = rig
-        self._off_time = self.plant.parameters.off_time
+        self._off_time = self.plant.parameters.amplifier.off_time
         self.board = board or NativeBoard(rig.baud, native_library(rig.firmware_figures))
         self.time = 0.0
         self._edges = 0
@@ -157,11 +157,11 @@ class EmulatedRig:
             self._on = self.board.stage_on
             if self._on and not was_on:
                 self.plant.new_ramp()
-            command = self.rig.torque(self.board.dac) if self._on else 0.0
+            command = self.rig.commanded_torque(self.board.dac) if self._on else 0.0
             if self._off_time and self.board.switched_on():
                 command *= 1.0 - self._off_time / SLICE
             self._edges = self.plant.advance(command, SLICE)
-            self._adc = min(CODES, round(self.plant.current_reading() / self.rig.adc_full_scale * CODES))
+            self._adc = min(CODES, round(self.plant.current_reading() / self.rig.torque.adc_full_scale * CODES))
             self.time += SLICE
 
 

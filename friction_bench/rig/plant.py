@@ -20,9 +20,15 @@ from friction_bench.rig.messages import RigInputError
 from friction_bench.rig.rig_file import JointFriction, Rig
 from rx90_common.friction.compiled_elements import element_arrays
 from rx90_common.friction.element import FrictionElement
-from rx90_common.friction.parts.load import advance_load
-from rx90_common.friction.parts.scatter import advance_scatter
-from rx90_common.friction.parts.step import fill_parts, parts_dtype, parts_state_dtype, parts_step, reset_parts
+from rx90_common.friction.parts.step import (
+    advance_parts,
+    fill_parts,
+    parts_dtype,
+    parts_state_dtype,
+    parts_step,
+    reset_parts,
+    tick_parts,
+)
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import lane, load
 
@@ -42,16 +48,16 @@ class Shaft(NamedTuple):
 
 def shaft_of(rig: Rig, loaded: bool) -> Shaft:
     """Return the inertia and friction at the motor of an emulated rig, without the friction of a LuGre joint."""
-    p = rig.plant
+    p = rig.emulation
     if p is None:
         raise RigInputError(f"{rig.file}: has no section 'emulation', so this rig cannot be emulated")
     load_inertia = p.load_inertia + (p.joint_inertia if loaded else 0.0)
-    inertia = p.rotor_inertia + load_inertia / (rig.gear_ratio**2 * rig.gear_efficiency)
-    viscous = p.viscous * (1.0 + p.warming) if loaded else p.viscous
+    inertia = p.motor.rotor_inertia + load_inertia / (rig.gear.ratio**2 * rig.gear.efficiency)
+    viscous = p.motor_friction.viscous * (1.0 + p.motor_friction.warming) if loaded else p.motor_friction.viscous
     if not loaded or not isinstance(p.joint, JointFriction):
-        return Shaft(inertia, p.coulomb, viscous)
-    coulomb = p.coulomb + p.joint.coulomb / rig.joint_scale
-    return Shaft(inertia, coulomb, viscous + p.joint.viscous / (rig.joint_scale * rig.gear_ratio))
+        return Shaft(inertia, p.motor_friction.coulomb, viscous)
+    coulomb = p.motor_friction.coulomb + p.joint.coulomb / rig.joint_scale
+    return Shaft(inertia, coulomb, viscous + p.joint.viscous / (rig.joint_scale * rig.gear.ratio))
 
 
 @kernel
@@ -148,8 +154,8 @@ def turn_with_joint(
         before = speed
         angle, speed = turn(angle, speed, torque - lane(friction, 0) / (ratio * efficiency), shaft, step)
         state.transmitted[0] = load_inertia * (speed - before) / (ratio * step)
-        advance_load(parts.load, state, load(state.transmitted, 1), step, 1)
-    advance_scatter(parts.scatter, state)
+        advance_parts(parts, state, load(state.transmitted, 1), step, 1)
+    tick_parts(parts, state, load(state.transmitted, 1), dt, 1)
     return angle, speed, z
 
 
@@ -164,18 +170,18 @@ class RigPlant:
     def __init__(self, rig: Rig, seed: int) -> None:
         self.rig = rig
         self._shafts = [shaft_of(rig, loaded) for loaded in (False, True)]
-        assert rig.plant is not None  # shaft_of refuses it
-        self.parameters = rig.plant
+        assert rig.emulation is not None  # shaft_of refuses it
+        self.parameters = rig.emulation
         self._joint: RigJoint | None = None
-        if isinstance(rig.plant.joint, FrictionElement):
-            self._joint = joint_record(rig.plant.joint, rig.gear_ratio, SLICE, seed)
-        self._gear = rig.gear_ratio, rig.gear_efficiency, rig.plant.load_inertia + rig.plant.joint_inertia
+        if isinstance(rig.emulation.joint, FrictionElement):
+            self._joint = joint_record(rig.emulation.joint, rig.gear.ratio, SLICE, seed)
+        self._gear = rig.gear.ratio, rig.gear.efficiency, rig.emulation.load_inertia + rig.emulation.joint_inertia
         self.angle = self.torque = 0.0
         self.load(False)
         self._rng = np.random.default_rng(seed)
         self._scale = rig.counts_per_revolution / math.tau
         self._phase = self._rng.random()
-        self._gain = 1.0 + rig.plant.gain_error * self._rng.standard_normal()
+        self._gain = 1.0 + rig.emulation.amplifier.gain_error * self._rng.standard_normal()
         self._ramp_gain = 1.0
         self._last_count = math.floor(self._phase)
         self._noise = self._normals()
@@ -190,11 +196,11 @@ class RigPlant:
     def new_ramp(self) -> None:
         """Draw the differences from ramp to ramp: the torque's scale, and the joint's Coulomb friction."""
         p = self.parameters
-        if p.ramp_error:
-            self._ramp_gain = 1.0 + p.ramp_error * next(self._noise)
+        if p.amplifier.ramp_error:
+            self._ramp_gain = 1.0 + p.amplifier.ramp_error * next(self._noise)
         if p.joint_spread and isinstance(p.joint, JointFriction):
             drawn = max(0.0, 1.0 + p.joint_spread * next(self._noise))
-            coulomb = p.coulomb + drawn * p.joint.coulomb / self.rig.joint_scale
+            coulomb = p.motor_friction.coulomb + drawn * p.joint.coulomb / self.rig.joint_scale
             self._shafts[True] = self._shafts[True]._replace(coulomb=coulomb)
 
     def _normals(self) -> Iterator[float]:
@@ -206,11 +212,12 @@ class RigPlant:
 
         The supply limits the current against the back-EMF; the stage pushes one way only.
         """
-        p = self.parameters
         if command == 0.0:
             return 0.0
-        noise = p.torque_noise * math.sqrt(1e-3 / dt) * next(self._noise) if p.torque_noise else 0.0
-        highest = (p.supply - p.torque_constant * self.speed) / p.resistance * p.torque_constant
+        motor = self.parameters.motor
+        deviation = self.parameters.amplifier.torque_noise
+        noise = deviation * math.sqrt(1e-3 / dt) * next(self._noise) if deviation else 0.0
+        highest = (motor.supply - motor.torque_constant * self.speed) / motor.resistance * motor.torque_constant
         return max(0.0, min(self._gain * self._ramp_gain * command + noise, highest))
 
     def advance(self, command: float, dt: float) -> int:
@@ -230,4 +237,4 @@ class RigPlant:
 
     def current_reading(self) -> float:
         """Return the output of the current sense amplifier, as motor torque, Nm."""
-        return max(0.0, self.torque + self.parameters.adc_noise * next(self._noise))
+        return max(0.0, self.torque + self.parameters.amplifier.adc_noise * next(self._noise))

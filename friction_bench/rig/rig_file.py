@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Annotated, ClassVar, TypeVar
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import Field, model_validator
 
 from friction_bench.rig.messages import HelloReply, RigInputError
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import load_yaml
-from rx90_common.base.declared import Declared
-from rx90_common.base.entries import LEFT_OUT, Integer, Number, Numbers, Switch
-from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Group, Variants
-from rx90_common.friction.element import ELEMENT, FrictionElement
-from rx90_common.friction.friction_file import read_element, refuse_parts
+from rx90_common.base.models import FileModel, quantity, read_model, refusal
+from rx90_common.friction.element import FrictionElement
 
 CODES = 255
 """Highest code of both converters."""
@@ -32,91 +26,119 @@ TRAVEL_UNIT = 256
 NORMAL_95 = 1.96  # standard deviations of half a 95 % interval
 
 Value = TypeVar("Value", float, Array)
-_least_0 = partial(Number, low=0.0)
-_positive = partial(Number, low=0.0, above=True)
 
 
-@dataclass(frozen=True)
-class JointFriction(Declared):
-    """Coulomb and viscous friction of the revolute joint at the load: Nm and Nm s/rad."""
+class JointFriction(FileModel):
+    """Coulomb and viscous friction of the revolute joint at the load."""
 
-    about: ClassVar[str] = "Coulomb and viscous friction."
-
-    coulomb: Annotated[float, _least_0("Coulomb friction.", "Nm")]
-    viscous: Annotated[float, _least_0("Viscous friction.", "Nm s/rad")]
+    model: Literal["coulomb_viscous"]
+    coulomb: Annotated[float, quantity("Nm", "Coulomb friction.", ge=0.0)]
+    viscous: Annotated[float, quantity("Nm s/rad", "Viscous friction.", ge=0.0)]
 
 
-_JOINT_FRICTION = Variants(
-    "Friction of the joint, load side.",
-    key="model",
-    groups={
-        "coulomb_viscous": JointFriction.group(),
-        "lugre": Group("A LuGre element.", keys={"lugre": ELEMENT}),
-    },
-)
+class LuGreJoint(FileModel):
+    """A LuGre element of the revolute joint at the load."""
+
+    model: Literal["lugre"]
+    lugre: FrictionElement
+
+    @model_validator(mode="after")
+    def _check_parts(self) -> LuGreJoint:
+        # A run on the rig lasts minutes, and its joint does not warm in them; temperatures are a robot's.
+        if self.lugre.temperature is not None:
+            raise ValueError("lugre.temperature: the emulated rig cannot hold this part; accepted: left out")
+        return self
 
 
-@dataclass(frozen=True)
-class PlantParameters(Declared):
-    """The parameters of the emulated rig; motor side, SI, unless a declaration says load side."""
+class Motor(FileModel):
+    """The motor."""
 
-    about: ClassVar[str] = "The plant of an emulated rig; a rig without it cannot be emulated."
-    blocks: ClassVar[Mapping[str, str]] = {
-        "motor": "The motor.",
-        "amplifier": "The amplifier.",
-        "motor_friction": "Friction of motor, brushes, gear and bearings, motor side.",
-    }
+    torque_constant: Annotated[float, quantity("Nm/A", "Torque per current.", gt=0.0)]
+    resistance: Annotated[float, quantity("ohm", "Resistance of the winding.", gt=0.0)]
+    supply: Annotated[float, quantity("V", "Supply voltage.", gt=0.0)]
+    rotor_inertia: Annotated[float, quantity("kg m^2", "Rotor inertia, motor side.", gt=0.0)]
 
-    torque_constant: Annotated[float, _positive("Torque per current.", "Nm/A"), "motor.torque_constant"]
-    resistance: Annotated[float, _positive("Resistance of the winding.", "ohm"), "motor.resistance"]
-    supply: Annotated[float, _positive("Supply voltage.", "V"), "motor.supply"]
-    rotor_inertia: Annotated[float, _positive("Rotor inertia, motor side.", "kg m^2"), "motor.rotor_inertia"]
+
+class Amplifier(FileModel):
+    """The amplifier."""
+
     gain_error: Annotated[
-        float,
-        _least_0("Relative standard deviation of the gain, drawn once per rig.", "1", high=0.2),
-        "amplifier.gain_error",
+        float, quantity("1", "Relative standard deviation of the gain, drawn once per rig.", ge=0.0, le=0.2)
     ]
-    torque_noise: Annotated[
-        float, _least_0("Standard deviation of 1 ms means of the torque.", "Nm"), "amplifier.torque_noise"
-    ]
-    adc_noise: Annotated[float, _least_0("Standard deviation of a reading.", "Nm"), "amplifier.adc_noise"]
-    load_inertia: Annotated[float, _least_0("Inertia of the load shaft alone, load side.", "kg m^2")]
-    joint_inertia: Annotated[float, _least_0("Inertia that the joint adds, load side.", "kg m^2")]
-    coulomb: Annotated[float, _least_0("Coulomb friction.", "Nm"), "motor_friction.coulomb"]
-    viscous: Annotated[float, _positive("Viscous friction.", "Nm s/rad"), "motor_friction.viscous"]
-    joint: Annotated[JointFriction | FrictionElement, _JOINT_FRICTION, "joint_friction"]
-    warming: Annotated[
-        float,
-        Number(
-            "Relative change of the viscous friction with the joint coupled: a warm motor.", "1", low=-0.5, high=0.5
-        ),
-        "motor_friction.warming",
-    ] = 0.0
+    torque_noise: Annotated[float, quantity("Nm", "Standard deviation of 1 ms means of the torque.", ge=0.0)]
+    adc_noise: Annotated[float, quantity("Nm", "Standard deviation of a reading.", ge=0.0)]
     ramp_error: Annotated[
-        float,
-        _least_0("Relative standard deviation of the torque, drawn for each ramp.", "1", high=0.2),
-        "amplifier.ramp_error",
+        float, quantity("1", "Relative standard deviation of the torque, drawn for each ramp.", ge=0.0, le=0.2)
     ] = 0.0
     off_time: Annotated[
         float,
-        _least_0("For which each tick of a ramp switches the stage off; the firmware is built PULSED.", "s", high=1e-3),
-        "amplifier.off_time",
+        quantity(
+            "s",
+            "For which each tick of a ramp switches the stage off; the firmware is built PULSED.",
+            ge=0.0,
+            le=1e-3,
+        ),
     ] = 0.0
+
+
+class MotorFriction(FileModel):
+    """Friction of motor, brushes, gear and bearings, motor side."""
+
+    coulomb: Annotated[float, quantity("Nm", "Coulomb friction.", ge=0.0)]
+    viscous: Annotated[float, quantity("Nm s/rad", "Viscous friction.", gt=0.0)]
+    warming: Annotated[
+        float,
+        quantity("1", "Relative change of the viscous friction with the joint coupled: a warm motor.", ge=-0.5, le=0.5),
+    ] = 0.0
+
+
+class Emulation(FileModel):
+    """The plant of an emulated rig; a rig without it cannot be emulated."""
+
+    motor: Motor
+    amplifier: Amplifier
+    load_inertia: Annotated[float, quantity("kg m^2", "Inertia of the load shaft alone, load side.", ge=0.0)]
+    joint_inertia: Annotated[float, quantity("kg m^2", "Inertia that the joint adds, load side.", ge=0.0)]
+    motor_friction: MotorFriction
+    joint_friction: Annotated[
+        JointFriction | LuGreJoint, Field(discriminator="model", description="Friction of the joint, load side.")
+    ]
     joint_spread: Annotated[
         float,
-        _least_0("Relative standard deviation of the joint's Coulomb friction, drawn for each ramp.", "1", high=0.3),
+        quantity(
+            "1",
+            "Relative standard deviation of the joint's Coulomb friction, drawn for each ramp.",
+            ge=0.0,
+            le=0.3,
+        ),
     ] = 0.0
 
+    @model_validator(mode="after")
+    def _check_spread(self) -> Emulation:
+        if isinstance(self.joint_friction, LuGreJoint) and self.joint_spread:
+            raise refusal("joint_spread", self.joint_spread, "0, because a LuGre element has a scatter of its own")
+        return self
 
-@dataclass(frozen=True)
-class RampPlan:
-    """Ramps to run: slopes Nm/s, end torques Nm (motor side), repeats of each slope, hold of the end torque, s."""
+    @property
+    def joint(self) -> JointFriction | FrictionElement:
+        """Return the friction of the joint, load side."""
+        if isinstance(self.joint_friction, LuGreJoint):
+            return self.joint_friction.lugre
+        return self.joint_friction
 
-    slopes: tuple[float, ...]
-    end_torque: float
-    end_torque_loaded: float
-    repeats: int
-    hold: float = 0.0
+
+class RampPlan(FileModel):
+    """The ramps that are run, by default those of the file."""
+
+    slopes: Annotated[
+        tuple[Annotated[float, Field(gt=0.0, le=10.0)], ...],
+        Field(strict=False),
+        quantity("Nm/s", "Slopes; a file has two."),
+    ]
+    end_torque: Annotated[float, quantity("Nm", "End torque without the joint.", gt=0.0)]
+    end_torque_loaded: Annotated[float, quantity("Nm", "End torque with the joint.", gt=0.0)]
+    repeats: Annotated[int, Field(ge=1, le=1000, description="Ramps of each slope.")]
+    hold: Annotated[float, quantity("s", "How long the firmware holds the end torque.", ge=0.0, le=5.0)] = 0.0
 
     def end(self, loaded: bool) -> float:
         """Return the end torque under this load, Nm."""
@@ -127,64 +149,69 @@ class RampPlan:
         return self.repeats * sum(self.end(loaded) / slope + self.hold for slope in self.slopes)
 
 
-_RAMPS = Group(
-    "The ramps that are run by default.",
-    keys={
-        "slopes": Numbers("Two slopes.", "Nm/s", count=2, low=0.0, high=10.0, above=True),
-        "end_torque": _positive("End torque without the joint.", "Nm"),
-        "end_torque_loaded": _positive("End torque with the joint.", "Nm"),
-        "repeats": Integer("Ramps of each slope.", low=1, high=1000),
-        "hold": Number("How long the firmware holds the end torque.", "s", low=0.0, high=5.0, default=0.0),
-    },
-)
+class Gear(FileModel):
+    """The gear."""
+
+    ratio: Annotated[float, quantity("1", "Motor turns per turn of the load shaft.", gt=0.0)]
+    efficiency: Annotated[float, quantity("1", "Efficiency.", gt=0.0, le=1.0)]
+    efficiency_uncertainty: Annotated[float, quantity("1", "Standard uncertainty of the efficiency.", ge=0.0, le=0.5)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rig(Declared):
-    """A rig as its file describes it; torques in Nm and speeds in rad/s on the motor's side.
+class TorqueScales(FileModel):
+    """Scales of the torque; those of the converters are built into the firmware, too."""
 
-    Attributes:
-        ramps: those to run by default.
-        plant: of an emulated rig, None without one.
-    """
-
-    about: ClassVar[str] = "A friction rig: scales, limits and default ramps; motor side unless a key says load."
-    blocks: ClassVar[Mapping[str, str]] = {
-        "gear": "The gear.",
-        "torque": "Scales of the torque; those of the converters are built into the firmware, too.",
-        "limits": "What stops the rig.",
-    }
-
-    file: Path
-    counts_per_revolution: Annotated[int, Integer("Encoder counts per turn of the motor.", low=1, high=65535)]
-    tick_us: Annotated[int, Integer("Period of the firmware's reports.", "us", low=1000, high=65535)]
-    baud: Annotated[int, Integer("Rate of the serial line.", "baud", low=1200, high=1_000_000)]
-    gear_ratio: Annotated[float, _positive("Motor turns per turn of the load shaft.", "1"), "gear.ratio"]
-    gear_efficiency: Annotated[float, _positive("Efficiency.", "1", high=1.0), "gear.efficiency"]
-    efficiency_uncertainty: Annotated[
-        float, _least_0("Standard uncertainty of the efficiency.", "1", high=0.5), "gear.efficiency_uncertainty"
-    ]
-    dac_full_scale: Annotated[float, _positive("Commanded torque at code 255.", "Nm"), "torque.dac_full_scale"]
-    adc_full_scale: Annotated[float, _positive("Measured torque at code 255.", "Nm"), "torque.adc_full_scale"]
+    dac_full_scale: Annotated[float, quantity("Nm", "Commanded torque at code 255.", gt=0.0)]
+    adc_full_scale: Annotated[float, quantity("Nm", "Measured torque at code 255.", gt=0.0)]
     scale_uncertainty: Annotated[
-        float,
-        _least_0("Relative standard uncertainty of the torque scale.", "1", high=0.5),
-        "torque.scale_uncertainty",
+        float, quantity("1", "Relative standard uncertainty of the torque scale.", ge=0.0, le=0.5)
     ]
-    load_travel: Annotated[
-        float, _positive("Turns of the load shaft that one arming allows.", "1"), "limits.load_travel"
-    ]
-    speed_limit: Annotated[float, _positive("Highest speed of the motor.", "rad/s"), "limits.speed"]
     limit_lifted: Annotated[
         bool,
-        Switch(
-            f"Whether the firmware is built for this file's scales and ramps up to code {HIGHEST_END}; torques above "
-            "0.18 Nm may damage the motor."
+        Field(
+            description=f"Whether the firmware is built for this file's scales and ramps up to code {HIGHEST_END}; "
+            "torques above 0.18 Nm may damage the motor."
         ),
-        "torque.limit_lifted",
     ] = False
-    ramps: Annotated[RampPlan, _RAMPS]
-    plant: Annotated[PlantParameters | None, PlantParameters.group(LEFT_OUT), "emulation"] = None
+
+    @model_validator(mode="after")
+    def _check_scales(self) -> TorqueScales:
+        scales = {"dac_full_scale": self.dac_full_scale, "adc_full_scale": self.adc_full_scale}
+        for name, scale in scales.items():
+            if self.limit_lifted and scale > LARGEST_SCALE:
+                raise refusal(name, scale, f"with limit_lifted at most {LARGEST_SCALE} Nm")
+        return self
+
+
+class Limits(FileModel):
+    """What stops the rig."""
+
+    load_travel: Annotated[float, quantity("1", "Turns of the load shaft that one arming allows.", gt=0.0)]
+    speed: Annotated[float, quantity("rad/s", "Highest speed of the motor.", gt=0.0)]
+
+
+class RigFile(FileModel):
+    """A friction rig: scales, limits and default ramps; motor side unless a key says load."""
+
+    counts_per_revolution: Annotated[int, Field(ge=1, le=65535, description="Encoder counts per turn of the motor.")]
+    tick_us: Annotated[int, quantity("us", "Period of the firmware's reports.", ge=1000, le=65535)]
+    baud: Annotated[int, quantity("baud", "Rate of the serial line.", ge=1200, le=1_000_000)]
+    gear: Gear
+    torque: TorqueScales
+    limits: Limits
+    ramps: RampPlan
+    emulation: Emulation | None = None
+
+    @model_validator(mode="after")
+    def _check_slopes(self) -> RigFile:
+        if len(self.ramps.slopes) != 2:
+            raise refusal("ramps.slopes", self.ramps.slopes, "a list of 2 numbers")
+        return self
+
+
+class Rig(RigFile):
+    """A rig as its file describes it; torques in Nm and speeds in rad/s on the motor's side."""
+
+    file: Path
 
     @property
     def tick(self) -> float:
@@ -200,13 +227,13 @@ class Rig(Declared):
     def firmware_figures(self) -> dict[str, int]:
         """Return the figures that the firmware of an emulated rig is built for, where they are not the shipped ones."""
         figures: dict[str, int] = {}
-        if self.limit_lifted:
-            scales = {"DAC_FULL_SCALE": self.dac_full_scale, "ADC_FULL_SCALE": self.adc_full_scale}
+        if self.torque.limit_lifted:
+            scales = {"DAC_FULL_SCALE": self.torque.dac_full_scale, "ADC_FULL_SCALE": self.torque.adc_full_scale}
             figures |= {name: round(scale * 1e4) for name, scale in scales.items()}
             figures |= {"SCALE_UNIT": 100, "TORQUE_LIMIT_CODE": HIGHEST_END, "CURRENT_LIMIT_CODE": CODES - 1}
         if self.ramps.hold:
             figures["HOLD_TICKS"] = self.hold_ticks
-        if self.plant is not None and self.plant.off_time:
+        if self.emulation is not None and self.emulation.amplifier.off_time:
             figures["PULSED"] = 1
         return figures
 
@@ -218,35 +245,35 @@ class Rig(Declared):
     @property
     def joint_scale(self) -> float:
         """Return the torque at the joint for 1 Nm of the motor that drives it."""
-        return self.gear_ratio * self.gear_efficiency
+        return self.gear.ratio * self.gear.efficiency
 
     @property
     def joint_scale_uncertainty(self) -> float:
         """Return the relative standard uncertainty of all torques at the joint: calibrated scale and efficiency."""
-        return math.hypot(self.scale_uncertainty, self.efficiency_uncertainty / self.gear_efficiency)
+        return math.hypot(self.torque.scale_uncertainty, self.gear.efficiency_uncertainty / self.gear.efficiency)
 
     @property
     def joint_side_reason(self) -> str:
         """Return in words why intervals are wider on the joint's side of the gear."""
-        efficiency = self.gear_efficiency
-        error = self.efficiency_uncertainty
+        efficiency = self.gear.efficiency
+        error = self.gear.efficiency_uncertainty
         share = 100.0 * NORMAL_95 * error / efficiency
         return (
             f"torques are carried over by the gear's efficiency, {efficiency:g} ± {error:g} (standard uncertainty, of "
             f"the rig file), which alone makes 95 % intervals of ± {share:.2g} %"
         )
 
-    def torque(self, dac_code: Value) -> Value:
+    def commanded_torque(self, dac_code: Value) -> Value:
         """Return the commanded torque, Nm, of a DAC code or an array of them."""
-        return dac_code * self.dac_full_scale / CODES
+        return dac_code * self.torque.dac_full_scale / CODES
 
     def measured_torque(self, adc_code: Value) -> Value:
         """Return the torque, Nm, for an ADC code or an array of them."""
-        return adc_code * self.adc_full_scale / CODES
+        return adc_code * self.torque.adc_full_scale / CODES
 
     def end_code(self, torque: float) -> int:
         """Return the DAC code nearest to `torque`, Nm."""
-        return round(torque / self.dac_full_scale * CODES)
+        return round(torque / self.torque.dac_full_scale * CODES)
 
     def ramp_step(self, slope: float) -> int:
         """Return the firmware's ramp step nearest to `slope`, Nm/s."""
@@ -258,12 +285,12 @@ class Rig(Declared):
 
     def slope_of_step(self, step: int) -> float:
         """Return the slope, Nm/s, that the firmware runs for a ramp step."""
-        return self.torque(step / RAMP_FRACTION) / self.tick
+        return self.commanded_torque(step / RAMP_FRACTION) / self.tick
 
     def limit_codes(self) -> tuple[int, int]:
         """Return travel (units of 256 counts) and speed (counts per tick) for the LIMITS command."""
-        travel = self.load_travel * self.gear_ratio * self.counts_per_revolution
-        speed = self.speed_limit / math.tau * self.counts_per_revolution * self.tick
+        travel = self.limits.load_travel * self.gear.ratio * self.counts_per_revolution
+        speed = self.limits.speed / math.tau * self.counts_per_revolution * self.tick
         return int(travel // TRAVEL_UNIT), int(speed)
 
     def check(self, hello: HelloReply) -> None:
@@ -271,43 +298,17 @@ class Rig(Declared):
         pairs: list[tuple[str, float, float]] = [
             ("counts_per_revolution", self.counts_per_revolution, hello.counts_per_revolution),
             ("tick_us", self.tick_us, hello.tick_us),
-            ("dac_full_scale", round(self.dac_full_scale, 5), round(hello.dac_full_scale, 5)),
-            ("adc_full_scale", round(self.adc_full_scale, 5), round(hello.adc_full_scale, 5)),
+            ("dac_full_scale", round(self.torque.dac_full_scale, 5), round(hello.dac_full_scale, 5)),
+            ("adc_full_scale", round(self.torque.adc_full_scale, 5), round(hello.adc_full_scale, 5)),
             ("ramps.hold, in ticks,", self.hold_ticks, hello.hold_ticks),
         ]
-        if self.plant is not None:  # the file of a rig that cannot be emulated does not contain it
-            pairs.append(("emulation.amplifier.off_time > 0", self.plant.off_time > 0.0, hello.pulsed))
+        if self.emulation is not None:  # the file of a rig that cannot be emulated does not contain it
+            pairs.append(("emulation.amplifier.off_time > 0", self.emulation.amplifier.off_time > 0.0, hello.pulsed))
         for name, expected, firmware in pairs:
             if firmware != expected:
                 raise RigInputError(f"{self.file}: {name} is {expected}, the rig's firmware has {firmware}")
 
 
-RIG = Rig.group()
-"""What a rig file holds."""
-
-
 def load_rig(path: Path) -> Rig:
     """Read a rig file."""
-    root = load_yaml(path)
-    content = RIG.read(root)
-    plant = None
-    for name in ("dac_full_scale", "adc_full_scale"):
-        if content["torque"]["limit_lifted"] and content["torque"][name] > LARGEST_SCALE:
-            found = f"{root.where('')}torque.{name} is {content['torque'][name]:g}"
-            raise ConfigError(f"{found}; accepted with limit_lifted: at most {LARGEST_SCALE} Nm")
-    if "emulation" in content:
-        friction = content["emulation"]["joint_friction"]
-        if friction["model"] == "lugre" and content["emulation"]["joint_spread"]:
-            found = f"{root.where('')}emulation.joint_spread is {content['emulation']['joint_spread']:g}"
-            raise ConfigError(f"{found}; accepted: 0, because a LuGre element has a scatter of its own")
-        joint: JointFriction | FrictionElement
-        if friction["model"] == "lugre":
-            section = root.section("emulation").section("joint_friction").section("lugre")
-            joint = read_element(section)
-            # A run on the rig lasts minutes, and its joint does not warm in them; temperatures are a robot's.
-            held = [part for part in joint.parts if part != "temperature"]
-            refuse_parts({"lugre": joint}, "the emulated rig", section.where("").removesuffix("lugre."), held)
-        else:
-            joint = JointFriction.of_file({key: value for key, value in friction.items() if key != "model"})
-        plant = PlantParameters.of_file(content["emulation"], joint=joint)
-    return Rig.of_file(content, file=path, ramps=RampPlan(**content["ramps"]), plant=plant)
+    return Rig(file=path, **dict(read_model(RigFile, path)))

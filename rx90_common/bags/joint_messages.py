@@ -132,9 +132,9 @@ class SeriesBuilder:
             rows += [part if same else part._replace(values=part.values[:, :, columns]) for part in self._rows[content]]
         place = np.concatenate([part.place for part in rows])
         order = np.argsort(place)
-        stamp = np.array(self._times, dtype=np.int64)[place] if self._times else np.concatenate(
-            [part.stamp_ns for part in rows]
-        )  # fmt: skip
+        stamp = np.concatenate([part.stamp_ns for part in rows])
+        if self._times:
+            stamp = np.array(self._times, dtype=np.int64)[place]
         arrays = {  # one after the other: of a long bag all of them twice would be a lot of memory
             field: np.concatenate([part.values[:, k] for part in rows])[order] for k, field in enumerate(fields)
         }

@@ -79,7 +79,7 @@ class ReadLog:
         lines = [
             *(f"{plain(path)}: {dialect}" for path, dialect in zip(self.paths, self.dialects, strict=True)),
             f"{good} of {counted(self.rows, 'row')} in {seconds:.6g} s{rate}",
-            *(f"{one.topic}: {counted(len(one.names), 'joint')}" for one in self.series),
+            *(f"{series.topic}: {counted(len(series.names), 'joint')}" for series in self.series),
         ]
         return "\n".join([*lines, *([f"left out: {corrupt_text(self.corrupt)}"] if self.corrupt else [])])
 
@@ -114,7 +114,7 @@ def read_logs(
     mapping = mapping_of(paths[0], mapping)
     if len(paths) != mapping.files:
         given = counted(len(paths), "log")
-        raise BagError(f"{given}; accepted: {mapping.files}, those that {plain(mapping.file)} takes columns from")
+        raise BagError(f"{given}; accepted: {mapping.files}, those that {plain(mapping.path)} takes columns from")
     logs = [_read_log(path, mapping, number, more) for number, path in enumerate(paths, 1)]
     counts = [len(log.lines) for log in logs]
     if len(set(counts)) > 1:
@@ -124,7 +124,7 @@ def read_logs(
         assert mapping.rate is not None
         stamps: Int64Array = np.asarray(np.rint(np.arange(counts[0]) * (NANOSECONDS / mapping.rate)), dtype=np.int64)
     else:
-        stamps = logs[mapping.time[0] - 1].stamp_ns
+        stamps = logs[mapping.time.file - 1].stamp_ns
     faults = dict(logs[0].faults)
     for path, log in zip(paths[1:], logs[1:], strict=True):
         for row, reason in log.faults.items():
@@ -138,16 +138,16 @@ def read_logs(
             what = ""
             accepted = "whole rows, or rx90_bag import --skip-corrupt, to leave these out"
         raise BagError(f"{plain(paths[0])}: {what}{corrupt_text(corrupt)}; accepted: {accepted}")
-    found = []
-    for topic, mapped in mapping.topics.items():
+    series = []
+    for topic, mapped in mapping.by_topic.items():
         fields: dict[str, Any] = {}
-        for name, one in mapped.fields.items():
-            columns = logs[one.file - 1].columns
-            values = np.column_stack([columns[column] for column in one.columns])
-            fields[name] = (values * np.array(one.factor))[rows]  # a factor of 1 changes no bit
+        for name, field in mapped.fields.items():
+            columns = logs[field.file - 1].columns
+            values = np.column_stack([columns[column] for column in field.columns])
+            fields[name] = (values * np.array(field.factors))[rows]  # a factor of 1 changes no bit
         unit = mapped.effort_unit(topic)
-        found.append(JointSeries(absolute(topic), mapped.names, stamps[rows], **fields, effort_unit=unit))
-    return ReadLog(tuple(paths), tuple(log.dialect for log in logs), tuple(found), counts[0], corrupt)
+        series.append(JointSeries(absolute(topic), mapped.names or (), stamps[rows], **fields, effort_unit=unit))
+    return ReadLog(tuple(paths), tuple(log.dialect for log in logs), tuple(series), counts[0], corrupt)
 
 
 def _good_rows(stamps: Int64Array, mapping: LogMapping, faults: dict[int, str]) -> Int64Array:
@@ -157,11 +157,11 @@ def _good_rows(stamps: Int64Array, mapping: LogMapping, faults: dict[int, str]) 
         return np.asarray(rows[np.argsort(stamps[rows], kind="stable")])
     if mapping.time is None:
         return rows
-    kept = rows[_increasing(stamps[rows])]
-    for row in np.setdiff1d(rows, kept).tolist():
+    increasing = rows[_increasing(stamps[rows])]
+    for row in np.setdiff1d(rows, increasing).tolist():
         time = Decimal(int(stamps[row])) * mapping.seconds.denominator / (NANOSECONDS * mapping.seconds.numerator)
         faults[row] = f"time {quoted(f'{time:f}')} does not lie between those around it"
-    return kept
+    return increasing
 
 
 def _increasing(stamps: Int64Array) -> Int64Array:
@@ -223,8 +223,8 @@ def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int]
     time, used = _places(path, source, mapping, number)
     lines, columns, faults = source.rows([*{*used.values()}, *([] if time is None else [time])])
     values = {column: _numbers(columns[place], source.decimal) for column, place in used.items()}
-    fields = [field for topic in mapping.topics.values() for field in topic.fields.values() if field.file == number]
-    for column, factor in (pair for field in fields for pair in zip(field.columns, field.factor, strict=True)):
+    fields = [field for topic in mapping.by_topic.values() for field in topic.fields.values() if field.file == number]
+    for column, factor in (pair for field in fields for pair in zip(field.columns, field.factors, strict=True)):
         texts = columns[used[column]]
         absurd = ~(np.abs(values[column] * factor) <= (_MOST if mapping.exact else _LARGEST))  # a NaN, too
         for row in np.flatnonzero(absurd).tolist():
@@ -253,9 +253,9 @@ def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tu
                 raise BagError(f"{plain(path)}: no column {column}; accepted: 1 to {source.width}")
             return column - 1
         if source.names.count(column) != 1:
-            found = "more than one column" if column in source.names else "no column"
-            there = listed(source.names) or "no names"
-            raise BagError(f"{plain(path)}: {found} {quoted(column)}; there are {there}")
+            what = "more than one column" if column in source.names else "no column"
+            named = listed(source.names) or "no names"
+            raise BagError(f"{plain(path)}: {what} {quoted(column)}; there are {named}")
         return source.names.index(column)
 
     def compare_unit(place: int, known: Mapping[str, Any], mapped: str) -> None:
@@ -263,24 +263,24 @@ def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tu
         unit = heading.rpartition("[")[2].rstrip("]") if heading.endswith("]") else ""
         if unit in known and unit != mapped:
             raise BagError(
-                f"{plain(path)}:{mapping.header}: {quoted(heading)}, but {mapped} in {plain(mapping.file)}; "
+                f"{plain(path)}:{mapping.header}: {quoted(heading)}, but {mapped} in {plain(mapping.path)}; "
                 "accepted: the same unit in both"
             )
 
     time = None
     used = dict[Column, int]()
-    if mapping.time is not None and mapping.time[0] == number:
-        time = place_of(mapping.time[1])
+    if mapping.time is not None and mapping.time.file == number:
+        time = place_of(mapping.time.column)
         compare_unit(time, SECONDS, next(name for name, size in SECONDS.items() if size == mapping.seconds))
-    for topic, mapped in mapping.topics.items():
+    for topic, mapped in mapping.by_topic.items():
         for name, field in mapped.fields.items():
             taken = {time}
             for column in field.columns if field.file == number else ():
                 place = used[column] = place_of(column)
                 if place in taken:
-                    others = "the times" if place == time else "another joint"
+                    owner = "the times" if place == time else "another joint"
                     raise BagError(
-                        f"{plain(path)}: column {plain(column)} in {plain(topic)}.{name} is that of {others}; "
+                        f"{plain(path)}: column {plain(column)} in {plain(topic)}.{name} is that of {owner}; "
                         "accepted: a column of its own for each"
                     )
                 taken.add(place)
@@ -290,7 +290,7 @@ def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tu
 
 def _open_arrays(path: Path, more: Callable[[int], object]) -> _Source:
     """Open a log of arrays: columns of Parquet; of NPZ those of shape (n,), and each column of (n, k), as `q[0]`."""
-    there: dict[str, NDArray[Any]] = {}
+    arrays: dict[str, NDArray[Any]] = {}
     parquet = path.suffix.lower() == ".parquet"
     try:
         with library_errors():
@@ -300,21 +300,21 @@ def _open_arrays(path: Path, more: Callable[[int], object]) -> _Source:
                 table = pq.read_table(path, page_checksum_verification=True)
                 for name, column in zip(table.column_names, table.columns, strict=True):
                     if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
-                        there[name] = column.to_numpy()
+                        arrays[name] = column.to_numpy()
                     elif pa.types.is_timestamp(column.type):
-                        there[name] = column.cast(pa.timestamp("ns")).to_numpy()
+                        arrays[name] = column.cast(pa.timestamp("ns")).to_numpy()
             else:
                 for name, values in load_arrays(path).items():
                     if values.dtype.kind in "fiuM" and values.ndim == 1:
-                        there[name] = values
+                        arrays[name] = values
                     elif values.dtype.kind in "fiu" and values.ndim == 2:
-                        there |= {f"{name}[{k}]": column for k, column in enumerate(values.T)}
+                        arrays |= {f"{name}[{k}]": column for k, column in enumerate(values.T)}
     except DamagedError as error:
         raise BagError(f"{plain(path)}: is no {'Parquet' if parquet else 'NPZ'} file, or damaged ({error})") from error
-    names = list(there)
+    names = list(arrays)
 
     def rows(places: Sequence[int]) -> _Rows:
-        columns = {place: there[names[place]] for place in places}
+        columns = {place: arrays[names[place]] for place in places}
         counts = {len(column) for column in columns.values()}
         if len(counts) != 1 or 0 in counts:
             each = ", ".join(f"{plain(names[place])} {len(column)}" for place, column in columns.items())
@@ -451,10 +451,10 @@ def _stamps_ns(column: Any, decimal: str, unit_ns: int) -> Int64Array:
         column = column.astype("datetime64[ns]").astype(np.int64)
         unit_ns = 1
     inside = (column >= 0) & (column < _LAST_NS / unit_ns)  # a NaN is not
-    found = np.full(len(column), -1, dtype=np.int64)
+    stamps_ns = np.full(len(column), -1, dtype=np.int64)
     whole = np.issubdtype(column.dtype, np.integer)
-    found[inside] = column[inside] * unit_ns if whole else np.rint(column[inside] * float(unit_ns))
-    return found
+    stamps_ns[inside] = column[inside] * unit_ns if whole else np.rint(column[inside] * float(unit_ns))
+    return stamps_ns
 
 
 def _iso_ns(text: str) -> int:
@@ -494,7 +494,7 @@ def exported_logs(folder: Path) -> list[tuple[list[Path], LogMapping]]:
     for _, mapping in pairs:
         if not mapping.exact:
             raise BagError(
-                f"{plain(mapping.file)}: exact is not true; accepted in a folder: what rx90_bag export has written"
+                f"{plain(mapping.path)}: exact is not true; accepted in a folder: what rx90_bag export has written"
             )
     return pairs
 

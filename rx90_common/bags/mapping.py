@@ -23,8 +23,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
@@ -52,6 +51,7 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = {
     "effort": {"Nm": 1.0, "mNm": 1e-3, "A": 1.0, "mA": 1e-3, "rad/s^2": 1.0},
 }  # fmt: skip
 """What a unit of each field is in rad, rad/s, Nm and A; of counts, a whole turn."""
+_SCALES: Final = {unit: scale for units in UNITS.values() for unit, scale in units.items()}
 DELIMITERS: Final = {",": ",", ";": ";", "|": "|", "tab": "\t", "space": None}
 ARRAYS: Final = (".parquet", ".npz")
 """Suffixes of logs of arrays."""
@@ -107,6 +107,11 @@ class FieldColumns(FileModel):
     def turn(self) -> float | tuple[float, ...]:
         """Return the log's numbers in a whole turn, where they are counts."""
         return 1.0
+
+    @property
+    def factors(self) -> tuple[float, ...]:
+        """Return what turns the numbers of each column into SI units."""
+        return tuple((np.broadcast_to(self.factor, len(self.columns)) * _SCALES[self.unit] / self.turn).tolist())
 
 
 class EffortColumns(FieldColumns):
@@ -168,14 +173,16 @@ _JointNames: TypeAlias = Annotated[
 ]
 
 
-class _Columns(FileModel):
+class MessageColumns(FileModel):
+    """What becomes messages of joint states."""
+
     names: _JointNames | None = None
     position: PositionColumns | None = None
     velocity: VelocityColumns | None = None
     effort: EffortColumns | None = None
 
     @model_validator(mode="after")
-    def _check_columns(self) -> _Columns:
+    def _check_columns(self) -> MessageColumns:
         for name, array in self.fields.items():
             if self.names is None:
                 raise ValueError(f"has {name} and no names; accepted: names, a list of texts")
@@ -190,8 +197,13 @@ class _Columns(FileModel):
         columns = {"position": self.position, "velocity": self.velocity, "effort": self.effort}
         return {name: given for name, given in columns.items() if given is not None}
 
+    def effort_unit(self, topic: str) -> str:
+        """Return the unit of the efforts in the bag if it is not the usual one of the topic's name."""
+        unit = "" if self.effort is None else self.effort.unit.removeprefix("m")
+        return "" if unit == quantities(topic)["effort"][1] else unit
 
-class TopicColumns(_Columns):
+
+class TopicColumns(MessageColumns):
     """What becomes the messages of a topic."""
 
     names: _JointNames
@@ -211,7 +223,7 @@ class TimeColumn(FileModel):
     file: _Log = 1
 
 
-class SignalMapFile(_Columns):
+class SignalMapFile(MessageColumns):
     """What a log holds: columns of a table, or messages of a bag."""
 
     topic: Annotated[str | None, Field(description="JointState topic of a bag, or of a table with several.")] = None
@@ -272,104 +284,39 @@ MESSAGE_KEYS: Final = ("topic", "names", "gear", "coupling", "torque_constant", 
 """Those of them that describe messages; they are options of commands, too."""
 
 
-@dataclass(frozen=True)
-class FieldMapping:
-    """Where a field of the messages comes from.
+class LogMapping(SignalMapFile):
+    """A signal map as its file has it."""
 
-    Attributes:
-        file: number of the log, from 1 on.
-        columns: of each joint.
-        unit: of the log's numbers, a key of UNITS.
-        factor: turns the log's numbers of each joint into SI units.
-    """
-
-    file: int
-    columns: tuple[Column, ...]
-    unit: str
-    factor: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class TopicMapping:
-    """What becomes the messages of a topic.
-
-    Attributes:
-        names: of the joints.
-        fields: by name, of position, velocity and effort, one at least.
-    """
-
-    names: tuple[str, ...]
-    fields: Mapping[str, FieldMapping]
-
-    @classmethod
-    def of(cls, names: Sequence[str], columns: Mapping[str, FieldColumns]) -> TopicMapping:
-        """Return that of the columns of a signal map."""
-        fields: dict[str, FieldMapping] = {}
-        for name, array in columns.items():
-            factor = np.broadcast_to(array.factor, len(names)) * UNITS[name][array.unit] / np.asarray(array.turn)
-            fields[name] = FieldMapping(array.file, array.columns, array.unit, tuple(factor.tolist()))
-        return cls(tuple(names), fields)
-
-    def effort_unit(self, topic: str) -> str:
-        """Return the unit of the efforts in the bag if it is not the usual one of the topic's name."""
-        unit = self.fields["effort"].unit.removeprefix("m") if "effort" in self.fields else ""
-        return "" if unit == quantities(topic)["effort"][1] else unit
-
-
-@dataclass(frozen=True)
-class LogMapping:
-    """The description of a log's columns.
-
-    Attributes:
-        file: of the mapping.
-        topics: by name.
-        time: file and column of the times; None with a rate.
-        seconds: length of a unit of time, s.
-        rate: rows per second if there is no column of times, Hz.
-        delimiter: between columns, as in DELIMITERS; None to detect it.
-        decimal: "." or ","; None to detect it.
-        header: number of header lines; None to detect it.
-        exact: whether all numbers, also NaN and infinities, and times in any order are kept unchanged.
-        messages: values of its MESSAGE_KEYS.
-    """
-
-    file: Path
-    topics: Mapping[str, TopicMapping]
-    time: tuple[int, Column] | None
-    seconds: Fraction
-    rate: float | None
-    delimiter: str | None
-    decimal: str | None
-    header: int | None
-    exact: bool = False
-    messages: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def files(self) -> int:
-        """Return how many logs it takes columns from."""
-        used = {one.file for topic in self.topics.values() for one in topic.fields.values()}
-        return max(used | ({self.time[0]} if self.time is not None else {1}))
+    path: Path
 
     @classmethod
     def load(cls, path: Path) -> LogMapping:
         """Read a signal map."""
-        given = read_model(SignalMapFile, path)
-        named = {} if given.topics is None else given.topics.entries
-        topics = {name: TopicMapping.of(topic.names, topic.fields) for name, topic in named.items()}
-        if given.fields:
-            topics[UNNAMED] = TopicMapping.of(given.names or (), given.fields)
-        return cls(
-            path,
-            topics,
-            None if given.time is None else (given.time.file, given.time.column),
-            SECONDS["s" if given.time is None else given.time.unit],
-            given.rate,
-            given.delimiter,
-            given.decimal,
-            given.header,
-            given.exact,
-            given.model_dump(include={*MESSAGE_KEYS}, exclude_unset=True),
-        )
+        return cls(path=path, **dict(read_model(SignalMapFile, path)))
+
+    @property
+    def by_topic(self) -> dict[str, MessageColumns]:
+        """Return the columns of the messages by topic."""
+        columns: dict[str, MessageColumns] = {} if self.topics is None else {**self.topics.entries}
+        if self.fields:
+            columns[UNNAMED] = self
+        return columns
+
+    @property
+    def seconds(self) -> Fraction:
+        """Return the length of a unit of time, s."""
+        return SECONDS["s" if self.time is None else self.time.unit]
+
+    @property
+    def files(self) -> int:
+        """Return how many logs it takes columns from."""
+        used = [array.file for columns in self.by_topic.values() for array in columns.fields.values()]
+        return max([*used, 1 if self.time is None else self.time.file])
+
+    @property
+    def messages(self) -> dict[str, Any]:
+        """Return the values of its MESSAGE_KEYS."""
+        return self.model_dump(include={*MESSAGE_KEYS}, exclude_defaults=True)
 
 
 def is_table(path: Path) -> bool:
@@ -385,8 +332,8 @@ def mapping_of(path: Path, mapping: LogMapping | None = None) -> LogMapping:
             f"{plain(path)}: no signal map {plain(default_file.name)} beside it; accepted: that file, or --signals FILE"
         )
     found = LogMapping.load(default_file) if mapping is None else mapping
-    if not found.topics:
-        raise BagError(f"{plain(found.file)}: names no columns of {plain(path)}; accepted: such as position")
+    if not found.by_topic:
+        raise BagError(f"{plain(found.path)}: names no columns of {plain(path)}; accepted: such as position")
     return found
 
 

@@ -116,12 +116,12 @@ class LogOrder:
     def add(self, arrived: Sequence[Arrived]) -> None:
         """Take the messages that have arrived since the last call."""
         self._known = [] if self._newest is None else [self._since_ever(self._newest)]
-        for each in (each for each in arrived if len(each.messages)):
-            self.held_bytes += each.total
-            gives_time = each.source is TimeSource.CLOCK and each.topic not in self.other_clock
-            if not (gives_time and self._date_by_stamps(each)):
-                self._undated.append(each)
-        undated_bytes = sum(each.total for each in self._undated)
+        for batch in (batch for batch in arrived if batch.messages):
+            self.held_bytes += batch.total
+            gives_time = batch.source is TimeSource.CLOCK and batch.topic not in self.other_clock
+            if not (gives_time and self._date_by_stamps(batch)):
+                self._undated.append(batch)
+        undated_bytes = sum(batch.total for batch in self._undated)
         if self._newest is not None or self._by_reception or undated_bytes > _MAX_UNDATED_BYTES:
             self._date_others()
 
@@ -205,27 +205,27 @@ class LogOrder:
         """Assign log times: from the stamps, if they are of the clock of this log, else from the reception."""
         undated = self._undated
         self._undated = []
-        for each in undated:
-            stamps = _stamps_ns(each.messages, each.source)
+        for batch in undated:
+            stamps = _stamps_ns(batch.messages, batch.source)
             if self._newest is not None:
                 # The newest log times before reception, and by how much they were ahead of the stamps.
                 known = np.concatenate(self._known, axis=1)
                 known = known[:, np.argsort(known[0], kind="stable")]
-                at = np.searchsorted(known[0], each.received_ns) - 1
+                at = np.searchsorted(known[0], batch.received_ns) - 1
                 now, ahead = np.maximum.accumulate(known[1:], axis=1)[:, at]
-                if each.sent_ns is not None and self._first is not None and self._next_cut == 0:
+                if batch.sent_ns is not None and self._first is not None and self._next_cut == 0:
                     began_ns, first = self._first
-                    now = np.where((each.sent_ns < began_ns) & (stamps == 0), first, now)
+                    now = np.where((batch.sent_ns < began_ns) & (stamps == 0), first, now)
             else:
                 if self._ahead is None:
-                    self._ahead = int(stamps[0] - each.received_ns[0]) if stamps[0] else 0
-                now = each.received_ns + self._ahead
+                    self._ahead = int(stamps[0] - batch.received_ns[0]) if stamps[0] else 0
+                now = batch.received_ns + self._ahead
                 ahead = np.zeros_like(stamps)
             stamped = stamps > 0
             other = stamped & (np.abs(stamps + ahead - now) >= OTHER_CLOCK_NS)
             if other.any():
-                self.other_clock[each.topic] += int(other.sum())
-            self._hold(each, np.where(stamped & ~other, stamps + ahead, now))
+                self.other_clock[batch.topic] += int(other.sum())
+            self._hold(batch, np.where(stamped & ~other, stamps + ahead, now))
 
 
 def head_stamps_ns(messages: Sequence[bytes]) -> Int64Array:

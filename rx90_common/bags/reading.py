@@ -13,10 +13,12 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import chain
 from operator import attrgetter, itemgetter
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated, Any
 
+from pydantic import ConfigDict, Field
 from rosbags.typesys import Stores, get_typestore
 
 from rx90_common.bags.joint_messages import SeriesBuilder
@@ -25,9 +27,8 @@ from rx90_common.bags.limits import DamagedError
 from rx90_common.bags.mapping import LogMapping, is_table
 from rx90_common.bags.storage import ACCEPTED, BagTopic, StorageFile, full_type, open_storage
 from rx90_common.bags.topics import EFFORT_UNIT, JOINT_STATE, absolute
-from rx90_common.base.config import load_yaml
-from rx90_common.base.entries import Integer, Text, Texts
 from rx90_common.base.errors import BagError, ConfigError, located
+from rx90_common.base.models import Model, Names, read_model
 from rx90_common.base.quoting import counted, listed, plain
 
 __all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_states"]
@@ -37,7 +38,39 @@ Progress = Callable[[int, int], None]
 FILE = "metadata.yaml"
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _PART = re.compile(r"(.+)_([0-9]+)(\..+)", re.DOTALL)  # of a recording that was split: NAME_0.mcap, NAME_1.mcap, ...
-_MESSAGES = Integer("", low=0, high=1 << 62)
+
+
+class _TopicMetadata(Model):
+    model_config = ConfigDict(extra="ignore")
+
+    name: str
+    type: str
+
+
+class _TopicCount(Model):
+    model_config = ConfigDict(extra="ignore")
+
+    topic_metadata: _TopicMetadata
+    message_count: Annotated[int, Field(ge=0)]
+
+
+class _Information(Model):
+    model_config = ConfigDict(extra="ignore")
+
+    topics_with_message_count: Annotated[tuple[_TopicCount, ...], Field(strict=False)]
+    relative_file_paths: Names
+    message_count: Annotated[int, Field(ge=0)]
+    custom_data: dict[str, Any] | None = None
+
+
+class _Metadata(Model):
+    """The part of rosbag2's metadata that is used."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    rosbag2_bagfile_information: _Information
+
+
 _STEP = 8192  # messages between two reports of progress
 _typestore = cache(get_typestore)
 
@@ -174,7 +207,7 @@ class BagReader:
         """Return the series of these topics of joint states."""
         names = [topic.name for topic in topics]
         if self.table:
-            series = {one.topic: [one] for one in self.table if one.topic in names}
+            series = {series.topic: [series] for series in self.table if series.topic in names}
             return JointBag(self.path, self.topics, series, self.notes)
         builders: dict[int, SeriesBuilder] = {}  # to hash a topic takes 0.5 us
         for topic in topics:
@@ -196,22 +229,19 @@ class BagReader:
     def _read_metadata(self) -> Counter[tuple[str, str]] | None:
         """Find files and units of efforts in metadata.yaml; return the messages of each topic and type, if any."""
         try:
-            root = load_yaml(self.path / FILE, "the metadata of a rosbag2 folder").section(
-                "rosbag2_bagfile_information"
-            )
-            counts: Counter[tuple[str, str]] = Counter()
-            for topic in root.sections("topics_with_message_count"):
-                about = topic.section("topic_metadata")
-                count = _MESSAGES.take(topic, "message_count")
-                counts[Text("").take(about, "name"), full_type(Text("").take(about, "type"))] += count
-            self.files = [self.path / PurePosixPath(file).name for file in Texts("").take(root, "relative_file_paths")]
-            total = _MESSAGES.take(root, "message_count")
+            metadata = read_model(_Metadata, self.path / FILE, "the metadata of a rosbag2 folder")
         except ConfigError as error:
             raise BagError(f"{plain(self.path)}: {str(error).removeprefix(f'{plain(self.path)}/')}") from error
-        custom = root.content.get("custom_data")
-        for key, value in custom.items() if isinstance(custom, dict) else ():
-            if str(key).startswith(EFFORT_UNIT):
-                self.effort_units[str(key).removeprefix(EFFORT_UNIT)] = plain(value)
+        information = metadata.rosbag2_bagfile_information
+        counts: Counter[tuple[str, str]] = Counter()
+        for topic in information.topics_with_message_count:
+            about = topic.topic_metadata
+            counts[about.name, full_type(about.type)] += topic.message_count
+        self.files = [self.path / PurePosixPath(file).name for file in information.relative_file_paths]
+        total = information.message_count
+        for key, value in (information.custom_data or {}).items():
+            if key.startswith(EFFORT_UNIT):
+                self.effort_units[key.removeprefix(EFFORT_UNIT)] = plain(value)
         if self.files and total != counts.total():
             raise self._disagreement(f"{counted(total, 'message')} in all, its topics add up to {counts.total()}")
         for file in self.files:
@@ -230,10 +260,12 @@ class BagReader:
         if not files:
             raise BagError(f"{where}: not a bag, or an emptied one: no .mcap or .db3 file in it; accepted: {ACCEPTED}")
         if len(files) > 1:
-            parts = sorted((part[1], part[3], int(part[2]), file)
-                           for file in files if (part := _PART.fullmatch(file.name)))  # fmt: skip
-            expected = [(*parts[0][:2], parts[0][2] + k) for k in range(len(files))] if parts else []
-            if not parts or [part[:3] for part in parts] != expected:
+            parts = sorted(
+                (part[1], part[3], int(part[2]), file) for file in files if (part := _PART.fullmatch(file.name))
+            )
+            if not parts or [part[:3] for part in parts] != [
+                (*parts[0][:2], parts[0][2] + k) for k in range(len(files))
+            ]:
                 raise BagError(
                     f"{where}: {FILE} is missing, and {listed(file.name for file in files)} are not the "
                     "parts of one recording; accepted: NAME_0.mcap, NAME_1.mcap and so on without a gap, or each file "
@@ -250,7 +282,7 @@ class BagReader:
     def _messages(
         self, file: Path, storage: StorageFile, wanted: dict[tuple[str, str, str], BagTopic]
     ) -> Iterator[tuple[BagTopic, int, bytes]]:
-        topics = {key: topic for key, one in storage.topics.items() if (topic := wanted.get(one.identity))}
+        topics = {key: wanted[t.identity] for key, t in storage.topics.items() if t.identity in wanted}
         read = 0
         expected = sum(storage.topics[key].count for key in topics)
         with self._damage(file):
@@ -293,28 +325,32 @@ class JointBag:
     @property
     def begin_ns(self) -> int:
         """Return the first stamp, ns."""
-        stamps = [int(one.stamp_ns.min()) for found in self.series.values() for one in found if len(one.stamp_ns)]
+        series = chain.from_iterable(self.series.values())
+        stamps = [int(part.stamp_ns.min()) for part in series if len(part.stamp_ns)]
         if not stamps:
             raise BagError(f"{plain(self.path)}: holds no JointState message, so it has no start to be aligned")
         return min(stamps)
 
     def one(self, topic: str, names: Sequence[str] | None = None, remedy: str = "say which joints") -> JointSeries:
         """Return the series of a topic that has these joints, in this order; by default its only one."""
-        found = self.series[topic]
-        if not found:
+        sets = self.series[topic]
+        if not sets:
             raise BagError(f"{plain(self.path)}: no messages in {plain(topic)}")
         if names is not None:
-            fitting = [series for series in found if set(names) <= set(series.names)]
+            fitting = [series for series in sets if set(names) <= set(series.names)]
             with located(plain(self.path)):
-                return (fitting or found)[0].select(names)
-        if len(found) > 1:
-            sets = "; ".join(", ".join(map(plain, series.names)) for series in found)
-            raise BagError(f"{plain(self.path)}: {plain(topic)} carries several sets of joints: {sets}; {remedy}")
-        return found[0]
+                return (fitting or sets)[0].select(names)
+        if len(sets) > 1:
+            joints = "; ".join(", ".join(map(plain, series.names)) for series in sets)
+            raise BagError(f"{plain(self.path)}: {plain(topic)} carries several sets of joints: {joints}; {remedy}")
+        return sets[0]
 
     def moved(self, shift_ns: int) -> JointBag:
         """Return the same with stamps that much later, ns."""
-        later = {t: [replace(one, stamp_ns=one.stamp_ns + shift_ns) for one in s] for t, s in self.series.items()}
+        later = {
+            topic: [replace(series, stamp_ns=series.stamp_ns + shift_ns) for series in sets]
+            for topic, sets in self.series.items()
+        }
         return replace(self, series=later)
 
 

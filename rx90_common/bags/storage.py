@@ -58,13 +58,13 @@ _MESSAGE = struct.Struct("<BQHIQQ")  # the same, channel, sequence number, log t
 _FOOTER = struct.Struct("<QQI")  # places of summary and offsets, checksum
 _CDR = "cdr"
 _ROS1 = "ros1"
-_CHECKS = (
-    "PRAGMA integrity_check(1)",  # tables against indexes, page by page
+# Queries of a database before its messages are read.
+_INTEGRITY = "PRAGMA integrity_check(1)"  # tables against indexes, page by page
+_FOREIGN = (
     "SELECT count(*) FROM messages WHERE typeof(id) != 'integer' OR typeof(timestamp) != 'integer' "
-    "OR typeof(data) != 'blob' OR topic_id NOT IN (SELECT id FROM topics)",
-    "SELECT count(*), min(id), max(id) FROM messages",
+    "OR typeof(data) != 'blob' OR topic_id NOT IN (SELECT id FROM topics)"
 )
-"""Query of a database before its messages are read."""
+_NUMBERS = "SELECT count(*), min(id), max(id) FROM messages"
 
 LoggedMessage: TypeAlias = tuple[int, int, bytes]
 """Key of the topic, log time in ns, message."""
@@ -224,7 +224,8 @@ class _McapFile(StorageFile):
         """Yield messages of these channels by chunk, each with the first time of the later chunks."""
         if not self._chunks:
             messages = [record for record in self._records() if isinstance(record, Message)]
-            yield [(one.channel_id, one.log_time, one.data) for one in messages if one.channel_id in keys], _LAST_NS
+            logged = ((message.channel_id, message.log_time, message.data) for message in messages)
+            yield [message for message in logged if message[0] in keys], _LAST_NS
             return
         chunks = [
             index
@@ -352,9 +353,11 @@ class _SqliteFile(StorageFile):
 
     def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
         with library_errors():  # also MemoryError, of a length that is damaged
-            (found,), (foreign,), (count, first, last) = (self._database.execute(one).fetchone() for one in _CHECKS)
-            if found != "ok":
-                raise DamagedError(plain(found))
+            (verdict,) = self._database.execute(_INTEGRITY).fetchone()
+            (foreign,) = self._database.execute(_FOREIGN).fetchone()
+            count, first, last = self._database.execute(_NUMBERS).fetchone()
+            if verdict != "ok":
+                raise DamagedError(plain(verdict))
             if foreign:
                 raise DamagedError(f"{foreign:,} messages are of no topic, or have no number, time or content")
             if count and (lost := last - min(first, 1) + 1 - count):  # rows are numbered from 1 on

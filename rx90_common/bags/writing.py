@@ -56,10 +56,12 @@ _VALUE_ARRAYS = {"byte": np.uint8, "bool": np.bool_, "integer": np.int64, "doubl
 _MESSAGE = 0x05
 _CHUNK_BYTES: Final = 1 << 20  # a chunk that is larger is closed, as rosbags does
 _RECORD_HEAD: Final = 9  # op code and length
-_MESSAGE_HEAD: Final = np.dtype([
-    ("code", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"),
-    ("published_ns", "<u8"),
-])  # fmt: skip
+_MESSAGE_HEAD: Final = np.dtype(
+    {
+        "names": ["code", "length", "channel", "sequence", "log_ns", "published_ns"],
+        "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8"],
+    }
+)
 # at the end of a file; a checksum of 4 bytes ends the footer
 _FOOTER_BYTES = 20
 _MAGIC_BYTES = 8
@@ -181,7 +183,8 @@ class BagWriter:
 
     def __init__(self, path: Path | str, storage: str = "mcap", *, named: Path | None = None) -> None:
         self.path = Path(path)
-        self._named, self._stays = (self.path, True) if named is None else (named, False)
+        self._named = named or self.path
+        self._stays = named is None
         if storage not in STORAGES:
             raise BagError(f"storage is {quoted(storage)}; accepted: {', '.join(STORAGES)}")
         check_bag_name(self.path)
@@ -193,7 +196,9 @@ class BagWriter:
             )
         self._unchecked_bytes = 0
         self._checkpoint_ns = 0
-        self._opened = self._closed = self._has_messages = False
+        self._opened = False
+        self._closed = False
+        self._has_messages = False
         self._above = [folder for folder in self.path.parents if not folder.exists()]  # made with it
         with self._failures():
             self._writer = _BatchWriter(
@@ -271,16 +276,17 @@ class BagWriter:
                 storage.write_many(number[rows], log_ns[rows], messages[rows])
                 writer.min_timestamp = min(writer.min_timestamp, int(log_ns[rows].min()))
                 writer.max_timestamp = max(writer.max_timestamp, int(log_ns[rows].max()))
-                for each, count in zip(*np.unique(number[rows], return_counts=True), strict=True):
-                    writer.counts[int(each)] += int(count)
+                for connection, count in zip(*np.unique(number[rows], return_counts=True), strict=True):
+                    writer.counts[int(connection)] += int(count)
                 self._unchecked_bytes += int(size[rows].sum())
                 if self._unchecked_bytes > _BYTES_PER_SPACE_CHECK:
-                    self._unchecked_bytes, free = 0, shutil.disk_usage(self.path).free
+                    self._unchecked_bytes = 0
+                    free = shutil.disk_usage(self.path).free
                     if free < _RESERVE_BYTES:
+                        whole = "; what was written is whole" if self._stays else ""
                         raise BagWriteError(
                             f"{plain(self._named)}: stopped at t = {last / NANOSECONDS:.6f} s, as the disk is nearly "
-                            f"full ({free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more)"
-                            f"{'; what was written is whole' * self._stays}"
+                            f"full ({free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more){whole}"
                         )
                 if last >= self._checkpoint_ns + _CHECKPOINT_NS:
                     self._checkpoint_ns = last
@@ -314,8 +320,10 @@ class BagWriter:
             reason = error.strerror if isinstance(error, OSError) else str(error)
             # What is refused before anything is written is the user's to mend: another folder, another name.
             failed = self._opened or getattr(error, "errno", None) in DISK_ERRORS
-            half = "; what was written before stays, and rx90_bag info says how much of it is whole"
-            text = f"{plain(self._named)}: cannot be written ({reason}){half * (self._opened and self._stays)}"
+            half = ""
+            if self._opened and self._stays:
+                half = "; what was written before stays, and rx90_bag info says how much of it is whole"
+            text = f"{plain(self._named)}: cannot be written ({reason}){half}"
             raise (BagWriteError if failed else BagError)(text) from error
 
 
@@ -389,17 +397,17 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         with hidden_folder(path) as folder:
             yield folder
-            for one in folder.iterdir():
-                target = path.parent / one.name
+            for made in folder.iterdir():
+                target = path.parent / made.name
                 try:
-                    if one.is_dir():
-                        one.rename(target)
+                    if made.is_dir():
+                        made.rename(target)
                     else:  # a file that another process has written meanwhile stays
-                        os.link(one, target)
+                        os.link(made, target)
                 except OSError:  # also of a file system without hard links
                     if os.path.lexists(target):
                         raise
-                    one.rename(target)
+                    made.rename(target)
     except OSError as error:
         if os.path.lexists(path):  # also if somebody else was faster
             raise BagError(f"{plain(path)} exists already, not overwriting.") from error
@@ -438,29 +446,29 @@ def write_joint_states(
         ExchangeError: for a joint name or a stamp that a message cannot contain.
     """
     path = Path(path)
-    topics = [absolute(one.topic) for one in series]
+    topics = [absolute(part.topic) for part in series]
     if len(set(topics)) != len(topics):
         raise BagError(f"{path}: topics {', '.join(topics)}; accepted: each topic once")
     check_bag_name(path)
     with named_at_the_end(path) as folder, BagWriter(folder / path.name, storage, named=path) as bag:
-        numbers = [bag.add_topic(one.topic, JOINT_STATE, [offered_qos()]).id for one in series]
-        for one in series:
-            bag.say_unit(one.topic, one.effort_unit)
-        others: dict[str, int] = {}
+        numbers = [bag.add_topic(topic, JOINT_STATE, [offered_qos()]).id for topic in topics]
+        for part in series:
+            bag.say_unit(part.topic, part.effort_unit)
+        numbers_of: dict[str, int] = {}
         for message in messages:
-            if message.topic not in others:
+            if message.topic not in numbers_of:
                 qos = offered_qos(transient_local=message.transient_local)
-                others[message.topic] = bag.add_topic(message.topic, message.msgtype, [qos]).id
-        encoders = [_encoder(one) for one in series]
+                numbers_of[message.topic] = bag.add_topic(message.topic, message.msgtype, [qos]).id
+        encoders = [*map(_encoder, series)]
         encoders.append(lambda rows: [messages[row].cdr for row in rows.tolist()])
-        stamps = [one.stamp_ns for one in series]
+        stamps = [part.stamp_ns for part in series]
         stamps.append(np.array([message.log_ns for message in messages], dtype=np.int64))
         counts = [len(stamp) for stamp in stamps]
         log_ns = np.concatenate(stamps)
         source = np.repeat(np.arange(len(counts)), counts)
         row = np.concatenate([np.arange(count) for count in counts])
         number = np.repeat([*numbers, 0], counts)
-        number[len(number) - len(messages) :] = [others[message.topic] for message in messages]
+        number[len(number) - len(messages) :] = [numbers_of[message.topic] for message in messages]
         order = np.argsort(log_ns, kind="stable")
         for begin in range(0, len(order), _MESSAGES_AT_ONCE):
             rows = order[begin : begin + _MESSAGES_AT_ONCE]

@@ -13,7 +13,8 @@ accepted. What is accepted comes from the field's JSON schema, or from `accepted
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias, TypeVar
@@ -58,7 +59,7 @@ class Model(BaseModel):
         frozen=True, strict=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants"
     )
 
-    def __iter__(self) -> Iterator[tuple[str, Any]]:  # type: ignore[override] - of pydantic, a generator
+    def __iter__(self) -> Generator[tuple[str, Any], None, None]:
         """Yield names and values of the fields, and not what has been computed of them."""
         fields = type(self).model_fields
         yield from ((name, value) for name, value in self.__dict__.items() if name in fields)
@@ -117,6 +118,10 @@ class Named(FileModel, Generic[Item]):
     def entries(self) -> dict[str, Item]:
         """Return the values by name."""
         return self.__pydantic_extra__
+
+    def __getitem__(self, name: str) -> Item:
+        """Return the value of this name."""
+        return self.__pydantic_extra__[name]
 
 
 class Some(Named[Item], Generic[Item]):
@@ -268,6 +273,8 @@ def _with_units(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     named = {key: _with_units(item) for key, item in value.items()}
+    if named.get("default") == math.inf:  # which JSON has no number for
+        del named["default"]
     properties = named.get("properties", {})
     for key in FileModel.about_keys:
         if isinstance(properties, dict) and key in properties:
@@ -285,12 +292,13 @@ def unit_of(model: type[BaseModel], field: str) -> str:
 
 
 def unit_at(root: JsonSchema, place: Place, content: Any) -> str:
-    """Return the unit of the value, or of the values in a list, at a place of a file; empty if it has none."""
-    node = schema_at(root, place, content)
-    for kind in (node, *node.get("anyOf", ())):
-        for schema in (kind, _resolved(kind.get("items", {}), root)):
-            if "unit" in schema:
-                return str(schema["unit"])
+    """Return the unit of the value, or of the values in a list or mapping, at a place; empty if it has none."""
+    for end in range(len(place), 0, -1):
+        node = schema_at(root, place[:end], content)
+        for kind in (node, *node.get("anyOf", ())):
+            for schema in (kind, _resolved(kind.get("items", {}), root)):
+                if "unit" in schema:
+                    return str(schema["unit"])
     return ""
 
 

@@ -222,7 +222,7 @@ class Encoders(FileModel):
     """Encoders of all motors."""
 
     counts_per_revolution: Annotated[
-        int, quantity("1", "Encoder counts per motor revolution.", ge=16, le=2**40, path="encoder_counts")
+        int, quantity("1", "Encoder counts per motor revolution.", ge=16, le=2**30, path="encoder_counts")
     ]
     velocity_bandwidth: Annotated[
         float, quantity("Hz", "Bandwidth of the drive's velocity observer.", gt=0.0, path="velocity_bandwidth")

@@ -1,14 +1,9 @@
-"""Friction elements in compiled code: records and tuples of their parameters, steps of their bristles of all kinds.
-
-`load_elements`, `one_element`, `lane_of` and `with_present` name every parameter once each; they are written here from
-the declarations in FrictionElement, so that a new parameter needs no line of its own.
-"""
+"""Friction elements in compiled code: records and tuples of their parameters, steps of their bristles of all kinds."""
 
 from __future__ import annotations
 
-from collections import namedtuple
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,23 +11,26 @@ from numpy.typing import NDArray
 from rx90_common.base.arrays import Array
 from rx90_common.friction.bristle import bristle_step, friction_torque
 from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
-from rx90_common.friction.element import FRICTION_PARAMETERS, SIGNS, FrictionElement
-from rx90_common.friction.maxwell_slip import (
-    MAX_BLOCKS,
-    blocks_dtype,
-    maxwell_slip_step,
-    maxwell_slip_torque,
-    weighted_squares,
-)
-from rx90_common.friction.parts.bristles import fill_bristles
+from rx90_common.friction.element import FrictionElement
+from rx90_common.friction.maxwell_slip import maxwell_slip_step, maxwell_slip_torque, weighted_squares
+from rx90_common.friction.parts.bristles import bristles_dtype, bristles_state_dtype, fill_bristles
+from rx90_common.friction.signs import SIGNS
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, lane, load, select, store
 
-_SIGNED = {f"{'inverse_' * one.inverse}{one.name}": one.signed for one in FRICTION_PARAMETERS}
 
-Elements: Any = namedtuple("Elements", list(_SIGNED))  # type: ignore[misc]  # declared in FrictionElement
-"""One or more elements: numbers of one, or lanes of several; torques as (positive, negative), omega_s and omega_d as
-`inverse_omega_s` and `inverse_omega_d`, the others by the names of FrictionElement."""
+class Elements(NamedTuple):
+    """One or more elements: numbers of one, or lanes of several; torques as (positive, negative)."""
+
+    tau_c: tuple[Any, Any]
+    tau_s: tuple[Any, Any]
+    inverse_omega_s: Any
+    delta: Any
+    c0: Any
+    c1: Any
+    c2: Any
+    inverse_omega_d: Any
+    alpha: Any
 
 
 def elements_dtype(width: int) -> np.dtype[np.void]:
@@ -40,90 +38,104 @@ def elements_dtype(width: int) -> np.dtype[np.void]:
 
     The fields are those of `Elements`. The torques have a row for each of SIGNS; v = 0 counts as positive.
     """
-    shapes = {name: (len(SIGNS), width) if signed else (width,) for name, signed in _SIGNED.items()}
-    return np.dtype([(name, np.float64, shape) for name, shape in shapes.items()], align=True)
+    signed = (len(SIGNS), width)
+    return np.dtype(
+        [
+            ("tau_c", np.float64, signed),
+            ("tau_s", np.float64, signed),
+            ("inverse_omega_s", np.float64, (width,)),
+            ("delta", np.float64, (width,)),
+            ("c0", np.float64, (width,)),
+            ("c1", np.float64, (width,)),
+            ("c2", np.float64, (width,)),
+            ("inverse_omega_d", np.float64, (width,)),
+            ("alpha", np.float64, (width,)),
+        ],
+        align=True,
+    )
 
 
 def element_arrays(elements: Sequence[FrictionElement]) -> np.ndarray[Any, Any]:
     """Return elements as compiled code reads them, shape (1,), dtype `elements_dtype(len(elements))`."""
     arrays = np.zeros(1, elements_dtype(len(elements)))
-    for name, parameter in zip(_SIGNED, FRICTION_PARAMETERS, strict=True):
-        values = np.array([[getattr(element, name) for element in elements] for name in parameter.attributes])
-        arrays[name] = 1.0 / values if parameter.inverse else values
+    record = arrays[0]
+    for e, element in enumerate(elements):
+        record["tau_c"][:, e] = element.tau_c.positive, element.tau_c.negative
+        record["tau_s"][:, e] = element.tau_s.positive, element.tau_s.negative
+        record["inverse_omega_s"][e] = 1.0 / element.omega_s
+        record["delta"][e] = element.delta
+        record["c0"][e] = element.c0
+        record["c1"][e] = element.c1
+        record["c2"][e] = element.c2
+        record["inverse_omega_d"][e] = 1.0 / element.omega_d
+        record["alpha"][e] = element.alpha
     return arrays
 
 
-def _written(decorate: Callable[[Any], Any], head: str, value: Callable[[str], str]) -> Any:
-    """Return a compiled function with this head that gives Elements of `value` of each of their fields.
-
-    Args:
-        decorate: `kernel` or `inlined`.
-        head: name and arguments.
-        value: text of the value, for the name of a field, of torques with the index of the sign.
-    """
-    given = [
-        f"({value(f'{name}[0]')}, {value(f'{name}[1]')})" if signed else value(name) for name, signed in _SIGNED.items()
-    ]
-    source = compile(f"def {head}:\n    return Elements({', '.join(given)})\n", __file__, "exec")
-    scope = {"Elements": Elements, "load": load, "lane": lane, "__name__": __name__}
-    exec(source, scope)
-    return decorate(scope[head.partition("(")[0]])
-
-
-def _place(name: str) -> str:
-    """Return the text of one element's place in a record, for the name of a field."""
-    return f"arrays.{name.replace(']', ', index]')}" if name.endswith("]") else f"arrays.{name}[index]"
-
-
-load_elements = _written(inlined, "load_elements(arrays, width)", lambda name: f"load(arrays.{name}, width)")
-"""Return all elements of a record of `elements_dtype(width)`, a lane for each; `width` is a literal."""
-
-one_element = _written(kernel, "one_element(arrays, index)", _place)
-"""Return one element of such a record, in plain numbers."""
-
-lane_of = _written(inlined, "lane_of(element, index)", lambda name: f"lane(element.{name}, index)")
-"""Return one of several elements that are lanes, in plain numbers."""
-
-_PRESENT = ("tau_c", "tau_s", "inverse_omega_s", "c2")
-with_present = _written(
-    inlined,
-    f"with_present(element, {', '.join(_PRESENT)})",
-    lambda name: name if name.partition("[")[0] in _PRESENT else f"element.{name}",
-)
-"""Return elements with others in place of those that the parts change from step to step."""
-
-
-def bristles_dtype(width: int) -> np.dtype[np.void]:
-    """Return the type of the constants of `width` elements' bristles."""
-    return np.dtype(
-        [
-            ("elastic_used", np.int64),  # 1 if any element is elasto-plastic
-            ("blocks_used", np.int64),  # 1 if any element has blocks
-            ("elastic", np.float64, (width,)),  # 1 where it is elasto-plastic
-            ("blocked", np.int64, (width,)),  # 1 where it has blocks
-            ("break_away", np.float64, (width,)),
-            ("blocks", blocks_dtype(width)),
-        ],
-        align=True,
+@inlined
+def load_elements(arrays: Any, width: int) -> Elements:
+    """Return all elements of a record of `elements_dtype(width)`, a lane for each; `width` is a literal."""
+    return Elements(
+        (load(arrays.tau_c[0], width), load(arrays.tau_c[1], width)),
+        (load(arrays.tau_s[0], width), load(arrays.tau_s[1], width)),
+        load(arrays.inverse_omega_s, width),
+        load(arrays.delta, width),
+        load(arrays.c0, width),
+        load(arrays.c1, width),
+        load(arrays.c2, width),
+        load(arrays.inverse_omega_d, width),
+        load(arrays.alpha, width),
     )
 
 
-def bristles_state_dtype(width: int) -> np.dtype[np.void]:
-    """Return the type of the bristles' state besides the deflection that every element has."""
-    return np.dtype(
-        [
-            ("blocks", np.float64, (width, 2, MAX_BLOCKS)),  # deflections and senses, as `maxwell_slip_step` has them
-            ("deflection", np.float64, (width,)),  # workspace of a step
-            ("torque", np.float64, (width,)),
-        ],
-        align=True,
+@kernel
+def one_element(arrays: Any, index: int) -> Elements:
+    """Return one element of such a record, in plain numbers."""
+    return Elements(
+        (arrays.tau_c[0, index], arrays.tau_c[1, index]),
+        (arrays.tau_s[0, index], arrays.tau_s[1, index]),
+        arrays.inverse_omega_s[index],
+        arrays.delta[index],
+        arrays.c0[index],
+        arrays.c1[index],
+        arrays.c2[index],
+        arrays.inverse_omega_d[index],
+        arrays.alpha[index],
     )
 
 
 @inlined
-def reset_bristles(state: Any) -> None:
-    """Put all blocks at rest; the elements' deflections are the caller's."""
-    state.blocks[:] = 0.0
+def lane_of(element: Elements, index: int) -> Elements:
+    """Return one of several elements that are lanes, in plain numbers."""
+    return Elements(
+        (lane(element.tau_c[0], index), lane(element.tau_c[1], index)),
+        (lane(element.tau_s[0], index), lane(element.tau_s[1], index)),
+        lane(element.inverse_omega_s, index),
+        lane(element.delta, index),
+        lane(element.c0, index),
+        lane(element.c1, index),
+        lane(element.c2, index),
+        lane(element.inverse_omega_d, index),
+        lane(element.alpha, index),
+    )
+
+
+@inlined
+def with_present(
+    element: Elements, tau_c: tuple[Lanes, Lanes], tau_s: tuple[Lanes, Lanes], inverse_omega_s: Lanes, c2: Lanes
+) -> Elements:
+    """Return elements with others in place of those that the parts change from step to step."""
+    return Elements(
+        tau_c,
+        tau_s,
+        inverse_omega_s,
+        element.delta,
+        element.c0,
+        element.c1,
+        c2,
+        element.inverse_omega_d,
+        element.alpha,
+    )
 
 
 @inlined

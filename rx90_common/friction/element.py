@@ -1,33 +1,29 @@
 """Friction elements, equations 17 to 19: their parameters, declared once, and their curves.
 
-The fields of `FrictionElement` are the only declaration of a parameter: file, schema, checks, legends, units, paths and
-the data of compiled code follow from them.
+The fields of `FrictionElement` are the only declaration of a parameter or a part: file, schema, checks, legends, units
+and paths follow from them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import Annotated, Final, get_args, get_type_hints
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.declared import Declared, declarations
-from rx90_common.base.entries import REQUIRED, Entry, Number
-from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Either, Group
-from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY, BristlesPart
-from rx90_common.friction.parts.load import LoadPart
-from rx90_common.friction.parts.part import LINEAR_SPEED, MIN_SPEED, FrictionPart, in_words
-from rx90_common.friction.parts.ripple import RipplePart
-from rx90_common.friction.parts.scatter import ScatterPart
-from rx90_common.friction.parts.temperature import TemperaturePart
-
-SIGNS = ("positive", "negative")
-"""Of the velocity, in the order in which everything keeps them."""
+from rx90_common.base.models import FileModel, quantity, refusal, refusals, unit_of
+from rx90_common.friction.parts.bristles import BRISTLES, LUGRE_PASSIVITY, Bristles
+from rx90_common.friction.parts.curve import CURVE, CurvePart
+from rx90_common.friction.parts.load import LOAD, LoadPart
+from rx90_common.friction.parts.part import LINEAR_SPEED, MIN_SPEED, FrictionPart, Part, legend_of
+from rx90_common.friction.parts.ripple import RIPPLE, RipplePart
+from rx90_common.friction.parts.scatter import SCATTER, ScatterPart
+from rx90_common.friction.parts.temperature import TEMPERATURE, TemperaturePart
+from rx90_common.friction.signs import SIGNS, BySign
 
 ALPHA_BOUNDS = (0.3, 2.0)
 """Range of the viscous exponent.
@@ -36,16 +32,11 @@ Two is the drag of a turbulent fluid. Below 0.3 the slope at rest, LINEAR_SPEED^
 a light wrist in a tick: the part would be a Coulomb torque without bristles.
 """
 
-INVERSE: Final = object()
-"""Follows the entry of a parameter whose inverse compiled code contains."""
-
-_coulomb = Number("Coulomb friction torque.", "Nm", low=0.0, above=True)
-_static = Number("Static friction torque, at least tau_c.", "Nm", low=0.0)
+_SIGNED = "; one value, or {positive: x, negative: y}"
 
 
-@dataclass(frozen=True)
-class FrictionElement(Declared):
-    """One friction element, joint side, SI units.
+class FrictionElement(FileModel):
+    """A LuGre friction element (equations 17 to 19), joint side.
 
         dz/dt = v - |v| / g(v) * z                                            (17)
         tau_f = c0 z + c1(v) dz/dt + c2 |v|^alpha sign(v)                     (18)
@@ -56,66 +47,99 @@ class FrictionElement(Declared):
     The paper's viscous part is c2 v, `alpha` 1. With another exponent it is linear below LINEAR_SPEED, up to the same
     value there. Its power is never negative: the limit of c1 does not depend on it (docs/explanation/closed_loop.md).
 
-    A parameter for each sign of the velocity has two fields; v = 0 counts as positive. A part that is None is off: load
+    `tau_c` and `tau_s` have a value for each sign of the velocity, or one for both. A part that is None is off: load
     by the transmitted torque, temperature of the joint, ripple by the angles of joint and motor, scatter as a slow
-    random walk, and bristles of another kind than equation 17. The curves below are those without load, at the
-    reference temperature, in the mean over angle and scatter.
-
-    Raises:
-        ConfigError: for a value that is not finite or not in its range.
+    random walk, bristles of another kind than equation 17, and a curve in place of equation 19. The curves below are
+    those without load, at the reference temperature, in the mean over angle and scatter.
     """
 
-    about = "A LuGre friction element (equations 17 to 19), joint side."
-
-    tau_c_positive: Annotated[float, _coulomb]
-    tau_c_negative: Annotated[float, _coulomb]
-    tau_s_positive: Annotated[float, _static]
-    tau_s_negative: Annotated[float, _static]
-    omega_s: Annotated[float, Number("Stribeck velocity.", "rad/s", low=MIN_SPEED), INVERSE]
-    delta: Annotated[float, Number("Stribeck exponent.", "1", low=0.0, above=True)]
-    c0: Annotated[float, Number("Bristle stiffness.", "Nm/rad", low=0.0, above=True)]
-    c1: Annotated[float, Number("Micro-viscous damping at rest.", "Nm s/rad", low=0.0)]
-    c2: Annotated[float, Number("Viscous friction.", "Nm (s/rad)^alpha", low=0.0)]
+    tau_c: Annotated[
+        BySign[Annotated[float, Field(gt=0.0)]],
+        quantity("Nm", "Coulomb friction torque.", accepted=f"a number > 0{_SIGNED}"),
+    ]
+    tau_s: Annotated[
+        BySign[Annotated[float, Field(ge=0.0)]],
+        quantity("Nm", "Static friction torque, at least tau_c.", accepted=f"a number >= 0{_SIGNED}"),
+    ]
+    omega_s: Annotated[float, quantity("rad/s", "Stribeck velocity.", ge=MIN_SPEED)]
+    delta: Annotated[float, quantity("1", "Stribeck exponent.", gt=0.0)]
+    c0: Annotated[float, quantity("Nm/rad", "Bristle stiffness.", gt=0.0)]
+    c1: Annotated[float, quantity("Nm s/rad", "Micro-viscous damping at rest.", ge=0.0)]
+    c2: Annotated[float, quantity("Nm (s/rad)^alpha", "Viscous friction.", ge=0.0)]
     omega_d: Annotated[
         float,
-        Number("Velocity in the fading c1 exp(-(v/omega_d)^2).", "rad/s", low=MIN_SPEED, infinite=True),
-        INVERSE,
+        quantity("rad/s", "Velocity in the fading c1 exp(-(v/omega_d)^2).", ge=MIN_SPEED),
+        Field(allow_inf_nan=True),
     ] = math.inf
-    alpha: Annotated[float, Number("Viscous exponent.", "1", low=ALPHA_BOUNDS[0], high=ALPHA_BOUNDS[1])] = 1.0
-    load: LoadPart | None = None
-    temperature: TemperaturePart | None = None
-    ripple: RipplePart | None = None
-    scatter: ScatterPart | None = None
-    bristles: BristlesPart | None = None
+    alpha: Annotated[float, quantity("1", "Viscous exponent.", ge=ALPHA_BOUNDS[0], le=ALPHA_BOUNDS[1])] = 1.0
+    load: Annotated[LoadPart | None, LOAD] = None
+    temperature: Annotated[TemperaturePart | None, TEMPERATURE] = None
+    ripple: Annotated[RipplePart | None, RIPPLE] = None
+    scatter: Annotated[ScatterPart | None, SCATTER] = None
+    bristles: Annotated[Bristles | None, BRISTLES] = None
+    curve: Annotated[CurvePart | None, CURVE] = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for sign in SIGNS:
-            coulomb = getattr(self, f"tau_c_{sign}")
-            static = getattr(self, f"tau_s_{sign}")
-            if static < coulomb:
-                raise ConfigError(f"tau_s_{sign} is {static}; accepted: a number >= tau_c_{sign} = {coulomb} Nm")
-        for name, kind in PARTS.items():
-            part = getattr(self, name)
-            if part is not None and not isinstance(part, kind):
-                raise ConfigError(f"{name} is {part}; accepted: a {kind.__name__}, or None")
+    @classmethod
+    def of(cls, parameters: Mapping[str, Any]) -> FrictionElement:
+        """Return the element with parameters by the names of FRICTION_UNITS, or with `tau_c` for both signs.
+
+        Raises:
+            ConfigError: naming the value and what is accepted.
+        """
+        fields = by_fields(parameters)
+        with refusals(cls, content=fields):
+            return cls.model_validate(fields)
+
+    @model_validator(mode="after")
+    def _check_static(self) -> FrictionElement:
+        static = self.tau_s
+        coulomb = self.tau_c
+        if static.positive < coulomb.positive:
+            raise refusal("tau_s", static.positive, f"a number >= tau_c = {coulomb.positive} Nm")
+        if static.negative < coulomb.negative:
+            raise refusal("tau_s", static.negative, f"a number >= tau_c = {coulomb.negative} Nm")
+        return self
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Return the numbers of the bristle law by the names of FRICTION_UNITS."""
+        return {
+            "tau_c_positive": self.tau_c.positive,
+            "tau_c_negative": self.tau_c.negative,
+            "tau_s_positive": self.tau_s.positive,
+            "tau_s_negative": self.tau_s.negative,
+            "omega_s": self.omega_s,
+            "delta": self.delta,
+            "c0": self.c0,
+            "c1": self.c1,
+            "c2": self.c2,
+            "omega_d": self.omega_d,
+            "alpha": self.alpha,
+        }
+
+    def with_parameters(self, changes: Mapping[str, float]) -> FrictionElement:
+        """Return the element with other values of some `parameters`."""
+        return self.replaced(**by_fields({**self.parameters, **changes}))
 
     @property
     def parts(self) -> dict[str, FrictionPart]:
         """Return the parts that are on, by their names."""
-        return {name: part for name in PARTS if (part := getattr(self, name)) is not None}
+        return {name: self.__dict__[name] for name in PARTS if self.__dict__[name] is not None}
 
     def without_parts(self) -> FrictionElement:
         """Return the element with all parts off."""
-        return replace(self, **dict.fromkeys(PARTS))  # type: ignore[arg-type]  # names of fields, each optional
+        return self.replaced(**dict.fromkeys(PARTS))
 
     def sliding_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return c0 g(v), equation 19, without a sign: the Stribeck curve less the viscous part, Nm."""
         v = np.asarray(velocity, dtype=np.float64)
         forward = v >= 0
-        coulomb = np.where(forward, self.tau_c_positive, self.tau_c_negative)
-        static = np.where(forward, self.tau_s_positive, self.tau_s_negative)
-        return np.asarray(coulomb + (static - coulomb) * stribeck_decay(v, self.omega_s, self.delta))
+        coulomb = np.where(forward, self.tau_c.positive, self.tau_c.negative)
+        static = np.where(forward, self.tau_s.positive, self.tau_s.negative)
+        torque = np.asarray(coulomb + (static - coulomb) * stribeck_decay(v, self.omega_s, self.delta))
+        for part in self.parts.values():
+            torque = part.sliding_torque(v, torque)
+        return torque
 
     def damping(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return c1(v), Nm s/rad."""
@@ -131,7 +155,8 @@ class FrictionElement(Declared):
         warm, cold = (1.0, 1.0) if self.temperature is None else self.temperature.viscous_range
         rest = self.c2 if self.alpha == 1.0 else self.c2 * LINEAR_SPEED ** (self.alpha - 1.0)
         fast = self.c2 * self.alpha * max_velocity ** (self.alpha - 1.0) if self.alpha > 1.0 else rest
-        return warm * rest, cold * rest, cold * fast
+        growth = sum(part.steepest for part in self.parts.values())
+        return warm * rest, cold * rest + growth, cold * fast + growth
 
     def steady_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return the torque after a long time at constant velocity, Nm (zero at rest)."""
@@ -183,103 +208,37 @@ def _speeds_up_to(largest: float) -> NDArray[np.float64]:
     return np.geomspace(1e-4 * min(1.0, largest), largest, 4000)
 
 
-@dataclass(frozen=True)
-class FrictionParameter:
-    """One parameter of an element as in files.
-
-    Attributes:
-        name: its key.
-        number: its accepted values.
-        attributes: of FrictionElement that contain it: one, or one for each of SIGNS.
-        inverse: whether compiled code contains the inverse.
-    """
-
-    name: str
-    number: Number
-    attributes: tuple[str, ...]
-    inverse: bool
-
-    @property
-    def meaning(self) -> str:
-        """Return its description."""
-        return in_words(self.number.about)
-
-    @property
-    def signed(self) -> bool:
-        """Return whether it has a value for each sign of the velocity."""
-        return len(self.attributes) > 1
-
-    @property
-    def accepted(self) -> str:
-        """Return its range in words."""
-        return self.number.acceptance()
-
-    @property
-    def unit(self) -> str:
-        """Return its unit, 1 for a pure number."""
-        return self.number.unit
-
-    @property
-    def default(self) -> float | None:
-        """Return its value if it is left out; None if it is required."""
-        return None if self.number.default is REQUIRED else float(self.number.default)
-
-    def entry(self) -> Entry:
-        """Return the accepted values of its key in a file: a number, or one for each sign of the velocity."""
-        if not self.signed:
-            return self.number
-        about = self.number.about
-        pair = {sign: replace(self.number, about=f"{about} Of {sign} velocities.") for sign in SIGNS}
-        plain = replace(self.number, about=f"{about} For both signs of the velocity.")
-        return Either(
-            about, self.unit, mapping=Group(f"{about} For each sign of the velocity.", keys=pair), plain=plain
-        )
-
-
-def _parameters() -> tuple[FrictionParameter, ...]:
-    hints = get_type_hints(FrictionElement, include_extras=True)
-    found = []
-    for one in declarations(FrictionElement).values():
-        name, _, sign = one.name.rpartition("_")
-        if sign == SIGNS[1]:
-            continue
-        attributes = tuple(f"{name}_{each}" for each in SIGNS) if sign == SIGNS[0] else (one.name,)
-        assert isinstance(one.entry, Number)
-        inverse = INVERSE in get_args(hints[one.name])
-        found.append(FrictionParameter(name if sign == SIGNS[0] else one.name, one.entry, attributes, inverse))
-    return tuple(found)
-
-
-FRICTION_PARAMETERS = _parameters()
-
-PARTS: dict[str, type[FrictionPart]] = {
-    name: kind
-    for name, hint in get_type_hints(FrictionElement).items()
-    for kind in get_args(hint)[:1]
-    if issubclass(kind, FrictionPart)
+PARTS: dict[str, Part] = {
+    name: part
+    for name, field in FrictionElement.model_fields.items()
+    for part in field.metadata
+    if isinstance(part, Part)
 }
 """The parts that an element may have, by the keys of their blocks, which are its attributes."""
 
-ELEMENT = Group(
-    FrictionElement.about,
-    keys={parameter.name: parameter.entry() for parameter in FRICTION_PARAMETERS}
-    | {name: part.entry() for name, part in PARTS.items()},
-)
-"""The keys of one element in a file."""
+FRICTION_UNITS = {
+    name: unit_of(FrictionElement, name.removesuffix("_positive").removesuffix("_negative"))
+    for name in (
+        *(f"{torque}_{sign}" for torque in ("tau_c", "tau_s") for sign in SIGNS),
+        *("omega_s", "delta", "c0", "c1", "c2", "omega_d", "alpha"),
+    )
+}
+"""Units of the numbers of `FrictionElement.parameters`."""
 
-FRICTION_UNITS = FrictionElement.units()
-"""Units of the attributes of FrictionElement."""
+
+def by_fields(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Return parameters by the names of FRICTION_UNITS, torques of both signs or none, as fields of FrictionElement."""
+    fields = dict(parameters)
+    for torque in ("tau_c", "tau_s"):
+        if f"{torque}_positive" in fields:
+            fields[torque] = {sign: fields.pop(f"{torque}_{sign}") for sign in SIGNS}
+    return fields
 
 
 def legend(parts: Iterable[str] = ()) -> str:
     """Return the parameters as lines of comment, for the head of friction files, and those of parts."""
-    lines = ""
-    for parameter in FRICTION_PARAMETERS:
-        signed = "; one value, or {positive: x, negative: y}" if parameter.signed else ""
-        optional = "" if parameter.default is None else f"; {parameter.default:g} if it is left out"
-        accepted = parameter.accepted.rpartition("number ")[2]
-        lines += f"# {parameter.name:<8} {parameter.meaning}, {parameter.unit}, {accepted}{signed}{optional}\n"
-    return lines + "".join(part.legend() for name, part in PARTS.items() if name in parts)
+    blocks = "".join(part.legend(name) for name, part in PARTS.items() if name in parts)
+    return legend_of(FrictionElement, " ", 8, without=PARTS) + blocks
 
 
 _MAX_POWER = 700.0  # of (|v| / omega_s)^delta: beyond it, exp(-x) is no normal number

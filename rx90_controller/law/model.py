@@ -18,7 +18,7 @@ the set-points alone, so that even load is no algebraic loop (docs/explanation/c
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeAlias
@@ -40,8 +40,14 @@ from rx90_common.friction import FrictionElement, load_friction
 from rx90_common.friction.arm_elements import add_to_joints, element_inputs, fill_arm_parts, of_motors, transmit
 from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.compiled_elements import element_arrays, elements_dtype, load_elements
-from rx90_common.friction.parts.load import advance_load
-from rx90_common.friction.parts.step import parts_dtype, parts_energy, parts_state_dtype, parts_step, settle_parts
+from rx90_common.friction.parts.step import (
+    advance_parts,
+    parts_dtype,
+    parts_energy,
+    parts_state_dtype,
+    parts_step,
+    settle_parts,
+)
 from rx90_common.friction.parts.temperature import (
     add_work,
     advance_temperatures,
@@ -196,7 +202,7 @@ class ModelFiles(FileModel):
         drives = load_drives(paths["drives"])
         robot.check_count(paths["drives"], "gear", drives.gear)
         friction = load_friction(paths["friction"], drives.turning.element_names(robot.joint_names)).elements
-        known = tuple(replace(element, scatter=None) for element in friction)
+        known = tuple(element.replaced(scatter=None) for element in friction)
         return ArmModel(manipulator_record(robot.chain, drives), known, drives)
 
 
@@ -290,7 +296,7 @@ def _parted_friction(law: Any, own: Any, begins: bool) -> None:
     transmit(law.gear, law.model.arm.rotor, own.joint, own.a, state.parts.transmitted)
     transmitted = load(state.parts.transmitted, n)
     if begins:
-        settle_parts(friction.parts, state.parts, transmitted)
+        settle_parts(friction.parts, state.parts, transmitted, 0.0, n)
         if state.warm:
             follow_temperatures(friction.parts.temperature, state.parts.temperature, n)
         else:
@@ -301,7 +307,7 @@ def _parted_friction(law: Any, own: Any, begins: bool) -> None:
     z, torque = parts_step(friction.elements, friction.parts, state.parts, load(state.z, n), angle, velocity, period, n)
     store(state.z, z)
     store(state.parts.friction, torque)
-    advance_load(friction.parts.load, state.parts, transmitted, period, n)
+    advance_parts(friction.parts, state.parts, transmitted, period, n)
     if friction.parts.temperature.used:
         # Friction, and motors that move the arm against it, heat the joints over the period.
         add_work(state.parts.temperature, torque, velocity, period, n)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rx90_common.base.entries import Text
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import resolve_config
@@ -79,7 +78,7 @@ def _add_excitation(verb: argparse.ArgumentParser) -> None:
     group = verb.add_argument_group("with --excitation")
     for name, entry in DECLARED.items():
         default = getattr(ExcitationOptions, name)
-        choices = entry.choices if isinstance(entry, Text) else None
+        choices = entry.choices or None
         kind = {int: whole_number, float: FINITE}.get(type(default), str)
         group.add_argument(f"--{name}", type=kind, choices=choices, help=f"{entry.about} ({default})",
                            metavar=None if choices else type(default).__name__[0].upper())  # fmt: skip

@@ -1,6 +1,6 @@
 """What is wrong in a configuration file or a robot folder: all that can be seen at once, each in a line of its own.
 
-A file is checked by the table of its kind, which says what it may hold, and then by the reader of all who use it.
+A file is checked by the model of its kind, which says what it may hold, and then by the reader of all who use it.
 """
 
 from __future__ import annotations
@@ -10,10 +10,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rx90_common.base.config import ABOUT, read_yaml, yaml_lines
-from rx90_common.base.entries import JsonSchema
+from rx90_common.base.config import read_yaml, yaml_lines
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.models import Place, read_model, schema_at, value_at
+from rx90_common.base.models import FileModel, JsonSchema, Place, read_model, schema_at, value_at
 from rx90_common.base.quoting import listed, one_line, plain, quoted
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
@@ -33,7 +32,7 @@ class CheckedFile(NamedTuple):
 
     Attributes:
         path: of the file.
-        kind: by whose table it was checked.
+        kind: by whose model it was checked.
         problems: a line for each, with the file, the line in it where that is known, key, value and what is accepted.
     """
 
@@ -86,7 +85,7 @@ def _count_keys(schema: JsonSchema, content: Mapping[str, Any], place: Place = (
     around = schema_at(schema, place, content)
     free_names = isinstance(around.get("additionalProperties"), dict)
     for key, value in value_at(content, place).items():
-        if key in ABOUT:
+        if key in FileModel.about_keys:
             continue
         is_known = key in around.get("properties", {})
         known += is_known
@@ -110,7 +109,7 @@ def check_path(path: Path, kind: FileKind | None = None) -> list[CheckedFile]:
 
 
 def check_file(path: Path, kind: FileKind | None = None) -> CheckedFile:
-    """Check a file by the table of its kind and, if that finds nothing, by its reader."""
+    """Check a file by the model of its kind and, if that finds nothing, by its reader."""
     if not path.exists():
         raise ConfigError(f"{plain(path)}: no such file; accepted: a file of the project, or a robot folder")
     try:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, ValidationError
 
-from friction_bench.rig.rig_file import RIG, load_rig
+from friction_bench.rig.rig_file import RigFile, load_rig
 from rx90_common.bags.mapping import LogMapping, SignalMapFile
 from rx90_common.bags.tolerance import TolerancesFile, load_rules
 from rx90_common.base.config import Section
@@ -20,7 +20,7 @@ from rx90_common.base.models import FileModel, Model, Named, fault_lines, json_s
 from rx90_common.base.quoting import plain
 from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import Tool, load_tool
-from rx90_common.friction.friction_file import FRICTION, FrictionFile
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.law.parameters import CS7BParameters, load_controller
 from rx90_controller.lines.task import TaskFile, load_task
 from rx90_emulator.correction.file import CorrectionHead, load_correction
@@ -32,7 +32,7 @@ NODE_PARAMETERS = "node_parameters"
 """The name of the kind of the nodes' parameter files."""
 
 
-class _JointLimits(FileModel):
+class JointLimits(FileModel):
     """Limits of a joint."""
 
     model_config = ConfigDict(extra="allow")
@@ -48,7 +48,7 @@ class MoveItLimits(FileModel):
 
     model_config = ConfigDict(extra="allow")
 
-    joint_limits: Annotated[Named[_JointLimits], Field(description="Limits by joint.")]
+    joint_limits: Annotated[Named[JointLimits], Field(description="Limits by joint.")]
 
 
 def _read_sweep(path: Path) -> object:
@@ -106,13 +106,13 @@ class FileKind:
 KINDS = (
     FileKind("drives", DriveParameters, load_drives),
     FileKind("tool", Tool, load_tool),
-    FileKind("friction", FRICTION, FrictionFile.read),
+    FileKind("friction", FrictionFile, FrictionFile.read),
     FileKind("controller", CS7BParameters, load_controller),
     FileKind("task", TaskFile, load_task),
     FileKind("path", PathFile, load_path),
     FileKind("poses", PosesFile, Poses.load),
     FileKind("moveit_limits", MoveItLimits, lambda path: read_model(MoveItLimits, path)),
-    FileKind("rig", RIG, load_rig),
+    FileKind("rig", RigFile, load_rig),
     FileKind("sweep_plan", PlanFile, _read_sweep),
     FileKind(
         "trajectory",

@@ -24,6 +24,7 @@ from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.exchange.endpoints import PREFIX
 from rx90_common.exchange.lifecycle import declare_autostart
 from rx90_common.exchange.parameters import OF_ROS, declare_rates, declare_robot_files
+from rx90_controller.law.parameters import FeedForward, Servo, Supervision
 from rx90_controller.node.parameters import FILE_PARAMETERS as CONTROLLER_FILES
 from rx90_controller.node.parameters import (
     declare_goal_parameters,
@@ -214,7 +215,13 @@ def _refuse(error: ConfigError) -> None:
 
 
 def _node_schema(node: str) -> JsonSchema:
-    parameters = _names_schema({name: entry.schema() for name, entry in _declared_by_default(node).entries.items()})
+    entries = _declared_by_default(node).entries
+    schemas = {name: entry.schema() for name, entry in entries.items()}
+    for block, model in (("servo", Servo), ("feed_forward", FeedForward), ("supervision", Supervision)):
+        for key, schema in model.model_json_schema()["properties"].items():
+            if f"{block}.{key}" in entries:
+                schemas[f"{block}.{key}"] = schema
+    parameters = _names_schema(schemas)
     parameters["properties"] |= {name: {"description": "Of every ROS node."} for name in OF_ROS}
     parameters["patternProperties"] = {f"^({PREFIX[:-1]}|{_CONSTRAINTS})(\\.|$)": {}}
     about = f"Parameters of the node {node}."

@@ -8,14 +8,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from rx90_common.base.config import ABOUT, load_yaml, yaml_lines
-from rx90_common.base.entries import LEFT_OUT, Entry
-from rx90_common.base.groups import Either, Entries, Group, Variants
-from rx90_common.base.models import Model, json_schema, unit_at
+from rx90_common.base.config import read_yaml, yaml_lines
+from rx90_common.base.models import FileModel, Model, unit_at
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import FILES, NO_TOOL, RobotFiles
-from rx90_common.friction.element import SIGNS
+from rx90_common.friction.signs import SIGNS
 from rx90_controller.law.model import ROLES, ModelFiles
 from rx90_controller.law.parameters import load_controller
 from rx90_emulator.configuration.kinds import KINDS
@@ -29,6 +27,8 @@ OTHERS = "others"
 _MAX_ALIGNED_WIDTH = 64  # characters; a longer value moves the rest of its line to the right
 
 _LEFT_OUT: Final = object()
+_FOR_READERS: Final = (*FileModel.about_keys, "identification")
+"""Keys that hold no values of a setup."""
 
 Around = tuple[tuple[Mapping[str, Any], str], ...]
 """The mappings around a value, from the file on, each with the key that leads on from it."""
@@ -65,54 +65,25 @@ def place_of(path: Path) -> str:
 def file_values(role: str, path: Path) -> list[ShownValue]:
     """Return the values of a robot's file, checked."""
     kind = next(kind for kind in KINDS if kind.name == role)
+    assert kind.model is not None
     kind.read(path)
-    root = load_yaml(path)
-    if kind.model is not None:
-        leaves = _model_leaves(kind.model, root.content)
-    else:
-        leaves = (
-            (place, entry.unit, value, around)
-            for place, entry, value, around in _leaves(kind.entry, root.content, "", ())
-        )
+    content = read_yaml(path)
+    schema = kind.json_schema()
     lines = yaml_lines(path)
     name = place_of(path)
-    identified = root.content.get("identification", {}).get("parameters", {}) if role == "friction" else {}
-    found = []
-    for place, unit, value, around in leaves:
-        one = ShownValue(f"{role}.{place}", value, unit, OF_CODE)
-        if place in lines:
-            stated = [_stated(word, around) for word in ("provenance", "source")]
-            one = ShownValue(one.name, value, unit, f"{name}:{lines[place]}", *stated)
-        found.append(_as_identified(one, identified))
-    return found
-
-
-def _leaves(entry: Entry, content: Any, path: str, around: Around) -> Iterator[tuple[str, Entry, Any, Around]]:
-    """Yield the values of a mapping that are no mappings, and the defaults of those that are left out."""
-    if isinstance(entry, Variants):
-        yield f"{path}.{entry.key}", entry, content[entry.key], around
-        entry = entry.groups[content[entry.key]]
-    keys = entry.keys if isinstance(entry, Group) else {}
-    for key in dict.fromkeys((*(name for name in content if name not in ABOUT), *keys)):
-        inner = entry.of if isinstance(entry, Entries) else keys.get(key)
-        if inner is None:
-            continue  # for readers alone
-        place = f"{path}{'.' * bool(path)}{key}"
-        further = (*around, (content, key))
-        if key not in content:
-            if inner.default is not LEFT_OUT:
-                yield place, inner, inner.default, further
-        elif isinstance(content[key], dict):
-            yield from _leaves(inner.mapping if isinstance(inner, Either) else inner, content[key], place, further)
-        else:
-            yield place, inner, content[key], further
-
-
-def _model_leaves(kind: type[Model], content: dict[str, Any]) -> Iterator[tuple[str, str, Any, Around]]:
-    """Yield place, unit and value of what a file has, and of the defaults of what it leaves out."""
-    schema = json_schema(kind, "")
-    for place, value, around in _values(kind.model_validate(content), content, (), ()):
-        yield ".".join(place), unit_at(schema, place, content), value, around
+    identified = content.get("identification", {}).get("parameters", {}) if role == "friction" else {}
+    shown: list[ShownValue] = []
+    for place, value, around in _values(kind.model.model_validate(content), content, (), ()):
+        key = ".".join(place)
+        line = ShownValue(f"{role}.{key}", value, unit_at(schema, place, content), OF_CODE)
+        if key in lines:
+            line = line._replace(
+                origin=f"{name}:{lines[key]}",
+                provenance=_stated("provenance", around),
+                source=_stated("source", around),
+            )
+        shown.append(_as_identified(line, identified))
+    return shown
 
 
 def _values(
@@ -127,7 +98,7 @@ def _values(
         return
     inner = dict(value) if isinstance(value, Model | Mapping) else {}
     for key in dict.fromkeys((*content, *inner)):
-        if key not in ABOUT:
+        if key not in _FOR_READERS:
             further = (*around, (content, key))
             yield from _values(inner.get(key), content.get(key, _LEFT_OUT), (*place, key), further)
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import load_yaml, yaml_text
+from rx90_common.base.config import read_yaml, yaml_text
 from rx90_common.base.errors import DivergenceError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.files import write_text
@@ -72,7 +72,7 @@ class Nominal(NamedTuple):
         if nominal is None:
             return self.setup
         file = self.folder / f"{case}_{role}.yaml"
-        write_text(file, yaml_text(_scaled(load_yaml(nominal).content, keys, factor)))
+        write_text(file, yaml_text(_scaled(read_yaml(nominal), keys, factor)))
         return Setup.load(replace(self.files, **{role: file}))
 
 

@@ -25,7 +25,6 @@ from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
-from rx90_controller.law.parameters import FeedForward
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.demo.animation import animate
@@ -69,7 +68,7 @@ class RunReport:
         self.friction = read_joint_states(bag, "friction_states", setup.friction.names)
         self.error = read_joint_states(bag, "rx90_controller/tracking_error", names)
         self.path = path_accuracy(setup.robot, task, self.joints.time, self.joints.fields["position"], start_time)
-        controller = replace(setup.controller, feed_forward=FeedForward.off())
+        controller = setup.controller.replaced(feed_forward=setup.controller.feed_forward.off())
         self.path_without = run_line(replace(setup, controller=controller), task).path_accuracy
 
     def write(

@@ -14,8 +14,9 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
-from rx90_common.friction.element import SIGNS, FrictionElement, stribeck_decay
+from rx90_common.friction.element import FrictionElement, stribeck_decay
 from rx90_common.friction.parts.part import LINEAR_SPEED
+from rx90_common.friction.signs import SIGNS
 from rx90_emulator.export.targets import Target
 
 POINTS = 400
@@ -114,7 +115,8 @@ def fit_friction(target: Target, name: str, elements: Sequence[FrictionElement],
     forward = sum_of(elements, speeds, 1.0)
     backward = sum_of(elements, speeds, -1.0)
     law = _law(target, elements, speeds, 0.5 * (forward + backward))
-    static = tuple(float(sum(getattr(one, f"tau_s_{sign}") for one in elements)) for sign in SIGNS)
+    at_rest = [one.tau_s if one.curve is None else one.curve.at_rest for one in elements]
+    static = sum(one.positive for one in at_rest), sum(one.negative for one in at_rest)
     difference = np.concatenate([forward, backward]) - np.tile(law.torque(speeds), 2)
     largest = float(np.abs(difference).max())
     return FrictionFit(
@@ -135,7 +137,7 @@ def _law(target: Target, elements: Sequence[FrictionElement], speeds: Array, tor
     """Return the target's law nearest to the torque, the mean of both signs, at the speeds; both (n,)."""
 
     def mean(parameter: str) -> float:
-        return 0.5 * float(sum(getattr(one, f"{parameter}_{sign}") for one in elements for sign in SIGNS))
+        return 0.5 * sum(one.parameters[f"{parameter}_{sign}"] for one in elements for sign in SIGNS)
 
     first = elements[0]
     curved = target.lugre and any(element.alpha != 1.0 for element in elements)
@@ -200,11 +202,11 @@ def _fitted(law: SimulatorLaw, target: Target, curved: bool, speeds: Array, torq
 def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]:
     """Return properties of an element that a target does not represent, with sizes up to a speed, rad/s."""
     lost = []
-    coulomb = abs(element.tau_c_positive - element.tau_c_negative)
-    static = abs(element.tau_s_positive - element.tau_s_negative)
+    coulomb = abs(element.tau_c.positive - element.tau_c.negative)
+    static = abs(element.tau_s.positive - element.tau_s.negative)
     if coulomb or static:
         lost.append(f"signs: tau_c and tau_s differ by {coulomb:.3g} and {static:.3g} Nm, their means are kept")
-    rise = max(element.tau_s_positive - element.tau_c_positive, element.tau_s_negative - element.tau_c_negative)
+    rise = max(element.tau_s.positive - element.tau_c.positive, element.tau_s.negative - element.tau_c.negative)
     if rise and not target.lugre:
         kept = "kept as break-away torque alone" if target.breaks_away else "left out"
         lost.append(f"Stribeck curve: {rise:.3g} Nm above tau_c near rest, {kept}")
@@ -216,7 +218,7 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
     if not target.lugre:
         lost.append("bristles: the stiffness of presliding, and its hysteresis")
     elif math.isfinite(element.omega_d):
-        limit = replace(element, omega_d=math.inf).passivity_limit(fastest)
+        limit = element.replaced(omega_d=math.inf).passivity_limit(fastest)
         gives = "" if math.isinf(limit) else f", and the element not passive from {limit:.2g} rad/s on"
         lost.append(f"fading of c1 above {element.omega_d:g} rad/s: it is constant{gives}")
     if element.bristles is not None:
@@ -229,6 +231,6 @@ def _lost(target: Target, element: FrictionElement, fastest: float) -> list[str]
         warm, cold = warmth.viscous_range
         lost.append(f"temperature: viscous torque is {warm:.2g} to {cold:.2g} times that at {warmth.reference:g} °C")
     for part in ("ripple", "scatter"):
-        if getattr(element, part) is not None:
+        if part in element.parts:
             lost.append(f"{part}: the mean is kept")
     return lost

@@ -26,6 +26,7 @@ from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.description.coupling import sum_name
 from rx90_common.description.urdf import read_urdf
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.friction_file import JointTorques
 from rx90_emulator.loop.setup import Setup
 
 _MAX_MASS = 1e5  # kg
@@ -161,7 +162,7 @@ class RigidArm:
             model.inertias[k] = pin.Inertia.FromDynamicParameters(link)
         return replace(self, model=model, rotor=self.coupling.T @ np.diag(rotors) @ self.coupling)
 
-    def with_joints(self, joints: Mapping[str, Mapping[str, float]]) -> RigidArm:
+    def with_joints(self, joints: Mapping[str, JointTorques]) -> RigidArm:
         """Return the arm with the offsets of a friction file's `joints`, and the rotors and springs that it states.
 
         Raises:
@@ -170,9 +171,10 @@ class RigidArm:
         for name in joints:
             if name not in self.names:
                 raise IdentificationError(f"joint {quoted(name)} is none of this arm; accepted: {listed(self.names)}")
-        offset = np.array([joints.get(name, {}).get("offset", 0.0) for name in self.names])
-        rotors = np.array([joints.get(name, {}).get("rotor_inertia", 0.0) for name in self.names])
-        spring = np.array([joints.get(name, {}).get("spring", 0.0) for name in self.names])
+        torques = [joints.get(name, JointTorques()) for name in self.names]
+        offset = np.array([joint.offset for joint in torques])
+        rotors = np.array([joint.rotor_inertia for joint in torques])
+        spring = np.array([joint.spring for joint in torques])
         rotor = self.coupling.T @ np.diag(rotors) @ self.coupling if rotors.any() else self.rotor
         return replace(self, rotor=rotor, spring=spring if spring.any() else self.spring, offset=offset)
 
@@ -347,7 +349,7 @@ class JointGroup:
 
     def break_away(self, sliding: Sequence[FrictionElement]) -> Array:
         """Return the friction torque at which each joint slides, Nm, shape (k,), by its elements' sliding regime."""
-        return np.asarray(np.abs(self.inputs).T @ np.array([one.tau_c_positive for one in sliding]))
+        return np.asarray(np.abs(self.inputs).T @ np.array([one.tau_c.positive for one in sliding]))
 
 
 def joint_groups(arm: RigidArm) -> list[JointGroup]:

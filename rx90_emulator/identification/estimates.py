@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,10 +43,10 @@ def with_passive_fading(element: FrictionElement, fallback: FrictionElement | No
     """
     usual = _DAMPING_FADE_SPEED if fallback is None else fallback.omega_d
     bristles = element.bristles
-    least = min(element.tau_c_positive, element.tau_c_negative)
+    least = min(element.tau_c.positive, element.tau_c.negative)
     factor = LUGRE_PASSIVITY if bristles is None else float(bristles.passivity_factor(element.c0, 0.0))
     passive = 0.5 * factor * math.sqrt(2.0 * math.e) * least / max(element.c1, 1e-300)
-    return replace(element, omega_d=min(usual, max(passive, MIN_SPEED)))
+    return element.replaced(omega_d=min(usual, max(passive, MIN_SPEED)))
 
 
 def cluster_variances(
@@ -195,5 +195,5 @@ class IdentifiedElement:
         if part is None or ("c0" in estimates and estimates["c0"].identifiable):
             return cls(element, dict(estimates), sources)
         unknown = ParameterEstimate.unknown("it goes with c0, which is not identified")
-        numbers = {f"{part.name}.{name}": unknown for name in part.numbers()}
-        return cls(replace(element, bristles=part), {**estimates, **numbers}, sources, given_bristles=True)
+        numbers = {f"bristles.{name}": unknown for name in part.numbers()}
+        return cls(element.replaced(bristles=part), {**estimates, **numbers}, sources, given_bristles=True)

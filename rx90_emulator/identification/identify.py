@@ -17,8 +17,8 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.friction import FrictionElement, FrictionSet
-from rx90_common.friction.element import SIGNS
 from rx90_common.friction.friction_file import FrictionFile, refuse_parts
+from rx90_common.friction.signs import SIGNS
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
     NOT_IN_MODEL,
@@ -217,7 +217,7 @@ def check_friction(
     source = RecordedRobot.load(robot, by_use["validation"], follow=True)
     file, lugre, arm = with_friction(source.arm, friction, "a validation by recorded torques")
     source = replace(source, arm=arm)
-    where = str(file.path or "--friction")
+    where = "--friction" if isinstance(friction, FrictionFile) else str(resolve_config(str(friction)))
     currents = (file.identification or {}).get("unit") == "A"
     records = read_records(by_use, source, progress, currents=currents)["validation"]
     if currents and any(record.unit == "Nm" for record in records):
@@ -242,15 +242,15 @@ def with_friction(
     """
     file = friction if isinstance(friction, FrictionFile) else FrictionFile.read(resolve_config(str(friction)))
     names = arm.element_names
-    where = str(file.path or "friction")
-    elements = file.select(names)
-    for name in file.elements:
+    where = "friction" if isinstance(friction, FrictionFile) else str(resolve_config(str(friction)))
+    elements = file.select(names, where)
+    for name in file.elements.entries:
         if name not in names:
             reason = f"element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
             raise IdentificationError(f"{where}: {reason}")
-    refuse_parts(file.elements, use, f"{where}: elements.", held=("bristles",))
+    refuse_parts(file.elements.entries, use, f"{where}: elements.", held=("bristles",))
     try:
-        return file, elements, arm.with_joints(file.joints)
+        return file, elements, arm.with_joints(file.joints.entries)
     except IdentificationError as error:
         raise IdentificationError(f"{where}: {error}") from error
 
@@ -398,8 +398,8 @@ def _element(
                 f"{sliding.element}: {name} is not identifiable from these bags ({estimate.reason}); accepted: bags "
                 "from which it is, or --fallback with a friction file for such values"
             )
-        values[name] = estimate.value if estimate.identifiable else float(getattr(fallback, name))
+        values[name] = estimate.value if estimate.identifiable else fallback.parameters[name]  # type: ignore[union-attr]
     for sign in SIGNS:
         # A fallback's static torque may lie below an identified Coulomb torque.
         values[f"tau_s_{sign}"] = max(values[f"tau_s_{sign}"], values[f"tau_c_{sign}"])
-    return FrictionElement(**values)
+    return FrictionElement.of(values)

@@ -12,8 +12,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, TypeAlias, get_type_hints
 
-from rx90_common.base.config import Section
-from rx90_common.base.entries import Entry, Integer, Number, Text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import quoted
 
@@ -211,7 +209,29 @@ class Wall:
         return cls((x, y, z), distance, name)
 
 
-_NOISE = Number("standard deviation of a joint's torque", "Nm", low=1e-6, high=1e6)
+@dataclass(frozen=True)
+class OptionRange:
+    """What an option accepts: a number in [low, high], a whole one if `low` is an integer, or one of the choices."""
+
+    about: str
+    low: float = 0
+    high: float = 0
+    choices: tuple[str, ...] = ()
+
+    def check(self, name: str, value: object) -> None:
+        """Refuse a value that is not accepted."""
+        kinds = int if isinstance(self.low, int) else int | float
+        noun = "an integer" if isinstance(self.low, int) else "a number"
+        accepted = f"{noun} in [{self.low:g}, {self.high:g}]"
+        good = isinstance(value, kinds) and not isinstance(value, bool) and self.low <= value <= self.high
+        if self.choices:
+            accepted = f"one of {', '.join(self.choices)}"
+            good = value in self.choices
+        if not good:
+            raise ConfigError(f"--excitation: {name} is {quoted(value)}; accepted: {accepted}")
+
+
+_NOISE = OptionRange("standard deviation of a joint's torque, Nm", 1e-6, 1e6)
 
 
 @dataclass(frozen=True)
@@ -225,35 +245,42 @@ class ExcitationOptions:
         validation: whether a run is planned for validation alone.
     """
 
-    criterion: Annotated[str, Text("condition: condition number of the weighted columns; d: determinant of the "
-                                   "information", choices=("condition", "d"))] = "d"  # fmt: skip
-    runs: Annotated[int, Integer("to identify from, of different speeds; one more is for the validation",
-                                 low=1, high=20)] = 3  # fmt: skip
-    harmonics: Annotated[int, Integer("of the base frequency in each joint's series", low=3, high=50)] = 10
-    period: Annotated[float, Number("s, of the base frequency", "s", low=1.0, high=_LONGEST_S)] = 12.0
-    periods: Annotated[int, Integer("of each run", low=1, high=100)] = 3
-    share: Annotated[float, Number("of the limits of speed, acceleration and torque that may be used",
-                                   low=0.05, high=1.0)] = 0.8  # fmt: skip
-    seed: Annotated[int, Integer("of the random motions that the search begins with; the same seed gives the same "
-                                 "plan", low=0, high=2**31)] = 0  # fmt: skip
-    clearance: Annotated[float, Number("m, least distance to the planes", "m", low=0.0, high=10.0)] = 0.02
-    steps: Annotated[int, Integer("of the search, for each run", low=2, high=10_000)] = 60
+    criterion: Annotated[
+        str,
+        OptionRange(
+            "condition: condition number of the weighted columns; d: determinant of the information",
+            choices=("condition", "d"),
+        ),
+    ] = "d"
+    runs: Annotated[
+        int, OptionRange("to identify from, of different speeds; one more is for the validation", 1, 20)
+    ] = 3
+    harmonics: Annotated[int, OptionRange("of the base frequency in each joint's series", 3, 50)] = 10
+    period: Annotated[float, OptionRange("s, of the base frequency", 1.0, _LONGEST_S)] = 12.0
+    periods: Annotated[int, OptionRange("of each run", 1, 100)] = 3
+    share: Annotated[
+        float, OptionRange("of the limits of speed, acceleration and torque that may be used", 0.05, 1.0)
+    ] = 0.8
+    seed: Annotated[
+        int,
+        OptionRange("of the random motions that the search begins with; the same seed gives the same plan", 0, 2**31),
+    ] = 0
+    clearance: Annotated[float, OptionRange("m, least distance to the planes", 0.0, 10.0)] = 0.02
+    steps: Annotated[int, OptionRange("of the search, for each run", 2, 10_000)] = 60
     walls: tuple[Wall, ...] = ()
     torque_noise: tuple[float, ...] | None = None
     validation: bool = True
 
     def __post_init__(self) -> None:
-        place = Path("--excitation")
-        whole = "period times periods"
-        given = Section({**vars(self), whole: self.period * self.periods}, place)
-        for name, entry in {**DECLARED, whole: DECLARED["period"]}.items():
-            entry.take(given, name)
+        for name, accepted in DECLARED.items():
+            accepted.check(name, vars(self)[name])
+        DECLARED["period"].check("period times periods", self.period * self.periods)
         for value in self.torque_noise or ():
-            _NOISE.take(Section({"torque-noise": value}, place), "torque-noise")
+            _NOISE.check("torque-noise", value)
 
 
 _hints = get_type_hints(ExcitationOptions, include_extras=True)
-DECLARED: dict[str, Entry] = {
+DECLARED: dict[str, OptionRange] = {
     name: hint.__metadata__[0] for name, hint in _hints.items() if hasattr(hint, "__metadata__")
 }
 """Meaning and range of each option."""

@@ -97,13 +97,13 @@ def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMa
     for one in maps[1:]:
         if one.messages != maps[0].messages:
             raise ConfigError(
-                f"{plain(one.file)} says other things of the arm than {plain(maps[0].file)}; accepted: the same "
+                f"{plain(one.path)} says other things of the arm than {plain(maps[0].path)}; accepted: the same "
                 f"{', '.join(MESSAGE_KEYS)}"
             )
     mapped = maps[0].messages if maps else {}
     for key in mapped:
         if getattr(options, key) not in (None, False):
-            raise ConfigError(f"{_option(key)} beside {key} in {plain(maps[0].file)}; accepted: one of them")
+            raise ConfigError(f"{_option(key)} beside {key} in {plain(maps[0].path)}; accepted: one of them")
     return replace(options, **mapped), given
 
 
@@ -170,7 +170,7 @@ def _array(values: Sequence[float] | None) -> Array | None:
 def topic_names(bag: Path, mapping: LogMapping | None = None) -> set[str]:
     """Return the absolute names of the topics of a bag or a table, without reading the table."""
     if is_table(bag):
-        return set(map(absolute, mapping_of(bag, mapping).topics))
+        return set(map(absolute, mapping_of(bag, mapping).by_topic))
     with BagReader(bag) as reader:
         return {topic.name for topic in reader.topics}
 
@@ -196,8 +196,8 @@ def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None 
 def message_names(log: Path, topic: str, mapping: LogMapping | None = None) -> tuple[str, ...]:
     """Return the names in the first message of a JointState topic of a bag, or those of a table's topic."""
     if is_table(log):
-        topics = mapping_of(log, mapping).topics.items()
-        return next((tuple(one.names) for name, one in topics if absolute(name) == absolute(topic)), ())
+        topics = mapping_of(log, mapping).by_topic.items()
+        return next((one.names or () for name, one in topics if absolute(name) == absolute(topic)), ())
     with BagReader(log) as reader:
         there = [one for one in reader.topics if one.name == absolute(topic) and one.is_joint_state]
         first = next(reader.messages(there), None) if there else None
@@ -300,7 +300,8 @@ class RecordedRobot:
             arm = RigidArm.from_urdf(file, options.joints, *more, massless=massless, followed=followed)
         if fallback_name == "none":
             return cls(arm, setup, options, mapping=mapping, held=held)
-        fallback = FrictionFile.read(resolve_config(fallback_name)).select(arm.element_names)
+        path = resolve_config(fallback_name)
+        fallback = FrictionFile.read(path).select(arm.element_names, path)
         named = dict(zip(arm.element_names, fallback, strict=True))
         what = "an identification with it as --fallback"
         refuse_parts(named, what, f"{fallback_name}: elements.", held=("bristles",))

@@ -13,22 +13,20 @@ import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from rx90_common.base.declared import Declared, declarations
-from rx90_common.base.entries import Integer, ListOf, Number, Other, Rows, Switch
 from rx90_common.base.errors import ConfigError, check_type, located
-from rx90_common.base.models import Model, path_of, unit_of
+from rx90_common.base.models import AnyModel, Model, path_of, unit_of
 from rx90_common.base.quoting import counted, nearest, question, quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
-from rx90_common.friction.element import FRICTION_PARAMETERS
 from rx90_common.friction.parts.scatter import LARGEST_SEED
+from rx90_common.friction.signs import BySign
 from rx90_controller.lines.task import LineTask
 from rx90_controller.paths.path import Path
 from rx90_emulator.loop.setup import Setup
@@ -41,7 +39,6 @@ SWITCH = "switch"
 """Stands where the unit would, for values that are true or false."""
 
 ARM_UNITS = {"mass": "kg", "com": "m", "inertia": "kg m^2"}
-ModelOfFile = TypeVar("ModelOfFile", bound=Model)
 Motion = TypeVar("Motion", bound="LineTask | Path")
 TASK_UNITS = {
     "start": "m", "end": "m", "speed": "m/s", "acceleration": "m/s^2", "start_rpy": "rad", "end_rpy": "rad",
@@ -105,48 +102,47 @@ class Catalogue:
 
     def __init__(self, setup: Setup, task: LineTask | Path | None = None) -> None:
         check_type(setup=(setup, Setup))
-        self._units: dict[Key, str] = {("arm", "seed"): "1"}
-        self._values: dict[Key, Any] = {("arm", "seed"): setup.seed}
-        self._add_model("drives", setup.drives)
-        self._add_model("controller", setup.controller)
+        self._units: dict[Key, str] = {}
+        self._values: dict[Key, Any] = {}
+        self._leaves: dict[Key, tuple[Key, ...]] = {}  # what a path names, each by its place in the models
+        self._add(("arm", "seed"), setup.seed, "1")
+        self._add_model(("drives",), ("drives",), setup.drives)
+        self._add_model(("controller",), ("controller",), setup.controller)
         for field, unit in TASK_UNITS.items():
             if hasattr(task, field):
-                self._units["task", field] = unit
-                self._values["task", field] = getattr(task, field)
+                self._add(("task", field), getattr(task, field), unit)
         for name, element in zip(setup.friction.names, setup.friction.elements, strict=True):
-            self._add_declared(("friction", name), element)
-            for part_name, part in element.parts.items():
-                self._add_declared(("friction", name, part_name), part)
+            self._add_model(("friction", name), ("friction", name), element)
         for i, (field, unit) in itertools.product(range(len(setup.robot.joint_names)), ARM_UNITS.items()):
-            key = ("arm", f"link_{i + 1}", field)
-            self._units[key] = unit
-            self._values[key] = getattr(setup.robot.chain, field)[i]
-        self._names: dict[Key, tuple[Key, ...]] = {key: (key,) for key in self._units}
-        for name, parameter in itertools.product(setup.friction.names, FRICTION_PARAMETERS):
-            keys = tuple(("friction", name, field) for field in parameter.attributes)
-            self._names["friction", name, parameter.name] = keys
+            self._add(("arm", f"link_{i + 1}", field), getattr(setup.robot.chain, field)[i], unit)
 
-    def _add_model(self, top: str, model: Model) -> None:
-        """Add all numbers and switches of a file."""
-        for key, place in ways(type(model)).items():
-            value = _value_of(model, place.names)
-            if np.size(value):
-                self._units[(top, *key)] = place.unit
-                self._values[(top, *key)] = value
+    def _add(self, key: Key, value: Any, unit: str, path: Key = ()) -> None:
+        self._units[key] = unit
+        self._values[key] = value
+        self._leaves[path or key] = (key,)
 
-    def _add_declared(self, prefix: Key, holder: Declared) -> None:
-        """Add all numbers and switches that a declared object holds, and what it holds of others."""
-        for one in declarations(type(holder)).values():
-            value = getattr(holder, one.name)
-            key = (*prefix, one.name)
-            if isinstance(value, Declared):
-                self._add_declared(key, value)
-            elif isinstance(one.entry, Switch):
-                self._units[key] = SWITCH
-                self._values[key] = value
-            elif isinstance(one.entry, Number | Integer | Rows | ListOf | Other) and np.size(value):
-                self._units[key] = one.entry.unit or "1"
-                self._values[key] = value
+    def _add_model(self, around: Key, path: Key, model: Model) -> None:
+        """Add all numbers and switches of a model, and of the models in it.
+
+        Args:
+            around: the place of the model.
+            path: that leads to it.
+            model: with the values.
+        """
+        for name, value in model:
+            key = (*around, name)
+            if isinstance(value, BySign) and isinstance(value.positive, float):
+                unit = unit_of(type(model), name)
+                self._add((*key, "positive"), value.positive, unit, (*path, f"{name}_positive"))
+                self._add((*key, "negative"), value.negative, unit, (*path, f"{name}_negative"))
+                self._leaves[(*path, name)] = ((*key, "positive"), (*key, "negative"))
+            elif isinstance(value, Model):
+                self._add_model(key, (*path, name), value)
+            elif isinstance(value, bool):
+                self._add(key, value, SWITCH, (*path, name))
+            elif value is not None and np.size(value) and (unit := unit_of(type(model), name)):
+                short = path_of(type(model), name)
+                self._add(key, value, unit, (path[0], short) if short else (*path, name))
 
     def value(self, leaf: Leaf) -> Value:
         """Return a value as the files have it."""
@@ -157,8 +153,9 @@ class Catalogue:
 
     def all(self) -> list[Place]:
         """Return a place for each value."""
-        every = {key: ("*",) * np.ndim(value) for key, value in self._values.items()}
-        return [place for key, indices in every.items() for place in self._indexed(".".join(key), key, indices)]
+        single = {path: keys[0] for path, keys in self._leaves.items() if len(keys) == 1}
+        every = {path: ("*",) * np.ndim(self._values[key]) for path, key in single.items()}
+        return [place for path, indices in every.items() for place in self._indexed(".".join(path), path, indices)]
 
     def places(self, path: str) -> tuple[Place, ...]:
         """Return what a path names, one place for each combination that its `*` stand for."""
@@ -167,7 +164,7 @@ class Catalogue:
         if match is None:
             raise ConfigError(f"{quoted(path)} is not a path; accepted: such as friction.joint_2.c0 or drives.gear[1]")
         wanted = match["names"].split(".")
-        keys = [key for key in self._names if _matches(key, wanted)]
+        keys = [key for key in self._leaves if _matches(key, wanted)]
         if not keys:
             raise ConfigError(self._unknown(path, wanted))
         indices = match["indices"][1:-1].split("][") if match["indices"] else []
@@ -179,8 +176,8 @@ class Catalogue:
         return tuple(places)
 
     def _indexed(self, path: str, key: Key, indices: Sequence[str]) -> list[Place]:
-        keys = self._names[key]
-        shape = np.shape(self._values[self._names[key][0]])
+        keys = self._leaves[key]
+        shape = np.shape(self._values[self._leaves[key][0]])
         if len(indices) != len(shape) or any(i != "*" and int(i) >= n for i, n in zip(indices, shape, strict=True)):
             raise ConfigError(f"{quoted(path)}: {_accepted_indices('.'.join(key), shape)}")
         chosen = (range(n) if i == "*" else (int(i),) for i, n in zip(indices, shape, strict=True))
@@ -192,7 +189,7 @@ class Catalogue:
     def _unknown(self, path: str, wanted: Sequence[str]) -> str:
         """Say at which name a path goes astray, and which names there are in that place."""
         for depth in range(len(wanted) + 1):
-            known = [key for key in self._names if _matches(key[:depth], wanted[:depth])]
+            known = [key for key in self._leaves if _matches(key[:depth], wanted[:depth])]
             below = sorted({key[depth] for key in known if len(key) > depth})
             if depth == len(wanted):
                 return f"{quoted(path)} is a group of values; accepted: {path} and one of .{', .'.join(below)}"
@@ -247,67 +244,24 @@ def apply(setup: Setup, task: Motion, values: Mapping[Leaf, Value]) -> tuple[Set
         ConfigError, LineError: if a value is out of range.
     """
     tree = _tree(values)
-    return _changed(setup, tree), replace(task, **_fields(task, tree["task"])) if "task" in tree else task
+    return _changed(setup, tree), replace(task, **_changes(task, tree["task"])) if "task" in tree else task
 
 
-class Way(NamedTuple):
-    """Where a value of a file stands: the names of its mappings and its own, and its unit or SWITCH."""
-
-    names: Key
-    unit: str
-
-
-@cache
-def ways(model: type[Model], above: Key = ()) -> dict[Key, Way]:
-    """Return where the values of a file stand, by their names in paths.
-
-    Args:
-        model: of the file, or of a mapping in it.
-        above: the names of the mappings around it.
-    """
-    found: dict[Key, Way] = {}
-    for name, field in model.model_fields.items():
-        names = (*above, name)
-        if isinstance(field.annotation, type) and issubclass(field.annotation, Model):
-            found |= ways(field.annotation, names)
-        elif field.annotation is bool:
-            found[names] = Way(names, SWITCH)
-        elif unit_of(model, name):
-            short = path_of(model, name)
-            found[(short,) if short else names] = Way(names, unit_of(model, name))
-    return found
-
-
-def _value_of(model: Model, names: Key) -> Any:
-    """Return the value at a place in a file."""
-    value: Any = model
-    for name in names:
-        value = getattr(value, name)
-    return value
-
-
-def _changed_model(where: str, model: ModelOfFile, tree: Mapping[str, Any]) -> ModelOfFile:
-    """Return a file's content with some values changed."""
+def _changes(holder: Any, tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the changed fields, of a model in it a mapping of its own."""
     changes: dict[str, Any] = {}
-    for key, entries in _entries(tree).items():
-        way = ways(type(model))[key].names
-        old = _value_of(model, way)
-        inner = changes
-        for name in way[:-1]:
-            inner = inner.setdefault(name, {})
-        inner[way[-1]] = _with_entries(old, entries)
+    for name, entries in tree.items():
+        old = getattr(holder, name)
+        changes[name] = _changes(old, entries) if isinstance(old, Model) else _with_entries(old, entries)
+    return changes
+
+
+def _changed_model(where: str, model: AnyModel, tree: Mapping[str, Any]) -> AnyModel:
+    """Return a file's content with some values changed."""
+    if not tree:
+        return model
     with located(where):
-        return model.replaced(**changes)
-
-
-def _entries(tree: Mapping[Any, Any], above: Key = ()) -> dict[Key, dict[Index, Value]]:
-    found: dict[Key, dict[Index, Value]] = {}
-    for name, inner in tree.items():
-        if isinstance(name, tuple):
-            found.setdefault(above, {})[name] = inner
-        else:
-            found |= _entries(inner, (*above, name))
-    return found
+        return model.replaced(**_changes(model, tree))
 
 
 def _with_entries(old: Any, entries: Mapping[Index, Value]) -> Any:
@@ -319,7 +273,7 @@ def _with_entries(old: Any, entries: Mapping[Index, Value]) -> Any:
     numbers = np.array(old, dtype=np.float64)
     for index, value in entries.items():
         numbers[index] = value
-    return numbers.tolist()
+    return tuple(numbers.tolist())
 
 
 def _tree(values: Mapping[Leaf, Value]) -> dict[str, Any]:
@@ -341,7 +295,7 @@ def _changed(setup: Setup, tree: Mapping[str, Any]) -> Setup:
         new["controller"] = _changed_model("controller", setup.controller, tree["controller"])
     if "friction" in tree:
         elements = zip(setup.friction.names, setup.friction.elements, strict=True)
-        changed = [_replaced(f"friction.{name}", one, tree["friction"].get(name, {})) for name, one in elements]
+        changed = [_changed_model(f"friction.{name}", one, tree["friction"].get(name, {})) for name, one in elements]
         new["friction"] = replace(setup.friction, elements=tuple(changed))
     links = dict(tree.get("arm", {}))
     if (seed := links.pop("seed", {(): None})[()]) is not None:
@@ -351,31 +305,6 @@ def _changed(setup: Setup, tree: Mapping[str, Any]) -> Setup:
     if links:
         new["robot"] = _robot(setup.robot, links)
     return replace(setup, **new) if new else setup
-
-
-def _replaced(where: str, holder: Any, tree: Mapping[str, Any]) -> Any:
-    """Return a dataclass with changed values of its own, and of the dataclasses in it, such as parts of an element."""
-    if not tree:
-        return holder
-    with located(where):
-        return replace(holder, **_fields(holder, tree, where))
-
-
-def _fields(holder: object, tree: Mapping[str, Any], where: str = "") -> dict[str, Any]:
-    """Return the changed fields of a dataclass; those that hold several numbers keep their other ones."""
-    fields: dict[str, Any] = {}
-    for name, entries in tree.items():
-        old = getattr(holder, name)
-        if () in entries:
-            fields[name] = entries[()]
-        elif isinstance(next(iter(entries)), str):
-            fields[name] = _replaced(where, old, entries)
-        else:
-            numbers = np.array(old, dtype=np.float64)
-            for index, value in entries.items():
-                numbers[index] = value
-            fields[name] = tuple(numbers.tolist()) if isinstance(old, tuple) else numbers
-    return fields
 
 
 def _robot(robot: RobotModel, links: Mapping[str, Any]) -> RobotModel:

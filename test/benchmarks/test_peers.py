@@ -35,7 +35,9 @@ def test_motor_torques_reach_the_same_joints(shipped: Setup) -> None:
 def test_friction_parameters_reach_mujoco(shipped: Setup) -> None:
     """Held at constant velocity long enough, element 7 gives its Stribeck torque on both wrist joints."""
     alone = [
-        dataclasses.replace(e, c0=1e-6, c1=0.0, c2=0.0, tau_c_positive=1e-9, tau_s_positive=1e-9) if i < 6 else e
+        e.with_parameters({"c0": 1e-6, "c1": 0.0, "c2": 0.0, "tau_c_positive": 1e-9, "tau_s_positive": 1e-9})
+        if i < 6
+        else e
         for i, e in enumerate(shipped.friction.elements)
     ]
     setup = dataclasses.replace(shipped, friction=dataclasses.replace(shipped.friction, elements=tuple(alone)))
@@ -43,9 +45,9 @@ def test_friction_parameters_reach_mujoco(shipped: Setup) -> None:
     data = mujoco.MjData(model)
     last = alone[6]
     data.qvel[4:] = 5.0, 3.0  # so fast that nothing of the Stribeck effect is left
-    data.act[6] = last.tau_c_positive / last.c0
+    data.act[6] = last.tau_c.positive / last.c0
     mujoco.mj_forward(model, data)
-    assert data.qfrc_actuator[4:] == pytest.approx(-last.tau_c_positive, rel=1e-6)
+    assert data.qfrc_actuator[4:] == pytest.approx(-last.tau_c.positive, rel=1e-6)
     assert data.qfrc_damper[4:] == pytest.approx(-last.c2 * 8.0, rel=1e-9)
 
 

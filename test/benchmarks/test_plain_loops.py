@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from unchecked import unchecked
 
 from benchmarks.closed_loop import Ticks
 from benchmarks.hybrid_reference import Work
@@ -22,9 +23,9 @@ def work() -> Work:
 
 def sensitive(work: Work) -> Work:
     """Return the line with encoders too fine to magnify rounding and friction that depends on the sign of motion."""
-    drives = work.setup.drives.replaced(encoder={"counts_per_revolution": 2**40})
+    drives = unchecked(work.setup.drives, encoder={"counts_per_revolution": 2**40})
     elements = tuple(
-        dataclasses.replace(e, tau_c_negative=0.7 * e.tau_c_negative, tau_s_negative=0.8 * e.tau_s_negative)
+        e.with_parameters({"tau_c_negative": 0.7 * e.tau_c.negative, "tau_s_negative": 0.8 * e.tau_s.negative})
         for e in work.setup.friction.elements
     )
     friction = dataclasses.replace(work.setup.friction, elements=elements)

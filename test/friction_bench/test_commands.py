@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +67,7 @@ def test_friction_file_is_one_that_the_simulation_reads(ramps: Path) -> None:
     found = load_friction(ramps / "friction.yaml", RX_WRIST.element_names(JOINTS))
     shipped = load_friction(config_path("robots/rx90b/friction.yaml"), RX_WRIST.element_names(JOINTS))
     index = found.names.index("joint_6")
-    assert found.elements[index].tau_c_positive == pytest.approx(0.9, rel=0.05)
+    assert found.elements[index].tau_c.positive == pytest.approx(0.9, rel=0.05)
     assert found.elements[index].c2 == pytest.approx(0.11, rel=0.05)
     assert found.elements[:index] == shipped.elements[:index]
     assert schema_faults("friction", ramps / "friction.yaml") == []
@@ -212,7 +211,7 @@ def test_load_without_an_estimate_does_not_cost_the_other(
     rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A joint too heavy for the motor ends the measurement after one ramp: exit code 1, no-load friction reported."""
-    heavy = replace(rig, plant=replace(rig.plant, joint=JointFriction(4.0, 0.1)))
+    heavy = rig.replaced(emulation={"joint_friction": JointFriction(model="coulomb_viscous", coulomb=4.0, viscous=0.1)})
     monkeypatch.setattr(ramp_job, "load_rig", lambda _: heavy)
     out = tmp_path / "out"
     assert run("friction_ramp", [*QUICK_RAMPS, "--output", str(out)]) == 1

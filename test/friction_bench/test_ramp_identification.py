@@ -68,13 +68,13 @@ def bent(record: RampRecord, left: float, **changes: Any) -> RampRecord:
 
 def own(rig: Rig, coulomb: float, viscous: float, inertia: float) -> Rig:
     """Return the rig with this friction and inertia at the motor, without a load."""
-    load = (inertia - rig.plant.rotor_inertia) * rig.gear_ratio**2 * rig.gear_efficiency
-    return replace(rig, plant=replace(rig.plant, coulomb=coulomb, viscous=viscous, load_inertia=load))
+    load = (inertia - rig.emulation.motor.rotor_inertia) * rig.gear.ratio**2 * rig.gear.efficiency
+    return rig.replaced(emulation={"motor_friction": {"coulomb": coulomb, "viscous": viscous}, "load_inertia": load})
 
 
 def quiet(rig: Rig) -> Rig:
     """Return the rig without noise and gain error."""
-    return replace(rig, plant=replace(rig.plant, gain_error=0.0, torque_noise=0.0, adc_noise=0.0))
+    return rig.replaced(emulation={"amplifier": {"gain_error": 0.0, "torque_noise": 0.0, "adc_noise": 0.0}})
 
 
 def measure(rig: Rig, seed: int, repeats: int, slopes: tuple[float, ...], end: float = 0.15, loaded: bool = False):
@@ -177,7 +177,7 @@ def grid_results(rig: Rig) -> list[list[RampIdentification]]:
         fc, fv, inertia, slopes, end = GRID[cell]
         quick = QuickRig(own(rig, fc, fv, inertia), 1000 * cell + seed)
         records = [quick.ramp(slope, end, False, f"{slope} {k}") for k in range(3) for slope in slopes]
-        return identify_ramps(records, rig.scale_uncertainty)
+        return identify_ramps(records, rig.torque.scale_uncertainty)
 
     return [[result(cell, seed) for seed in range(SEEDS)] for cell in range(len(GRID))]
 
@@ -220,7 +220,7 @@ def test_intervals_hold_whatever_the_release(kind: str) -> None:
         rig = random_rig(1, number, kind)
         quick = QuickRig(rig, number)
         records = [quick.ramp(slope, 0.16, True, f"{slope} {k}") for k in range(3) for slope in (0.02, 0.05)]
-        best = identify_ramps(records, rig.scale_uncertainty).best
+        best = identify_ramps(records, rig.torque.scale_uncertainty).best
         for estimate, truth in zip((best.coulomb, best.viscous, best.inertia), truth_of(rig, True), strict=True):
             deviations.append((estimate.value - truth) / estimate.error)
             assert estimate.error < 0.15 * truth
@@ -231,8 +231,8 @@ def test_intervals_hold_whatever_the_release(kind: str) -> None:
 def test_wide_stribeck_effect_does_not_bias_coulomb_friction() -> None:
     """A release that lasts until the shaft turns at tens of rad/s, without noise: f_c and f_v within 0.5 %."""
     rig = quiet(load_rig(config_path("rig/gm8224_lugre.yaml")))
-    wide = replace(rig.plant.joint, tau_s_positive=1.35, tau_s_negative=1.35, omega_s=0.2)
-    rig = replace(rig, plant=replace(rig.plant, joint=wide))
+    wide = rig.emulation.joint.replaced(tau_s=1.35, omega_s=0.2)
+    rig = rig.replaced(emulation={"joint_friction": {"lugre": wide}})
     quick = QuickRig(rig, 3)
     found = identify_ramps([quick.ramp(slope, 0.16, True, f"{slope}") for slope in (0.02, 0.05)], 0.0)
     values = found.best.coulomb.value, found.best.viscous.value
@@ -253,10 +253,10 @@ def test_quick_ramps_are_those_of_the_rig_with_its_firmware(kind: str) -> None:
 def test_joint_friction_is_the_difference_and_carries_its_scale(rig: Rig) -> None:
     """f_joint is right within 3 standard uncertainties; a common scale error does not widen it twice."""
     records = [record for loaded in (False, True) for record in measure(rig, 5, 3, (0.02, 0.05), 0.155, loaded)]
-    result = evaluate(records, replace(rig, efficiency_uncertainty=0.0))
+    result = evaluate(records, rig.replaced(gear={"efficiency_uncertainty": 0.0}))
     (_, unloaded), (_, loaded) = result.parts
-    joint, friction = result.joint, rig.plant.joint
-    assert joint == joint_friction(unloaded, loaded, replace(rig, efficiency_uncertainty=0.0))
+    joint, friction = result.joint, rig.emulation.joint
+    assert joint == joint_friction(unloaded, loaded, rig.replaced(gear={"efficiency_uncertainty": 0.0}))
     for estimate, truth in zip(joint[2:], (friction.coulomb, friction.viscous), strict=True):
         assert estimate.value == pytest.approx(truth, abs=3 * estimate.error)
         assert estimate.error < 0.01 * truth
@@ -275,7 +275,7 @@ def test_intervals_contain_what_differs_from_ramp_to_ramp() -> None:
         quick = QuickRig(rig, seed)
         records = [quick.ramp(slope, 1.65, True, f"{slope} {k}") for k in range(4) for slope in (0.25, 0.61)]
         fit = fit_sliding([sliding_window(record) for record in records])
-        best = RampFriction.of(fit.values, fit.covariance, rig.scale_uncertainty, fit.freedom)
+        best = RampFriction.of(fit.values, fit.covariance, rig.torque.scale_uncertainty, fit.freedom)
         estimates = (best.coulomb, best.viscous, best.inertia)
         hits += [one.low <= value <= one.high for one, value in zip(estimates, truth, strict=True)]
         spreads.append(fit.spread)
@@ -333,7 +333,7 @@ def test_one_ramp_gives_viscous_friction_within_two_per_cent(rig: Rig, loaded: b
 def test_break_away_torque_is_found(rig: Rig) -> None:
     """Torque m t_b of each ramp is the Coulomb friction within 3 %, where friction does not fall at break-away."""
     records = measure(own(rig, 0.05, 8e-4, 6e-5), 3, 2, (0.02, 0.05))
-    for ramp in identify_ramps(records, rig.scale_uncertainty).ramps:
+    for ramp in identify_ramps(records, rig.torque.scale_uncertainty).ramps:
         assert ramp.break_away * ramp.slope == pytest.approx(0.05, rel=0.03)
 
 
@@ -362,7 +362,7 @@ def test_plan_gives_each_ramp_time_enough_to_slide(friction: tuple[float, float,
     assert (plan.slopes == rig.ramps.slopes) is kept
     rise = plan.end_torque - coulomb
     assert rise / max(plan.slopes) >= max(1.4, 8 * inertia / viscous)
-    assert rise**2 / (2 * viscous * min(plan.slopes)) < math.tau * rig.load_travel * rig.gear_ratio
+    assert rise**2 / (2 * viscous * min(plan.slopes)) < math.tau * rig.limits.load_travel * rig.gear.ratio
     assert max(plan.slopes) >= 1.8 * min(plan.slopes)
     assert plan.repeats * rise / max(plan.slopes) / rig.tick >= 280
     assert plan.end_torque == rig.ramps.end_torque
@@ -371,7 +371,7 @@ def test_plan_gives_each_ramp_time_enough_to_slide(friction: tuple[float, float,
 def test_ramp_ends_before_the_firmware_trips(rig: Rig) -> None:
     """Where the end torque would mean twice the speed limit, a ramp ends short of that limit, without a fault."""
     (record,) = measure(own(rig, 0.01, 3e-4, 2e-5), 2, 1, (0.05,))
-    assert 0.85 * rig.speed_limit < np.ptp(record.angle[-6:]) / np.ptp(record.time[-6:]) < rig.speed_limit
+    assert 0.85 * rig.limits.speed < np.ptp(record.angle[-6:]) / np.ptp(record.time[-6:]) < rig.limits.speed
 
 
 def with_torques(command: Callable[[Any], Any], measured: Callable[[Any], Any]) -> RampRecord:
@@ -407,9 +407,9 @@ def test_data_without_an_estimate_are_refused(message: str) -> None:
 
 def test_emulated_rig_beyond_its_supply_is_refused(rig: Rig) -> None:
     """A ramp in which the amplifier runs out of voltage is recognised by its measured current."""
-    records = measure(replace(rig, plant=replace(rig.plant, supply=9.0)), 1, 1, (0.02, 0.05))
+    records = measure(rig.replaced(emulation={"motor": {"supply": 9.0}}), 1, 1, (0.02, 0.05))
     with pytest.raises(IdentificationError, match=r"amplifier saturates|straight asymptote"):
-        identify_ramps(records, rig.scale_uncertainty)
+        identify_ramps(records, rig.torque.scale_uncertainty)
 
 
 def test_csv_gives_the_record_back(tmp_path: Path, rig: Rig) -> None:

@@ -37,7 +37,7 @@ def test_drawn_parts_give_the_scales_and_the_voltages_of_the_checklist() -> None
     450 µA/A give 0.2 Nm, and the ADC scale and current limit of the page's command.
     """
     rig = load_rig(ROOT / "config/rig/gm8224.yaml")
-    assert rig.plant is not None
+    assert rig.emulation is not None
     r, nano = parts("rig_8051.svg") | parts("rig_power.svg"), parts("rig_nano.svg")
     load = nano["R1"] + nano["R2"]
     half = (r["R15"] + r["R16"]) / (r["R14"] + r["R15"] + r["R16"])
@@ -45,13 +45,13 @@ def test_drawn_parts_give_the_scales_and_the_voltages_of_the_checklist() -> None
     scale, limit = map(int, re.findall(r"-DADC_FULL_SCALE=(\d+)u -DCURRENT_LIMIT_CODE=(\d+)u", PAGE)[0])
     assert limit == int(1.05 * 0.18 / (scale * 1e-5) * 255)
     for set_point, sensed, volts_per_ampere, adc_full_scale in (
-        (5.0 / r["R1"] * r["R4"], 10.0 * half, gain, rig.adc_full_scale),
+        (5.0 / r["R1"] * r["R4"], 10.0 * half, gain, rig.torque.adc_full_scale),
         (5.0 * load / (10e3 + load), 5.0, 450e-6 * nano["R3"], scale * 1e-5),
     ):
         amperes = set_point * 255 / 256 / volts_per_ampere
-        assert amperes * rig.plant.torque_constant == pytest.approx(rig.dac_full_scale, rel=1e-3)
+        assert amperes * rig.emulation.motor.torque_constant == pytest.approx(rig.torque.dac_full_scale, rel=1e-3)
         measured = sensed * 255 / 256 / volts_per_ampere
-        assert measured * rig.plant.torque_constant == pytest.approx(adc_full_scale, rel=1e-3)
+        assert measured * rig.emulation.motor.torque_constant == pytest.approx(adc_full_scale, rel=1e-3)
         low, high = set_point * 57 / 256, set_point * 114 / 256
         assert PAGE.count(f"| {low:.3f}, {high:.3f} V |") == 2
         assert f"| {amperes * 57 / 255:.3f}, {amperes * 114 / 255:.3f} A |" in PAGE
@@ -159,7 +159,7 @@ def test_known_weight_finds_the_scale_within_the_page_s_uncertainty(
     top = codes.index(max(codes))
     up, down = codes[changes[0]], next(codes[k] for k in changes if k > top)
     assert 5 <= up - down <= 15  # the friction, 0.004 Nm, hinders it once and helps once
-    assert 255 * weight / ((up + down) / 2) == pytest.approx(scale * rig.dac_full_scale, rel=2 * 0.0035)
+    assert 255 * weight / ((up + down) / 2) == pytest.approx(scale * rig.torque.dac_full_scale, rel=2 * 0.0035)
 
 
 def at_torque(player: Player, code: int) -> None:

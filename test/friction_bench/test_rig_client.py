@@ -9,7 +9,6 @@ import re
 import time
 import tty
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -135,7 +134,11 @@ def test_host_that_stops_beating_loses_the_torque(client: RigClient, emulated: E
         ({}, {"HOLD_TICKS": 50}, "ramps.hold, in ticks, is 0, the rig's firmware has 50"),
         ({}, {"PULSED": 1}, "emulation.amplifier.off_time > 0 is False, the rig's firmware has True"),
         ({}, {"SCALE_UNIT": 100}, "dac_full_scale is 0.2, the rig's firmware has 2.0"),
-        ({"dac_full_scale": 2.0}, {}, "dac_full_scale is 2.0, the rig's firmware has 0.2"),  # alike on the wire
+        (
+            {"torque": {"dac_full_scale": 2.0}},
+            {},
+            "dac_full_scale is 2.0, the rig's firmware has 0.2",
+        ),  # alike on the wire
     ],
 )
 def test_a_firmware_built_for_other_figures_is_refused(
@@ -143,7 +146,7 @@ def test_a_firmware_built_for_other_figures_is_refused(
 ) -> None:
     """What the greeting says is compared with the rig file; the first difference is named with both values."""
     emulated = EmulatedRig(rig, 0, NativeBoard(rig.baud, native_library(figures)))
-    client = RigClient(VirtualPort(emulated), replace(rig, **changes))
+    client = RigClient(VirtualPort(emulated), rig.replaced(**changes))
     with pytest.raises(RigInputError, match=rf"gm8224\.yaml: {re.escape(message)}$"):
         client.connect()
     assert client.hello is None
@@ -170,7 +173,7 @@ WARM = "{reference: 30, lowest: 0, highest: 90, start: 25, ambient: 25, capacity
     ("file", "old", "new", "message"),
     [
         ("source", "dac_full_scale: 2.0", "dac_full_scale: 7.0",
-         "torque.dac_full_scale is 7; accepted with limit_lifted: at most 6.5535 Nm"),
+         "torque.dac_full_scale is 7.0; accepted: with limit_lifted at most 6.5535 Nm"),
         ("gm8224_lugre", "\nemulation:\n", "\nemulation:\n  joint_spread: 0.05\n",
          "emulation.joint_spread is 0.05; accepted: 0"),
         ("gm8224_lugre", "omega_d: 1.0}", f"omega_d: 1.0, temperature: {WARM}}}",
@@ -187,7 +190,7 @@ def test_a_rig_file_that_describes_no_rig_is_refused(
         with pytest.raises(ConfigError, match=re.escape(message)):
             load_rig(own)
     else:
-        assert load_rig(own).plant.joint.bristles == ElastoPlastic(0.7)
+        assert load_rig(own).emulation.joint.bristles == ElastoPlastic(break_away=0.7)
 
 
 def test_interrupted_ramp_is_stopped_by_the_host(client: RigClient, emulated: EmulatedRig) -> None:

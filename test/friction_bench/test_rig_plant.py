@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,9 @@ from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 def lugre_rig() -> Rig:
     """Return the shipped rig whose joint has bristles, without errors of its amplifier and friction of its motor."""
     rig = load_rig(config_path("rig/gm8224_lugre.yaml"))
-    return replace(rig, plant=replace(rig.plant, gain_error=0.0, torque_noise=0.0, coulomb=0.0))
+    return rig.replaced(
+        emulation={"amplifier": {"gain_error": 0.0, "torque_noise": 0.0}, "motor_friction": {"coulomb": 0.0}}
+    )
 
 
 def by_solver(shaft: Shaft, state: Array, torque: float, duration: float) -> Array:
@@ -67,7 +68,7 @@ def test_a_shaft_turns_as_scipy_integrates_it() -> None:
 
 def test_back_emf_limits_the_torque(rig: Rig) -> None:
     """At 500 rad/s 24 V leave (24 - 22.5) / 2.6 A; a torque is never below zero."""
-    plant = RigPlant(replace(rig, plant=replace(rig.plant, gain_error=0.0, torque_noise=0.0)), 0)
+    plant = RigPlant(rig.replaced(emulation={"amplifier": {"gain_error": 0.0, "torque_noise": 0.0}}), 0)
     assert plant.motor_torque(0.15, 1e-3) == 0.15
     plant.speed = 500.0
     assert plant.motor_torque(0.15, 1e-3) == pytest.approx((24.0 - 0.045 * 500.0) / 2.6 * 0.045)
@@ -84,28 +85,28 @@ def elastic_share(y: float, steady: float, elastic: float) -> float:
     return 0.5 + 0.5 * math.sin(math.pi * (y - 0.5 * (steady + elastic)) / (steady - elastic))
 
 
-@pytest.mark.parametrize("bristles", [None, ElastoPlastic(0.5)], ids=["LuGre", "elasto-plastic"])
+@pytest.mark.parametrize("bristles", [None, ElastoPlastic(break_away=0.5)], ids=["LuGre", "elasto-plastic"])
 def test_the_rigs_joint_moves_as_scipy_integrates_it(lugre_rig: Rig, bristles: ElastoPlastic | None) -> None:
     """Under a torque in steps the joint moves as equations 17 to 19 say, with other bristles, too."""
     changes: dict[str, Any] = {"c1": 20.0}  # critical damping: no oscillation whose phase the splitting of steps shifts
     if bristles is not None:
         changes["bristles"] = bristles
-    rig = replace(lugre_rig, plant=replace(lugre_rig.plant, joint=replace(lugre_rig.plant.joint, **changes)))
-    joint = rig.plant.joint
+    rig = lugre_rig.replaced(emulation={"joint_friction": {"lugre": lugre_rig.emulation.joint.replaced(**changes)}})
+    joint = rig.emulation.joint
     plant = RigPlant(rig, 0)
     plant.load(True)
-    of_motor = rig.plant.viscous * rig.gear_ratio * rig.joint_scale
-    inertia = rig.plant.load_inertia + rig.plant.joint_inertia
-    inertia += rig.plant.rotor_inertia * rig.gear_ratio * rig.joint_scale
+    of_motor = rig.emulation.motor_friction.viscous * rig.gear.ratio * rig.joint_scale
+    inertia = rig.emulation.load_inertia + rig.emulation.joint_inertia
+    inertia += rig.emulation.motor.rotor_inertia * rig.gear.ratio * rig.joint_scale
 
     def motion(_: float, state: Array, torque: float) -> list[float]:
         _, v, z = state
-        rise = joint.tau_s_positive - joint.tau_c_positive
-        steady = (joint.tau_c_positive + rise * math.exp(-abs(v) / joint.omega_s)) / joint.c0
+        rise = joint.tau_s.positive - joint.tau_c.positive
+        steady = (joint.tau_c.positive + rise * math.exp(-abs(v) / joint.omega_s)) / joint.c0
         sense = math.copysign(1.0, v)
         alpha = 1.0
         if bristles is not None:
-            alpha = elastic_share(sense * z, steady, 0.5 * joint.tau_c_positive / joint.c0)
+            alpha = elastic_share(sense * z, steady, 0.5 * joint.tau_c.positive / joint.c0)
         z_dot = v * (1.0 - alpha * sense * z / steady)
         friction = joint.c0 * z + joint.c1 * math.exp(-((v / joint.omega_d) ** 2)) * z_dot + (joint.c2 + of_motor) * v
         return [v, (torque * rig.joint_scale - friction) / inertia, z_dot]
@@ -114,7 +115,7 @@ def test_the_rigs_joint_moves_as_scipy_integrates_it(lugre_rig: Rig, bristles: E
     for torque in (0.018, 0.036, 0.012, 0.042, 0.0):  # Nm at the motor
         for _ in range(80):
             plant.advance(torque, 1e-3)
-        found.append(plant.angle / rig.gear_ratio)
+        found.append(plant.angle / rig.gear.ratio)
         solved = solve_ivp(motion, (0.0, 0.08), state, args=(torque,), rtol=1e-9, atol=1e-13, max_step=1e-3)
         state = solved.y[:, -1]
         expected.append(float(state[0]))
@@ -123,8 +124,10 @@ def test_the_rigs_joint_moves_as_scipy_integrates_it(lugre_rig: Rig, bristles: E
 
 def test_a_joint_put_on_again_begins_anew(lugre_rig: Rig) -> None:
     """Taking the joint off and on forgets the deflections: the same torques give the same motion to the last bit."""
-    joint = replace(lugre_rig.plant.joint, bristles=MaxwellSlip((0.6, 0.4), (0.2, 0.8), 500.0))
-    plant, paths = RigPlant(replace(lugre_rig, plant=replace(lugre_rig.plant, joint=joint)), 1), []
+    joint = lugre_rig.emulation.joint.replaced(
+        bristles=MaxwellSlip(stiffness=(0.6, 0.4), share=(0.2, 0.8), attraction=500.0)
+    )
+    plant, paths = RigPlant(lugre_rig.replaced(emulation={"joint_friction": {"lugre": joint}}), 1), []
     for _ in range(2):
         plant.load(True)
         plant.angle = 0.0

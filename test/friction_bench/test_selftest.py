@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -84,7 +83,7 @@ def test_a_fault_of_the_firmware_is_found(name: str, mutant: Callable[..., Any],
 
 def test_other_figures_than_the_rig_file_s_end_the_test(client: RigClient, rig: Rig) -> None:
     """A firmware for another encoder fails the first check with both numbers; nothing is switched on after that."""
-    client.rig = replace(rig, counts_per_revolution=500)
+    client.rig = rig.replaced(counts_per_revolution=500)
     client.port.emulated.board.switched_on()
     (check,) = self_test(client)
     assert not check.good

@@ -49,12 +49,10 @@ def test_the_regressor_times_the_described_values_is_the_torque(urdf: Path) -> N
 def test_torques_are_those_of_arm_and_friction(urdf: Path) -> None:
     """Where both joints slide: Pinocchio's torque, tau_c and c2 v of the file, and what its `joints` state."""
     values = {"omega_s": 0.1, "delta": 1.0, "c0": 1e6, "c1": 0.0}
-    element = rx.FrictionElement(
-        tau_c_positive=3.0, tau_c_negative=3.0, tau_s_positive=3.0, tau_s_negative=3.0, c2=2.0, **values
-    )
+    element = rx.FrictionElement(tau_c=3.0, tau_s=3.0, c2=2.0, **values)
     time, *motion = swing()
     beside = {"elbow": {"offset": 1.5, "rotor_inertia": 0.2}}
-    file, robot = rx.FrictionFile(dict.fromkeys(NAMES, element), joints=beside), rx.RobotOptions(urdf=urdf)
+    file, robot = rx.FrictionFile(elements=dict.fromkeys(NAMES, element), joints=beside), rx.RobotOptions(urdf=urdf)
     found = rx.predict_torque(file, time, *motion, robot=robot)
     slides = (np.abs(motion[1]) > 0.1) & (time > 0.1)[:, None]
     expected = pinocchio_torque(urdf, tuple(motion)) + 3.0 * np.sign(motion[1]) + 2.0 * motion[1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from shutil import copytree
 
@@ -20,9 +19,19 @@ from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.loop.setup import Setup
 
 PARTS = {
-    "load": rx.LoadPart(0.05, 0.1),
-    "temperature": rx.TemperaturePart(40.0, 20.0, 90.0, 30.0, 25.0, 9000.0, 0.4, 20.7, 0.3),
-    "scatter": rx.ScatterPart(0.05, 0.2),
+    "load": rx.LoadPart(driving=0.05, driven=0.1),
+    "temperature": rx.TemperaturePart(
+        reference=40.0,
+        lowest=20.0,
+        highest=90.0,
+        start=30.0,
+        ambient=25.0,
+        capacity=9000.0,
+        resistance=0.4,
+        viscous_scale=20.7,
+        viscous_floor=0.3,
+    ),
+    "scatter": rx.ScatterPart(deviation=0.05, correlation_time=0.2),
 }
 
 
@@ -31,9 +40,9 @@ def parted_file(shipped: Setup, tmp_path: Path) -> Path:
     """Return a copy of the shipped friction file whose second joint has two parts."""
     assert shipped.friction.file is not None
     file = rx.FrictionFile.read(shipped.friction.file)
-    element = replace(file.elements["joint_2"], **PARTS)
+    element = file.elements["joint_2"].replaced(**PARTS)
     path = tmp_path / "parted.yaml"
-    path.write_text(replace(file, elements={**file.elements, "joint_2": element}).text(), encoding="utf-8")
+    path.write_text(file.replaced(elements={**file.elements.entries, "joint_2": element}).text(), encoding="utf-8")
     return path
 
 

@@ -41,7 +41,7 @@ def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     if turns is None:
         shipped = arm_oracle.setup
         elements = tuple(
-            dataclasses.replace(e, tau_c_negative=1.3 * e.tau_c_positive, tau_s_negative=1.5 * e.tau_s_positive)
+            e.with_parameters({"tau_c_negative": 1.3 * e.tau_c.positive, "tau_s_negative": 1.5 * e.tau_s.positive})
             for e in shipped.friction.elements
         )
         setup = dataclasses.replace(shipped, friction=FrictionSet(shipped.friction.names, elements))

@@ -125,7 +125,7 @@ def test_an_infinite_stiffness_is_the_rigid_plant(shipped: Setup, damping: float
 @pytest.mark.parametrize("side", [MOTOR, LINK])
 def test_load_is_what_the_link_gets_whichever_side_friction_is_on(shipped: Setup, side: str) -> None:
     """With friction by load, too, stiff gears move as rigid ones do, be the friction before the gear or behind it."""
-    elements = tuple(dataclasses.replace(one, load=LoadPart(0.3, 0.2)) for one in shipped.friction.elements)
+    elements = tuple(one.replaced(load=LoadPart(driving=0.3, driven=0.2)) for one in shipped.friction.elements)
     setup = dataclasses.replace(shipped, friction=dataclasses.replace(shipped.friction, elements=elements))
     rigid = way(setup, 2)
     assert np.abs(rigid - way(shipped, 2)).max() > 1e-3  # rad
@@ -223,8 +223,8 @@ def test_friction_brakes_the_side_that_the_file_names(shipped: Setup) -> None:
 @pytest.mark.parametrize("side", [MOTOR, LINK])
 def test_a_ripple_goes_by_the_angle_of_that_side(shipped: Setup, side: str) -> None:
     """In a step with twisted gears the sliding torque is that of the motors' angles, or of the links'."""
-    ripple = RipplePart((500.0,), (0.5,))
-    element = FrictionElement(*[10.0] * 4, 0.05, 1.0, 1e2, 0.0, 0.0, ripple=ripple)
+    ripple = RipplePart(joint_harmonic=(500.0,), joint_amplitude=(0.5,))
+    element = FrictionElement(tau_c=10.0, tau_s=10.0, omega_s=0.05, delta=1.0, c0=1e2, c1=0.0, c2=0.0, ripple=ripple)
     setup = elastic(floating(shipped), SOFT, 0.0, 0.0, side)
     setup = dataclasses.replace(setup, friction=FrictionSet(setup.friction.names, (element,) * 7))
     plant = setup.plant(1)

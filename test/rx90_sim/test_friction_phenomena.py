@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -133,7 +132,7 @@ def presliding_loop(record: Any, amplitude: float, frequency: float, cycles: int
 
 def test_presliding_hysteresis_is_closed_and_independent_of_rate(record: Callable[[FrictionElement], Any]) -> None:
     """Cyclic micro-motion gives the same closed loop at rates that differ a hundredfold."""
-    element = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0)
+    element = FrictionElement(tau_c=25.0, tau_s=32.0, omega_s=0.05, delta=1.0, c0=1e5, c1=100.0, c2=14.0)
     amplitude = 2.5e-4  # 0.8 of the break-away deflection
     slow, fast = (presliding_loop(record(element), amplitude, f, cycles=30, steps=800) for f in (0.001, 0.1))
     torque = slow[..., 1]
@@ -151,7 +150,7 @@ def test_slope_behind_a_reversal_is_that_of_equation_17(
     """It is c0 (1 + |z| / g) behind and c0 (1 - |z| / g) before it: after sliding 2 c0 and 0."""
     c0 = 1e5
     static = 32.0
-    element = FrictionElement(25.0, 25.0, static, static, 0.05, 1.0, c0, 100.0, 14.0)
+    element = FrictionElement(tau_c=25.0, tau_s=static, omega_s=0.05, delta=1.0, c0=c0, c1=100.0, c2=14.0)
     loop = presliding_loop(record(element), amplitude, 1e-4, cycles=30, steps=80_000)[-1]
     turn = 20_000  # a quarter period: the velocity reverses
     z = loop[turn, 1] / c0
@@ -169,8 +168,8 @@ def test_a_mass_under_constant_load_does_not_creep(
 ) -> None:
     """Below break-away a mass moves by its bristle, then keeps every bit of its position from then on."""
     first, second, third = shipped.friction.elements[:3]
-    elements = [first, replace(second, alpha=0.6), replace(third, alpha=0.4), paper_element]
-    load = np.array([0.8 * e.tau_c_positive for e in elements])
+    elements = [first, second.replaced(alpha=0.6), third.replaced(alpha=0.4), paper_element]
+    load = np.array([0.8 * e.tau_c.positive for e in elements])
     load[1] *= -1
     force = np.append(load, [0.0, 0.0])
     hertz = 1000
@@ -214,10 +213,10 @@ def test_lugre_drifts_under_an_oscillating_load_below_break_away(
     ticks = round(4000 / frequency)
     ends = []
     for k in range((cycles + 1) * ticks):
-        load = paper_element.tau_s_positive * (0.25 - 0.125 * np.cos(2 * np.pi * (k + 0.5) / ticks))
+        load = paper_element.tau_s.positive * (0.25 - 0.125 * np.cos(2 * np.pi * (k + 0.5) / ticks))
         plant.step(np.array([load, 0, 0, 0, 0, 0]))
         if (k + 1) % ticks == 0:
             ends.append(plant.joint_states()[0][0])
-    way = paper_element.tau_s_positive / paper_element.c0
+    way = paper_element.tau_s.positive / paper_element.c0
     want = way * np.log((1 - 0.125**2) / (1 - 0.375**2))
     assert np.diff(ends) == pytest.approx(np.full(cycles, want), rel=0.02)

@@ -37,7 +37,7 @@ def test_the_scenarios_are_what_they_are_called(shipped: Setup) -> None:
     element, period = bench.as_in_mujoco(shipped.friction.elements[0]), shipped.rates.period
     setup = decoupled_setup(shipped, (element,), bench.INERTIA)
     runs = {s.name: bench.run_plant(setup, s.torques(period)) for s in bench.SCENARIOS}
-    deflection = element.tau_s_positive / element.c0
+    deflection = element.tau_s.positive / element.c0
     assert runs["sliding"].v[-1] > 20 * element.omega_s
     assert np.abs(runs["presliding"].q).max() < 1.5 * deflection
     assert np.count_nonzero(np.diff(np.sign(runs["presliding"].v))) >= 4

@@ -46,22 +46,22 @@ def test_the_load_is_what_the_links_ask_for(arm: Setup) -> None:
     for _ in range(100):
         soft.step(None)
     hangs = needed(soft.state["q"][0], nothing[0], nothing[0])
-    assert soft.state["parts"]["load"][0] == pytest.approx(hangs, rel=1e-9, abs=1e-9)
-    gears, before = soft.state["transmission"][0], soft.state["parts"]["load"][0].copy()
+    assert soft.state["parts"]["load"]["torque"][0] == pytest.approx(hangs, rel=1e-9, abs=1e-9)
+    gears, before = soft.state["transmission"][0], soft.state["parts"]["load"]["torque"][0].copy()
     gears["twist"][5] += 1e-3  # gear 6 lets its torque go through elements 6 and 7, not through 5
     soft.step(None)
     through = gears["torque"][[0, 1, 2, 3, 4, 5, 5]]
     assert abs(through[5]) > 1.0
     relax = np.array([e.load.relax_time for e in arm.friction.elements if e.load])
     want = through + (before - through) * np.exp(-arm.rates.period / relax)
-    assert soft.state["parts"]["load"][0] == pytest.approx(want, rel=1e-9)
+    assert soft.state["parts"]["load"]["torque"][0] == pytest.approx(want, rel=1e-9)
 
     plant.reset(POSE)
     weight = needed(POSE, nothing[0], nothing[0])
-    assert plant.state["parts"]["load"][0] == pytest.approx(weight, rel=1e-9, abs=1e-9)
+    assert plant.state["parts"]["load"]["torque"][0] == pytest.approx(weight, rel=1e-9, abs=1e-9)
     for _ in range(400):
         plant.step(None)
-    assert plant.state["parts"]["load"][0] == pytest.approx(weight, rel=1e-5, abs=1e-5)
+    assert plant.state["parts"]["load"]["torque"][0] == pytest.approx(weight, rel=1e-5, abs=1e-5)
     motor = 0.2 * arm.drives.peak_torque
     for _ in range(300):
         plant.step(motor)
@@ -69,18 +69,18 @@ def test_the_load_is_what_the_links_ask_for(arm: Setup) -> None:
     assert np.abs(state["v"][:5]).min() > 0.1
     moving = needed(state["q"], state["v"], state["acceleration"])
     assert np.abs(moving - weight).max() > 5.0
-    assert state["parts"]["load"] == pytest.approx(moving, abs=0.02 * np.abs(moving).max())
+    assert state["parts"]["load"]["torque"] == pytest.approx(moving, abs=0.02 * np.abs(moving).max())
 
 
 def test_the_walk_of_the_scatter_goes_on_by_ticks(shipped: Setup) -> None:
     """However many steps the plant takes in a tick, the factors are the same ones, other ones in each tick."""
-    setup, seen = with_elements(shipped, scatter=ScatterPart(0.05, 0.02)), []
+    setup, seen = with_elements(shipped, scatter=ScatterPart(deviation=0.05, correlation_time=0.02)), []
     for substeps in (1, 3):
         plant = setup.plant(substeps)
         rows = []
         for _ in range(20):
             plant.step(None)
-            rows.append(plant.state["parts"]["scatter_factor"][0].copy())
+            rows.append(plant.state["parts"]["scatter"]["factor"][0].copy())
         seen.append(np.array(rows))
     assert np.array_equal(*seen)
     assert np.abs(np.diff(seen[0], axis=0)).min() > 0.0
@@ -88,8 +88,20 @@ def test_the_walk_of_the_scatter_goes_on_by_ticks(shipped: Setup) -> None:
 
 def test_a_reset_begins_again_to_the_last_bit(arm: Setup) -> None:
     """With all parts the ticks after a reset are those after the first one; another seed's are not."""
-    warm = TemperaturePart(40.0, 20.0, 90.0, 30.0, 25.0, 0.05, 10.0, 20.0, 0.3, 0.02, 0.01)
-    setup = with_elements(arm, scatter=ScatterPart(0.05, 0.02), temperature=warm)
+    warm = TemperaturePart(
+        reference=40.0,
+        lowest=20.0,
+        highest=90.0,
+        start=30.0,
+        ambient=25.0,
+        capacity=0.05,
+        resistance=10.0,
+        viscous_scale=20.0,
+        viscous_floor=0.3,
+        speed_slope=0.02,
+        static_slope=0.01,
+    )
+    setup = with_elements(arm, scatter=ScatterPart(deviation=0.05, correlation_time=0.02), temperature=warm)
 
     def ticks(plant: Plant) -> Array:
         plant.reset(POSE)
@@ -108,7 +120,20 @@ def test_a_reset_begins_again_to_the_last_bit(arm: Setup) -> None:
     assert not np.array_equal(ticks(dataclasses.replace(setup, seed=1).plant()), first)
 
 
-PART = TemperaturePart(40.0, 20.0, 80.0, 30.0, 25.0, 0.5, 2.0, 20.0, 0.3, 0.02, 0.01, motor_share=0.4)
+PART = TemperaturePart(
+    reference=40.0,
+    lowest=20.0,
+    highest=80.0,
+    start=30.0,
+    ambient=25.0,
+    capacity=0.5,
+    resistance=2.0,
+    viscous_scale=20.0,
+    viscous_floor=0.3,
+    speed_slope=0.02,
+    static_slope=0.01,
+    motor_share=0.4,
+)
 TORQUE = np.array([0.1, -0.2, 0.15, 0.05, 0.04, 0.06])
 """At which the brakes, and friction, hold the joints, motor side, Nm."""
 
@@ -116,8 +141,7 @@ TORQUE = np.array([0.1, -0.2, 0.15, 0.05, 0.04, 0.06])
 def warm(setup: Setup, part: TemperaturePart = PART, **windings: float) -> Setup:
     """Return a setup with the part in all elements but the second, and with windings of 2 to 7 Ohm."""
     elements = tuple(
-        element if i == 1 else dataclasses.replace(element, temperature=part)
-        for i, element in enumerate(setup.friction.elements)
+        element if i == 1 else element.replaced(temperature=part) for i, element in enumerate(setup.friction.elements)
     )
     cold = {"heat_capacity": np.full(6, 1e9), "thermal_resistance": np.full(6, 1.0)}
     values = {"ambient": 20.0, "initial": 20.0, "derating": 150.0, "limit": 170.0, **cold, **windings}
@@ -151,15 +175,15 @@ def test_motors_warm_the_joints_that_they_drive(shipped: Setup) -> None:
 def test_a_warm_winding_heats_more(shipped: Setup) -> None:
     """The resistance is that of the winding's temperature: at 80 degrees above its reference a third more of heat."""
     cold, hot = (at_rest(warm(shipped, initial=t), 500) for t in (20.0, 100.0))
-    rise = (hot - at_rest(warm(shipped, dataclasses.replace(PART, motor_share=0.0)), 500)) / (
-        cold - at_rest(warm(shipped, dataclasses.replace(PART, motor_share=0.0)), 500)
+    rise = (hot - at_rest(warm(shipped, PART.replaced(motor_share=0.0)), 500)) / (
+        cold - at_rest(warm(shipped, PART.replaced(motor_share=0.0)), 500)
     ).clip(1e-9)
     assert rise[[0, 2, 3, 4, 6]] == pytest.approx(1.0 + 0.00393 * 80.0, rel=1e-6)
 
 
 def test_a_moving_arm_warms_by_its_friction(shipped: Setup) -> None:
     """What all joints get as heat is what friction took, by torques and velocities of the ticks; a reset cools them."""
-    setup = warm(shipped, dataclasses.replace(PART, motor_share=0.0))
+    setup = warm(shipped, PART.replaced(motor_share=0.0))
     plant = setup.plant()
     plant.reset([0.3, 0.5, 1.0, -0.4, 0.6, 0.2])
     taken, before = np.zeros(7), 0.0
@@ -182,7 +206,7 @@ def test_a_moving_arm_warms_by_its_friction(shipped: Setup) -> None:
 
 def with_start(element: FrictionElement, start: float) -> FrictionElement:
     """Return an element whose joint begins at a temperature, degrees Celsius."""
-    return dataclasses.replace(element, temperature=dataclasses.replace(element.temperature, start=start))  # type: ignore[type-var]
+    return element.replaced(temperature=element.temperature.replaced(start=start))  # type: ignore[type-var]
 
 
 def test_the_start_temperature_counts_at_once(shipped: Setup) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -119,9 +118,18 @@ def test_full_joint_speed_is_stable(shipped: Setup, stiffening: float, rate: flo
     assert found.torque < 1e-4
 
 
-ELEMENT = FrictionElement(25.0, 31.0, 28.0, 36.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
-STIFF, SOFT = ElastoPlastic(0.8), ElastoPlastic(0.2)
-BLOCKS = MaxwellSlip((0.5, 0.3, 0.2), (0.2, 0.3, 0.5), 2000.0)
+ELEMENT = FrictionElement(
+    tau_c={"positive": 25.0, "negative": 31.0},
+    tau_s={"positive": 28.0, "negative": 36.0},
+    omega_s=0.05,
+    delta=1.0,
+    c0=1e5,
+    c1=100.0,
+    c2=14.0,
+    omega_d=1.0,
+)
+STIFF, SOFT = ElastoPlastic(break_away=0.8), ElastoPlastic(break_away=0.2)
+BLOCKS = MaxwellSlip(stiffness=(0.5, 0.3, 0.2), share=(0.2, 0.3, 0.5), attraction=2000.0)
 
 
 def force(t: float) -> float:
@@ -131,7 +139,7 @@ def force(t: float) -> float:
 
 def test_mixed_kinds_in_one_plant(masses: Callable[..., Plant]) -> None:
     """Four joints with four kinds follow solvers with located events; a reset plant does it again to the last bit."""
-    elements = [replace(ELEMENT, bristles=kind) for kind in (STIFF, BLOCKS, None, SOFT)]
+    elements = [ELEMENT.replaced(bristles=kind) for kind in (STIFF, BLOCKS, None, SOFT)]
     plant, end = masses(elements, 1.5, 16_000), 0.1
     seen = []
     for _ in range(2):
@@ -157,8 +165,8 @@ def test_mixed_kinds_in_one_plant(masses: Callable[..., Plant]) -> None:
 
 def test_a_kind_and_another_part_go_together(masses: Callable[..., Plant]) -> None:
     """With a walk too slow to be seen an elasto-plastic joint moves as it does without."""
-    alone = replace(ELEMENT, bristles=STIFF)
-    both = replace(alone, scatter=ScatterPart(1e-9, 100.0))
+    alone = ELEMENT.replaced(bristles=STIFF)
+    both = alone.replaced(scatter=ScatterPart(deviation=1e-9, correlation_time=100.0))
     plant = masses([alone, both], 1.5)
     for k in range(400):
         plant.step(np.full(6, force((k + 0.5) / 4000)) * [1, 1, 0, 0, 0, 0])

@@ -57,15 +57,17 @@ def drawn(setup: Setup, drawn: dict[str, Any]) -> Setup:
     """Return a setup with these powers of ten as factors, each element's own a little beside them."""
     rng, elements = np.random.default_rng(drawn["seed"]), []
     for one in setup.friction.elements:
-        own = {name: 10.0 ** (drawn[name] + rng.uniform(-0.3, 0.3)) * getattr(one, name) for name in ("c0", "c1", "c2")}
+        own = {
+            name: 10.0 ** (drawn[name] + rng.uniform(-0.3, 0.3)) * one.parameters[name] for name in ("c0", "c1", "c2")
+        }
         own |= {
-            name: getattr(one, name)
+            name: one.parameters[name]
             * 10.0 ** (drawn["torques"] + drawn["weaker"][1] * name.endswith(drawn["weaker"][0]))
             for name in ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative")
         }
         if drawn["undamped"]:
             own |= {"c1": 0.0}
-        elements.append(dataclasses.replace(one, **own, alpha=drawn["alpha"]))
+        elements.append(one.with_parameters({**own, "alpha": drawn["alpha"]}))
     friction = FrictionSet(setup.friction.names, tuple(elements))
     return with_rotors(dataclasses.replace(setup, friction=friction), 10.0 ** drawn["rotors"])
 
@@ -154,12 +156,21 @@ def test_a_refusal_names_all_that_ask_for_more(shipped: Setup) -> None:
 
 def test_parts_count_where_they_stiffen(shipped: Setup) -> None:
     """Elasto-plastic bristles stick as LuGre's; a joint that starts cold has the viscous friction of its cold."""
-    for part in (None, ElastoPlastic(0.7)):
-        elements = tuple(dataclasses.replace(e, c0=50.0 * e.c0, bristles=part) for e in shipped.friction.elements)
+    for part in (None, ElastoPlastic(break_away=0.7)):
+        elements = tuple(e.replaced(c0=50.0 * e.c0, bristles=part) for e in shipped.friction.elements)
         setup = dataclasses.replace(shipped, friction=FrictionSet(shipped.friction.names, elements))
         assert setup.plant().substeps == scaled(shipped, c0=50.0).plant().substeps
-    cold = TemperaturePart(60.0, -20.0, 80.0, -20.0, 20.0, 9000.0, 0.4, 10.0)
-    elements = tuple(dataclasses.replace(e, temperature=cold) for e in shipped.friction.elements)
+    cold = TemperaturePart(
+        reference=60.0,
+        lowest=-20.0,
+        highest=80.0,
+        start=-20.0,
+        ambient=20.0,
+        capacity=9000.0,
+        resistance=0.4,
+        viscous_scale=10.0,
+    )
+    elements = tuple(e.replaced(temperature=cold) for e in shipped.friction.elements)
     with pytest.raises(ConfigError, match=r"c2 is .* at its steepest"):
         dataclasses.replace(shipped, friction=FrictionSet(shipped.friction.names, elements)).plant(1)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.signs import SIGNS
 
 Array = NDArray[np.float64]
 Velocity = Callable[[float], float]
@@ -24,9 +25,16 @@ def random_element(rng: np.random.Generator) -> FrictionElement:
     c0 = 10.0 ** rng.uniform(3.5, 5.5)
     c1 = c0 * 10.0 ** rng.uniform(-4.0, -3.0)
     return FrictionElement(
-        *coulomb, *static, 10.0 ** rng.uniform(-2.0, 0.0), rng.uniform(0.6, 2.0), c0, c1, rng.uniform(0.0, 20.0),
-        rng.choice([math.inf, 1.0]), rng.choice([1.0, 0.7]),
-    )  # fmt: skip
+        tau_c=dict(zip(SIGNS, coulomb, strict=True)),
+        tau_s=dict(zip(SIGNS, static, strict=True)),
+        omega_s=10.0 ** rng.uniform(-2.0, 0.0),
+        delta=rng.uniform(0.6, 2.0),
+        c0=c0,
+        c1=c1,
+        c2=rng.uniform(0.0, 20.0),
+        omega_d=rng.choice([math.inf, 1.0]),
+        alpha=rng.choice([1.0, 0.7]),
+    )
 
 
 @dataclass(frozen=True)
@@ -38,7 +46,7 @@ class ElastoPlasticOracle:
 
     def limits(self, v: float) -> tuple[float, float]:
         """Return the break-away deflection and the steady one, rad, without a sign."""
-        coulomb = self.element.tau_c_positive if v >= 0.0 else self.element.tau_c_negative
+        coulomb = self.element.tau_c.positive if v >= 0.0 else self.element.tau_c.negative
         c0 = self.element.c0
         return self.break_away * coulomb / c0, float(self.element.sliding_torque(v)) / c0
 

@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import rx90_emulator as rx
 
 PARTS: dict[str, Any] = {
-    "load": rx.LoadPart(0.05, 0.1),
+    "load": rx.LoadPart(driving=0.05, driven=0.1),
     "ripple": rx.RipplePart(motor_harmonic=(2.0,), motor_amplitude=(0.1,)),
-    "scatter": rx.ScatterPart(0.05, 0.2),
-    "temperature": rx.TemperaturePart(40.0, 20.0, 90.0, 30.0, 25.0, 0.5, 10.0, 20.0, 0.3, 0.02, 0.01),
+    "scatter": rx.ScatterPart(deviation=0.05, correlation_time=0.2),
+    "temperature": rx.TemperaturePart(
+        reference=40.0,
+        lowest=20.0,
+        highest=90.0,
+        start=30.0,
+        ambient=25.0,
+        capacity=0.5,
+        resistance=10.0,
+        viscous_scale=20.0,
+        viscous_floor=0.3,
+        speed_slope=0.02,
+        static_slope=0.01,
+    ),
 }
 
 
 def write_with_parts(shipped: Path, written: Path) -> Path:
     """Write a friction file with these parts in each of its elements; return its path."""
     file = rx.FrictionFile.read(shipped)
-    elements = {name: replace(element, **PARTS) for name, element in file.elements.items()}
-    written.write_text(replace(file, elements=elements).text(), encoding="utf-8")
+    elements = {name: element.replaced(**PARTS) for name, element in file.elements.entries.items()}
+    written.write_text(file.replaced(elements=elements).text(), encoding="utf-8")
     return written

@@ -28,7 +28,7 @@ class LuGreOracle:
     @cached_property
     def _table(self) -> dict[str, Array]:
         """Return the elements' values by name, each shape (n,): a solver asks for them a hundred thousand times."""
-        return {name: np.array([getattr(element, name) for element in self.elements]) for name in FRICTION_UNITS}
+        return {name: np.array([element.parameters[name] for element in self.elements]) for name in FRICTION_UNITS}
 
     def _values(self, name: str) -> Array:
         return self._table[name]
@@ -62,7 +62,7 @@ def lugre_oracle() -> type[LuGreOracle]:
 @pytest.fixture(scope="session")
 def paper_element() -> FrictionElement:
     """Return the values of Canudas de Wit, Olsson, Astrom, Lischinsky (1995), table 1: N, m, kg, s."""
-    return FrictionElement(1.0, 1.0, 1.5, 1.5, 0.001, 2.0, 1e5, math.sqrt(1e5), 0.4)
+    return FrictionElement(tau_c=1.0, tau_s=1.5, omega_s=0.001, delta=2.0, c0=1e5, c1=math.sqrt(1e5), c2=0.4)
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ def by_model(setup: Setup, *, inverse_dynamics: bool = True, friction_model: boo
 def with_friction(setup: Setup, elements: Sequence[FrictionElement], path: Path) -> Setup:
     """Return the setup with a controller whose model has other friction, written to a file."""
     names = setup.friction.names
-    path.write_text(FrictionFile(dict(zip(names, elements, strict=True))).text(), encoding="utf-8")
+    path.write_text(FrictionFile(elements=dict(zip(names, elements, strict=True))).text(), encoding="utf-8")
     model = setup.controller.model
     assert isinstance(model, ModelFiles)
     other = model.replaced(friction=path)
@@ -32,6 +32,6 @@ def scaled(friction: FrictionSet, factor: float) -> tuple[FrictionElement, ...]:
     """Return elements whose torques are so many times as large at every velocity and deflection."""
     names = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
     return tuple(
-        dataclasses.replace(element, **{name: factor * getattr(element, name) for name in names})
+        element.with_parameters({name: factor * element.parameters[name] for name in names})
         for element in friction.elements
     )

@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.compiled_elements import element_arrays
-from rx90_common.friction.parts.load import advance_load
-from rx90_common.friction.parts.scatter import advance_scatter
 from rx90_common.friction.parts.step import (
+    advance_parts,
     fill_parts,
     parts_dtype,
     parts_energy,
     parts_state_dtype,
     parts_step,
     reset_parts,
+    tick_parts,
 )
 from rx90_common.friction.parts.temperature import add_work, advance_temperatures
+from rx90_common.friction.signs import SIGNS
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 
@@ -81,8 +82,8 @@ def follow(seven: Seven, motion: Array, step: float, torque: Array, stored: Arra
         if parts.temperature.used:
             add_work(state.temperature, mean, load(motion[k, 1], 7), step, 7)
             advance_temperatures(parts.temperature, state.temperature, energy, 0.0 * energy, step, 7)
-        advance_load(parts.load, state, load(motion[k, 2], 7), step, 7)
-        advance_scatter(parts.scatter, state)
+        advance_parts(parts, state, load(motion[k, 2], 7), step, 7)
+        tick_parts(parts, state, load(motion[k, 2], 7), step, 7)
 
 
 def along(seven: Seven, motion: Array, step: float) -> tuple[Array, Array]:
@@ -97,9 +98,15 @@ def any_element(rng: np.random.Generator, **parts: Any) -> FrictionElement:
     size = 10.0 ** rng.uniform(-1, 2)
     tau_c = size * rng.uniform(0.6, 1.4, 2)
     tau_s = tau_c * rng.uniform(1.0, 1.8, 2)
-    element = FrictionElement(
-        *tau_c.tolist(), *tau_s.tolist(), rng.uniform(0.01, 0.2), rng.choice([0.7, 1.0, 2.0]).item(),
-        size * 10.0 ** rng.uniform(3, 4), 0.0, size * rng.uniform(0.0, 0.5), alpha=rng.choice([0.6, 1.0, 1.5]).item(),
-    )  # fmt: skip
-    element = FrictionElement(**{**vars(element), **parts})
-    return FrictionElement(**{**vars(element), "c1": 0.9 * element.passive_damping(SPEED)})
+    values = {
+        "tau_c": dict(zip(SIGNS, tau_c.tolist(), strict=True)),
+        "tau_s": dict(zip(SIGNS, tau_s.tolist(), strict=True)),
+        "omega_s": rng.uniform(0.01, 0.2),
+        "delta": rng.choice([0.7, 1.0, 2.0]).item(),
+        "c0": size * 10.0 ** rng.uniform(3, 4),
+        "c1": 0.0,
+        "c2": size * rng.uniform(0.0, 0.5),
+        "alpha": rng.choice([0.6, 1.0, 1.5]).item(),
+    }
+    element = FrictionElement.of({**values, **parts})
+    return element.replaced(c1=0.9 * element.passive_damping(SPEED))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from jsonschema import Draft202012Validator
 
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import read_yaml
 from rx90_common.base.share import config_path
 
 
@@ -18,4 +18,4 @@ def validator(kind: str) -> Draft202012Validator:
 
 def schema_faults(kind: str, path: Path) -> list[str]:
     """Return what is wrong in a file by the schema of a kind."""
-    return [error.message for error in validator(kind).iter_errors(load_yaml(path).content)]
+    return [error.message for error in validator(kind).iter_errors(read_yaml(path))]

@@ -6,20 +6,19 @@ Their equations stand with their compiled steps in elasto_plastic.py and maxwell
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Final
+from collections.abc import Sequence
+from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.entries import LEFT_OUT, ListOf, Number
-from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Variants
-from rx90_common.base.quoting import counted
-from rx90_common.friction.maxwell_slip import MAX_BLOCKS
-from rx90_common.friction.parts.part import FrictionPart
+from rx90_common.base.models import JsonSchema, quantity, refusal
+from rx90_common.friction.maxwell_slip import MAX_BLOCKS, blocks_dtype
+from rx90_common.friction.parts.part import FrictionPart, Part, Surroundings
+from rx90_common.kernels.compiled import inlined
+from rx90_common.kernels.lanes import Lanes
 
 LUGRE_PASSIVITY: Final = 4.0
 """Of `passivity_factor`: LuGre's bristle is passive where c1 |v| < 4 c0 g(v) (Barahanov and Ortega 2000)."""
@@ -30,39 +29,18 @@ MAX_BREAK_AWAY: Final = 0.9
 _SUM_ERROR = 1e-9  # of stiffnesses and shares, which are given in decimals
 
 
-@dataclass(frozen=True)
+def _require_kind(schema: JsonSchema) -> None:
+    schema["required"] = ["kind", *schema.get("required", ())]
+
+
 class BristlesPart(FrictionPart):
-    """Bristles of another kind than LuGre's.
+    """Bristles of another kind than LuGre's."""
 
-    Attributes:
-        kind: its name in a file.
-    """
+    model_config = ConfigDict(json_schema_extra=_require_kind)
 
-    name = "bristles"
-    kind: ClassVar[str]
-
-    @classmethod
-    def entry(cls) -> Variants:
-        """Return the accepted content of a file under the name."""
-        groups = {name: kind.group() for name, kind in KINDS.items()}
-        return Variants("Bristles of another kind than LuGre's.", key="kind", groups=groups, default=LEFT_OUT)
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any]) -> BristlesPart:
-        """Return the bristles for the values that `entry` has read."""
-        return KINDS[content["kind"]].of_file(content)
-
-    @classmethod
-    def legend(cls) -> str:
-        """Return the tables of all kinds as lines of comment."""
-        lines = f"# {cls.name:<8} other bristles than LuGre's, by their kind:\n"
-        for name, kind in KINDS.items():
-            lines += f"#   kind: {name}\n" + "".join(super(BristlesPart, kind).legend().splitlines(True)[1:])
-        return lines
-
-    def values(self) -> dict[str, Any]:
-        """Return the block as in a file."""
-        return {"kind": self.kind, **super().values()}
+    @model_serializer(mode="wrap")
+    def _with_kind(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {"kind": type(self).model_fields["kind"].default, **dump(self)}
 
     def passivity_factor(self, c0: float, speed: ArrayLike) -> Array | float:  # noqa: ARG002 - of other kinds
         """Return the factor p for which the element is passive where c1 |v| < p c0 g(v).
@@ -74,63 +52,52 @@ class BristlesPart(FrictionPart):
         return LUGRE_PASSIVITY
 
 
-@dataclass(frozen=True)
 class ElastoPlastic(BristlesPart):
-    """Elasto-plastic bristles, which are purely elastic up to break-away."""
+    """Elasto-plastic bristles (Dupont, Hayward, Armstrong, Altpeter 2002).
 
-    kind = "elasto_plastic"
-    about = "Elasto-plastic bristles (Dupont, Hayward, Armstrong, Altpeter 2002)."
-
-    break_away: Annotated[
-        float,
-        Number(
-            "Deflection up to which the bristles are purely elastic, in parts of tau_c / c0.", "1",
-            low=0.0, high=MAX_BREAK_AWAY,
-        ),
-    ]  # fmt: skip
-
-
-def _parts(about: str) -> ListOf:
-    number = Number(about, "1", low=0.0, high=1.0, above=True)
-    return ListOf(about, "1", item=number, accepted=f"a list of 1 to {MAX_BLOCKS} numbers", least=1)
-
-
-@dataclass(frozen=True)
-class MaxwellSlip(BristlesPart):
-    """Parallel blocks, 1 to MAX_BLOCKS, each of which sticks or slips.
-
-    Raises:
-        ConfigError: also for another number of blocks, and another sum.
+    They are purely elastic up to break-away.
     """
 
-    kind = "maxwell_slip"
-    about = "Generalised Maxwell slip (Lampaert, Al-Bender, Swevers 2003)."
-
-    stiffness: Annotated[tuple[float, ...], _parts("Stiffness of each block in parts of c0; they sum to 1.")]
-    share: Annotated[tuple[float, ...], _parts("Share of each block in the sliding torque; they sum to 1.")]
-    attraction: Annotated[
+    kind: Literal["elasto_plastic"] = "elasto_plastic"
+    break_away: Annotated[
         float,
-        Number(
-            "Attraction of the sliding curve; torques come to it at the rate attraction / sliding torque.", "Nm/s",
-            low=0.0, above=True,
+        quantity(
+            "1", "Deflection up to which the bristles are purely elastic, in parts of tau_c / c0.",
+            ge=0.0, le=MAX_BREAK_AWAY,
         ),
     ]  # fmt: skip
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        count = len(self.stiffness)
-        if count > MAX_BLOCKS:
-            raise ConfigError(
-                f"bristles: stiffness has {counted(count, 'number')}; accepted: 1 to {MAX_BLOCKS}, one for a block"
-            )
-        if len(self.share) != count:
-            raise ConfigError(
-                f"bristles: share has {counted(len(self.share), 'number')}; accepted: {count}, as stiffness has"
-            )
-        for name, whole in (("stiffness", "c0"), ("share", "the sliding torque")):
-            total = math.fsum(getattr(self, name))
-            if not abs(total - 1.0) <= _SUM_ERROR:
-                raise ConfigError(f"bristles: {name} sums to {total:.10g}; accepted: 1, as parts of {whole}")
+
+_Shares: TypeAlias = Annotated[
+    tuple[Annotated[float, Field(gt=0.0, le=1.0)], ...], Field(strict=False, min_length=1, max_length=MAX_BLOCKS)
+]
+
+
+class MaxwellSlip(BristlesPart):
+    """Generalised Maxwell slip (Lampaert, Al-Bender, Swevers 2003).
+
+    Parallel blocks, 1 to MAX_BLOCKS, each of which sticks or slips.
+    """
+
+    kind: Literal["maxwell_slip"] = "maxwell_slip"
+    stiffness: Annotated[_Shares, quantity("1", "Stiffness of each block in parts of c0; they sum to 1.")]
+    share: Annotated[_Shares, quantity("1", "Share of each block in the sliding torque; they sum to 1.")]
+    attraction: Annotated[
+        float,
+        quantity(
+            "Nm/s", "Attraction of the sliding curve; torques come to it at the rate attraction / sliding torque.",
+            gt=0.0,
+        ),
+    ]  # fmt: skip
+
+    @model_validator(mode="after")
+    def _check_blocks(self) -> MaxwellSlip:
+        if len(self.share) != len(self.stiffness):
+            raise refusal("share", self.share, f"{len(self.stiffness)} numbers, as many as stiffness has")
+        for name, shares in (("stiffness", self.stiffness), ("share", self.share)):
+            if abs(math.fsum(shares) - 1.0) > _SUM_ERROR:
+                raise refusal(name, shares, f"numbers that sum to 1; these sum to {math.fsum(shares):.10g}")
+        return self
 
     def passivity_factor(self, c0: float, speed: ArrayLike) -> Array:
         """Return the least of a_i / k_i (1 + sqrt(|v| / A_i))^2 over the blocks."""
@@ -139,11 +106,37 @@ class MaxwellSlip(BristlesPart):
         return np.asarray(np.min(ratio * above**2, axis=-1))
 
 
-KINDS: dict[str, type[BristlesPart]] = {kind.kind: kind for kind in (ElastoPlastic, MaxwellSlip)}
-"""By their names in a file."""
+Bristles: TypeAlias = Annotated[ElastoPlastic | MaxwellSlip, Field(discriminator="kind")]
 
 
-def fill_bristles(record: Any, kinds: Sequence[BristlesPart | None]) -> None:
+def bristles_dtype(width: int) -> np.dtype[np.void]:
+    """Return the type of the constants of `width` elements' bristles."""
+    return np.dtype(
+        [
+            ("elastic_used", np.int64),  # 1 if any element is elasto-plastic
+            ("blocks_used", np.int64),  # 1 if any element has blocks
+            ("elastic", np.float64, (width,)),  # 1 where it is elasto-plastic
+            ("blocked", np.int64, (width,)),  # 1 where it has blocks
+            ("break_away", np.float64, (width,)),
+            ("blocks", blocks_dtype(width)),
+        ],
+        align=True,
+    )
+
+
+def bristles_state_dtype(width: int) -> np.dtype[np.void]:
+    """Return the type of the bristles' state besides the deflection that every element has."""
+    return np.dtype(
+        [
+            ("blocks", np.float64, (width, 2, MAX_BLOCKS)),  # deflections and senses, as `maxwell_slip_step` has them
+            ("deflection", np.float64, (width,)),  # workspace of a step
+            ("torque", np.float64, (width,)),
+        ],
+        align=True,
+    )
+
+
+def fill_bristles(record: Any, kinds: Sequence[BristlesPart | None], _: Surroundings | None = None) -> None:
     """Write the bristles of elements into a record of `bristles_dtype(len(kinds))`, zero before; None is LuGre's."""
     blocks = record["blocks"]
     blocks["reach"] = blocks["attraction"] = 1.0
@@ -157,3 +150,14 @@ def fill_bristles(record: Any, kinds: Sequence[BristlesPart | None]) -> None:
             blocks["stiffness"][e, used] = kind.stiffness
             blocks["reach"][e, used] = np.divide(kind.share, kind.stiffness)
             blocks["attraction"][e] = kind.attraction
+
+
+@inlined
+def reset_bristles(_parts: Any, state: Any, _transmitted: Lanes, _step: float, _width: int) -> None:
+    """Put all blocks at rest; the elements' deflections are the caller's."""
+    state.bristles.blocks[:] = 0.0
+
+
+BRISTLES = Part(
+    (ElastoPlastic, MaxwellSlip), bristles_dtype, fill_bristles, state=bristles_state_dtype, settle=reset_bristles
+)

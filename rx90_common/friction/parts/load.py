@@ -38,18 +38,16 @@ The part only adds to the sliding torque, so it does not reduce the passivity of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, TypeAlias
 
 import numpy as np
+from pydantic import Field, model_validator
 
-from rx90_common.base.entries import Number
-from rx90_common.base.errors import ConfigError
-from rx90_common.friction.parts.part import MIN_SPEED, FrictionPart
+from rx90_common.base.models import quantity, refusal
+from rx90_common.friction.parts.part import MIN_SPEED, FrictionPart, Part, Present, Surroundings
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import exponential, power
-from rx90_common.kernels.lanes import Lanes, absolute, load, select, store
+from rx90_common.kernels.lanes import Lanes, absolute, fma, load, select, store
 
 DIRECTIONS = ("driving", "driven")
 """Of the power flow, in the order in which everything keeps them."""
@@ -60,46 +58,45 @@ RELAX_TIME = 1e-3
 LARGEST_COEFFICIENT: Final = 0.95
 """Largest Coulomb torque over load torque: below 1 the loop above is stable."""
 
-_coefficient = partial(Number, unit="1", low=0.0, high=LARGEST_COEFFICIENT)
-_quadratic = partial(Number, unit="1/Nm", low=0.0, high=1.0)
+_Coefficient: TypeAlias = Annotated[float, quantity("1", "", ge=0.0, le=LARGEST_COEFFICIENT)]
+_Quadratic: TypeAlias = Annotated[float, quantity("1/Nm", "", ge=0.0, le=1.0)]
 
 
-@dataclass(frozen=True)
 class LoadPart(FrictionPart):
-    """Friction that grows with the transmitted torque; equations in this module's docstring."""
+    """Friction by the torque that the joint transmits.
 
-    name = "load"
-    about = "Friction by the torque that the joint transmits."
+    The equations stand in this module's docstring.
+    """
 
     driving: Annotated[
-        float, _coefficient("Share of the load torque by which friction grows where the motor moves the link.")
+        _Coefficient,
+        Field(description="Share of the load torque by which friction grows where the motor moves the link."),
     ]
-    driven: Annotated[float, _coefficient("The same where the link moves the motor.")]
-    stribeck_driving: Annotated[float, _coefficient("Share by which static torque grows beyond driving.")] = 0.0
-    stribeck_driven: Annotated[float, _coefficient("Share by which static torque grows beyond driven.")] = 0.0
+    driven: Annotated[_Coefficient, Field(description="The same where the link moves the motor.")]
+    stribeck_driving: Annotated[
+        _Coefficient, Field(description="Share by which static torque grows beyond driving.")
+    ] = 0.0
+    stribeck_driven: Annotated[_Coefficient, Field(description="Share by which static torque grows beyond driven.")] = (
+        0.0
+    )
     quadratic_driving: Annotated[
-        float, _quadratic("Growth of static torque by the square of the load torque, driving.")
+        _Quadratic, Field(description="Growth of static torque by the square of the load torque, driving.")
     ] = 0.0
     quadratic_driven: Annotated[
-        float, _quadratic("Growth of static torque by the square of the load torque, driven.")
+        _Quadratic, Field(description="Growth of static torque by the square of the load torque, driven.")
     ] = 0.0
     omega_s: Annotated[
-        float, Number("Stribeck velocity of the load's share; 0: that of the element.", "rad/s", low=0.0, high=1e6)
+        float, quantity("rad/s", "Stribeck velocity of the load's share; 0: that of the element.", ge=0.0, le=1e6)
     ] = 0.0
     relax_time: Annotated[
-        float,
-        Number(
-            "Time in which friction follows the load, at least the plant's step.", "s", low=0.0, high=1.0, above=True
-        ),
+        float, quantity("s", "Time in which friction follows the load, at least the plant's step.", gt=0.0, le=1.0)
     ] = RELAX_TIME
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    @model_validator(mode="after")
+    def _check_speed(self) -> LoadPart:
         if 0.0 < self.omega_s < MIN_SPEED:
-            raise ConfigError(
-                f"load: omega_s is {self.omega_s:g} rad/s; accepted: 0 for that of the element, or a number in "
-                f"[{MIN_SPEED:g}, 1e+06]"
-            )
+            raise refusal("omega_s", self.omega_s, f"0 for that of the element, or a number in [{MIN_SPEED:g}, 1e+06]")
+        return self
 
 
 def load_dtype(width: int) -> np.dtype[np.void]:
@@ -118,14 +115,18 @@ def load_dtype(width: int) -> np.dtype[np.void]:
     )
 
 
-def fill_load(record: Any, parts: Sequence[LoadPart | None]) -> None:
+def load_state_dtype(width: int) -> np.dtype[np.void]:
+    """Return the type of the state: the load, Nm, and its slope over the last step, Nm/s."""
+    return np.dtype([("torque", np.float64, (width,)), ("slope", np.float64, (width,))], align=True)
+
+
+def fill_load(record: Any, parts: Sequence[LoadPart | None], _: Surroundings) -> None:
     """Write the constants, an element for each of `parts`."""
     for i, part in enumerate(parts):
         if part is not None:
-            for row, direction in enumerate(DIRECTIONS):
-                record["coulomb"][row, i] = getattr(part, direction)
-                record["stribeck"][row, i] = getattr(part, f"stribeck_{direction}")
-                record["quadratic"][row, i] = getattr(part, f"quadratic_{direction}")
+            record["coulomb"][:, i] = part.driving, part.driven
+            record["stribeck"][:, i] = part.stribeck_driving, part.stribeck_driven
+            record["quadratic"][:, i] = part.quadratic_driving, part.quadratic_driven
             if part.omega_s > 0.0:
                 record["fades"] = 1
                 record["inverse_omega_s"][i] = 1.0 / part.omega_s
@@ -153,9 +154,46 @@ def load_torques(part: Any, transmitted: Lanes, velocity: Lanes, delta: Lanes, w
 
 
 @inlined
-def advance_load(part: Any, state: Any, transmitted: Lanes, step: float, width: int) -> None:
+def loaded(
+    parts: Any, state: Any, present: Present, _angle: Lanes, velocity: Lanes, ahead: float, width: int
+) -> Present:
+    """Add the load's share of Coulomb and static torque."""
+    transmitted = fma(ahead, load(state.load.slope, width), load(state.load.torque, width))
+    coulomb, static = load_torques(parts.load, transmitted, velocity, present.delta, width)
+    return Present(
+        present.tau_c,
+        present.tau_s,
+        present.inverse_omega_s,
+        present.delta,
+        present.c2,
+        present.scale,
+        present.coulomb + coulomb,
+        present.static + static,
+    )
+
+
+@inlined
+def settle_load(_parts: Any, state: Any, transmitted: Lanes, _step: float, _width: int) -> None:
+    """Begin with the transmitted torques, Nm."""
+    store(state.load.torque, transmitted)
+    store(state.load.slope, 0.0 * transmitted)
+
+
+@inlined
+def advance_load(parts: Any, state: Any, transmitted: Lanes, step: float, width: int) -> None:
     """Let the loads follow the transmitted torque, Nm, over a step, s: exactly, for a constant torque."""
-    before = load(state.load, width)
-    change = (transmitted - before) * (1.0 - exponential(-step * load(part.rate, width)))
-    store(state.load, before + change)
-    store(state.load_slope, change / step)
+    before = load(state.load.torque, width)
+    change = (transmitted - before) * (1.0 - exponential(-step * load(parts.load.rate, width)))
+    store(state.load.torque, before + change)
+    store(state.load.slope, change / step)
+
+
+LOAD = Part(
+    (LoadPart,),
+    load_dtype,
+    fill_load,
+    state=load_state_dtype,
+    present=loaded,
+    settle=settle_load,
+    advance=advance_load,
+)

@@ -1,14 +1,19 @@
-"""Common base of all parts of a friction element: accepted contents of files, and their descriptions."""
+"""What a part of a friction element consists of: a block of the friction file, and code for the compiled steps.
+
+A new part is a file beside this one with a `FrictionPart` and a `Part`, and one field in `FrictionElement`.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-from rx90_common.base.declared import Declared, declarations, in_file
-from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, ListOf, Number, range_text
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.models import FileModel, accepted_values
+from rx90_common.kernels.lanes import Lanes
 
 MIN_SPEED: Final = 1e-9
 """Least Stribeck and fading velocity, rad/s: rest for all practical purposes, while 1 / v is still a number."""
@@ -16,19 +21,8 @@ LINEAR_SPEED: Final = 1e-3
 """The speed, rad/s, below which the viscous part is linear whatever its exponent: motion this slow is presliding."""
 
 
-@dataclass(frozen=True)
-class FrictionPart(Declared):
+class FrictionPart(FileModel):
     """A block of a friction element, under its name in a friction file and as an attribute of FrictionElement."""
-
-    @classmethod
-    def entry(cls) -> Entry:
-        """Return the accepted content of a file under the name."""
-        return cls.group(LEFT_OUT)
-
-    @classmethod
-    def read(cls, content: Mapping[str, Any]) -> FrictionPart:
-        """Return the part for the values that `entry` has read."""
-        return cls.of_file(content)
 
     @property
     def least_factor(self) -> float:
@@ -40,47 +34,129 @@ class FrictionPart(Declared):
         """Return whether the part may leave less of Coulomb and static torque than the element has."""
         return self.least_factor < 1.0
 
+    @property
+    def steepest(self) -> float:
+        """Return the largest growth of the sliding torque with the speed that the part may give, Nm s/rad."""
+        return 0.0
+
     def weakest(self, element: Any) -> Any:
         """Return an element that has nowhere more friction than this FrictionElement may have by the part."""
         return element
 
-    def values(self) -> dict[str, Any]:
-        """Return the block as in a file, without default values."""
-        own_entries = declarations(type(self)).values()
-        return {
-            one.name: in_file(getattr(self, one.name)) for one in own_entries if getattr(self, one.name) != one.default
-        }
+    def sliding_torque(self, velocity: Array, torque: Array) -> Array:  # noqa: ARG002 - of other parts
+        """Return the sliding torque, Nm, by the torque without the part, at velocities in rad/s, all of one shape."""
+        return torque
 
-    def numbers(self) -> dict[str, Any]:
-        """Return all values by their names, those of a list one by one: share[0]."""
-        found: dict[str, Any] = {}
-        for key in declarations(type(self)):
-            value = in_file(getattr(self, key))
-            found |= {f"{key}[{i}]": each for i, each in enumerate(value)} if isinstance(value, list) else {key: value}
-        return found
+    def numbers(self) -> dict[str, float]:
+        """Return its numbers by their names, those of a list one by one: share[0]."""
+        numbers: dict[str, float] = {}
+        for name, value in self:
+            if isinstance(value, float):
+                numbers[name] = value
+            elif isinstance(value, tuple):
+                numbers |= {f"{name}[{i}]": number for i, number in enumerate(value)}
+        return numbers
 
-    @classmethod
-    def legend(cls) -> str:
-        """Return the table as lines of comment, for the head of friction files."""
-        lines = f"# {cls.name:<8} {in_words(cls.about)}:\n"
-        for key, entry in cls.group().keys.items():
-            optional = "" if entry.default is REQUIRED else f"; {_default(entry)} if it is left out"
-            lines += f"#   {key:<18} {in_words(entry.about)}, {entry.unit}{_range(entry)}{optional}\n"
+
+class Present(NamedTuple):
+    """What the elements are at a moment, a lane for each.
+
+    Attributes:
+        tau_c: Coulomb torque of both signs, Nm.
+        tau_s: static torque of both signs, Nm.
+        inverse_omega_s: s/rad.
+        delta: Stribeck exponent.
+        c2: viscous friction.
+        scale: number that both torques are multiplied with.
+        coulomb: torque that is added to the Coulomb torque after that, Nm.
+        static: the same of the static torque, Nm.
+    """
+
+    tau_c: tuple[Lanes, Lanes]
+    tau_s: tuple[Lanes, Lanes]
+    inverse_omega_s: Lanes
+    delta: Lanes
+    c2: Lanes
+    scale: Lanes
+    coulomb: Lanes
+    static: Lanes
+
+
+class Surroundings(NamedTuple):
+    """What constants of parts depend on beside the file.
+
+    Attributes:
+        gear: turns of the motor for a turn of each element.
+        period: of a tick, s.
+        seed: of the scatter.
+        motor_heat: of the motor that drives each element, W for the square of the torque in Nm, winding at its
+            reference temperature.
+    """
+
+    gear: Sequence[float]
+    period: float
+    seed: int
+    motor_heat: Sequence[float]
+
+
+@dataclass(frozen=True)
+class Part:
+    """The registration of a part: its models, and what compiled code needs for it.
+
+    The records of all parts are the fields of `parts` and `state`, by the parts' names. Functions in compiled code are
+    `inlined`; those that change states have the arguments (parts, state, transmitted torque, step, width).
+
+    Attributes:
+        models: of its block in a file, one for each kind.
+        constants: type of its constants for so many elements; zeros where the part is off.
+        fill: writes the constants; the record, parts of the elements or None, surroundings.
+        state: type of its state, if it has one.
+        present: returns the changed `Present`; (parts, state, present, angle, velocity, time ahead, width).
+        settle: begins anew, but for temperatures.
+        advance: advances the state by a step of the plant.
+        tick: advances the state by a tick.
+    """
+
+    models: Sequence[type[FileModel]]
+    constants: Callable[[int], np.dtype[np.void]]
+    fill: Callable[[Any, Sequence[Any], Surroundings], None]
+    state: Callable[[int], np.dtype[np.void]] | None = None
+    present: Any = None
+    settle: Any = None
+    advance: Any = None
+    tick: Any = None
+
+    def legend(self, name: str) -> str:
+        """Return the block as lines of comment, for the head of friction files."""
+        lines = ""
+        for model in self.models:
+            sentence = (model.__doc__ or "").partition(".")[0]
+            lines += f"# {name:<8} {in_words(sentence)}:\n" + legend_of(model, "   ", 18)
         return lines
 
 
+def legend_of(model: type[FileModel], indent: str, width: int, without: Container[str] = ()) -> str:
+    """Return the keys of a model as lines of comment."""
+    schema = model.model_json_schema()
+    lines = ""
+    for key, value in schema["properties"].items():
+        if key in FileModel.about_keys or key in without:
+            continue
+        if "const" in value:
+            lines += f"#{indent}{key}: {value['const']}\n"
+            continue
+        unit = f", {value['unit']}" if "unit" in value else ""
+        accepted = accepted_values(value, schema).rpartition("a number ")[2]
+        optional = "" if key in schema.get("required", ()) else f"; {_default(value.get('default'))} if it is left out"
+        lines += f"#{indent}{key:<{width}} {in_words(value['description'])}{unit}, {accepted}{optional}\n"
+    return lines
+
+
 def in_words(about: str) -> str:
-    """Return the sentence about an entry as words within another one; names of people keep their capital."""
+    """Return a sentence as words within another one; names of people keep their capital."""
     start = about if about.startswith(("Coulomb", "Stribeck")) else about[0].lower() + about[1:]
     return start.removesuffix(".")
 
 
-def _default(entry: Entry) -> str:
-    return f"{entry.default:g}" if isinstance(entry.default, float) else "none"
-
-
-def _range(entry: Entry) -> str:
-    number = entry.item if isinstance(entry, ListOf) else entry
-    if not isinstance(number, Number) or (number.low, number.high) == (-math.inf, math.inf):
-        return ""
-    return f", {range_text(number.low, number.high, number.above).rpartition('number ')[2]}"
+def _default(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, int | float) else "none"

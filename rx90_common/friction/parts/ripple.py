@@ -15,77 +15,74 @@ of the element is that of its least sliding torque, (1 - sum of the amplitudes) 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
+from pydantic import Field, model_validator
 
-from rx90_common.base.entries import ListOf, Number
-from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import counted
-from rx90_common.friction.parts.part import FrictionPart
+from rx90_common.base.models import Row, quantity, refusal
+from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import sine_cosine, sines_cosines
 from rx90_common.kernels.lanes import Lanes, fma, load
 
-ANGLES = ("joint", "motor")
 MAX_TERMS = 8
 """Of each of both sums."""
 
-
-def _numbers(about: str, unit: str = "1", **limits: Any) -> ListOf:
-    accepted = f"a list of up to {MAX_TERMS} numbers"
-    return ListOf(about, unit, item=Number(about, unit, **limits), accepted=accepted)
-
-
-_waves = partial(_numbers, low=0.0, high=1000.0, above=True)
-_shares = partial(_numbers, low=0.0, high=0.99)
+_list = Field(strict=False, max_length=MAX_TERMS)
+_Waves: TypeAlias = Annotated[tuple[Annotated[float, Field(gt=0.0, le=1000.0)], ...], _list]
+_Shares: TypeAlias = Annotated[tuple[Annotated[float, Field(ge=0.0, le=0.99)], ...], _list]
+_Phases: TypeAlias = Annotated[Row, Field(max_length=MAX_TERMS)]
 
 
-@dataclass(frozen=True)
+class Series(NamedTuple):
+    """The Fourier series in one angle: the keys of its harmonics, amplitudes and phases, and their values."""
+
+    name: str
+    harmonic: tuple[float, ...]
+    amplitude: tuple[float, ...]
+    phase: tuple[float, ...]
+
+
 class RipplePart(FrictionPart):
-    """A Fourier series of the Coulomb and static torque; equations in this module's docstring.
+    """Friction by the angles of joint and motor.
 
-    There are as many amplitudes as harmonics, and as many phases or none, which are 0 then.
+    A Fourier series of the Coulomb and static torque; equations in this module's docstring. There are as many
+    amplitudes as harmonics, and as many phases or none, which are 0 then.
     """
 
-    name = "ripple"
-    about = "Friction by the angles of joint and motor."
-
-    joint_harmonic: Annotated[tuple[float, ...], _waves("Waves in a turn of the joint.")] = ()
+    joint_harmonic: Annotated[_Waves, quantity("1", "Waves in a turn of the joint.")] = ()
     joint_amplitude: Annotated[
-        tuple[float, ...], _shares("Share of Coulomb and static torque, of each wave of the joint.")
+        _Shares, quantity("1", "Share of Coulomb and static torque, of each wave of the joint.")
     ] = ()
-    joint_phase: Annotated[
-        tuple[float, ...], _numbers("Phase of each cosine where the angle is 0, of the joint.", "rad")
-    ] = ()
-    motor_harmonic: Annotated[tuple[float, ...], _waves("Waves in a turn of the motor.")] = ()
+    joint_phase: Annotated[_Phases, quantity("rad", "Phase of each cosine where the angle is 0, of the joint.")] = ()
+    motor_harmonic: Annotated[_Waves, quantity("1", "Waves in a turn of the motor.")] = ()
     motor_amplitude: Annotated[
-        tuple[float, ...], _shares("Share of Coulomb and static torque, of each wave of the motor.")
+        _Shares, quantity("1", "Share of Coulomb and static torque, of each wave of the motor.")
     ] = ()
-    motor_phase: Annotated[
-        tuple[float, ...], _numbers("Phase of each cosine where the angle is 0, of the motor.", "rad")
-    ] = ()
+    motor_phase: Annotated[_Phases, quantity("rad", "Phase of each cosine where the angle is 0, of the motor.")] = ()
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for angle in ANGLES:
-            terms = len(getattr(self, f"{angle}_harmonic"))
-            if terms > MAX_TERMS:
-                raise ConfigError(
-                    f"ripple: {angle}_harmonic has {counted(terms, 'number')}; accepted: up to {MAX_TERMS}"
-                )
-            for what, accepted in (("amplitude", (terms,)), ("phase", (terms, 0))):
-                count = len(getattr(self, f"{angle}_{what}"))
-                if count not in accepted:
-                    raise ConfigError(f"ripple: {angle}_{what} has {counted(count, 'number')}; accepted: {terms}, "
-                                      f"as {angle}_harmonic has")  # fmt: skip
+    @property
+    def series(self) -> tuple[Series, Series]:
+        """Return the series in the angle of the joint, and in that of the motor."""
+        joint = Series("joint", self.joint_harmonic, self.joint_amplitude, self.joint_phase)
+        return joint, Series("motor", self.motor_harmonic, self.motor_amplitude, self.motor_phase)
+
+    @model_validator(mode="after")
+    def _check_terms(self) -> RipplePart:
+        for name, harmonic, amplitude, phase in self.series:
+            accepted = f"{len(harmonic)} numbers, as many as {name}_harmonic has"
+            if len(amplitude) != len(harmonic):
+                raise refusal(f"{name}_amplitude", amplitude, accepted)
+            if phase and len(phase) != len(harmonic):
+                raise refusal(f"{name}_phase", phase, accepted)
         if not self.joint_harmonic and not self.motor_harmonic:
-            raise ConfigError("ripple: no harmonic; accepted: one or more in joint_harmonic or motor_harmonic")
+            raise refusal("joint_harmonic", (), "a harmonic in joint_harmonic or motor_harmonic")
         if self.least_factor <= 0.0:
-            total = sum((*self.joint_amplitude, *self.motor_amplitude))
-            raise ConfigError(f"ripple: the amplitudes sum to {total:g}; accepted: less than 1")
+            name = "joint_amplitude" if self.joint_amplitude else "motor_amplitude"
+            total = f"{1.0 - self.least_factor:g}"
+            raise refusal(name, total, "amplitudes that sum to less than 1 in both series together")
+        return self
 
     @property
     def least_factor(self) -> float:
@@ -95,7 +92,7 @@ class RipplePart(FrictionPart):
 
 def ripple_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants: how many terms there are, and a row for each."""
-    rows = (len(ANGLES) * MAX_TERMS, width)
+    rows = (2 * MAX_TERMS, width)
     return np.dtype(
         [
             ("terms", np.int64),
@@ -107,22 +104,20 @@ def ripple_dtype(width: int) -> np.dtype[np.void]:
     )
 
 
-def fill_ripple(record: Any, parts: Sequence[RipplePart | None], gear: Sequence[float]) -> None:
-    """Write the constants, an element for each of `parts`, with its gear ratio."""
+def fill_ripple(record: Any, parts: Sequence[RipplePart | None], surroundings: Surroundings) -> None:
+    """Write the constants, an element for each of `parts`."""
     most = 0
     for i, part in enumerate(parts):
         if part is None:
             continue
         row = 0
-        for angle, ratio in zip(ANGLES, (1.0, gear[i]), strict=True):
-            harmonic = getattr(part, f"{angle}_harmonic")
-            amplitude = getattr(part, f"{angle}_amplitude")
-            phase = getattr(part, f"{angle}_phase") or (0.0,) * len(harmonic)
-            for k in range(len(harmonic)):
+        for series, ratio in zip(part.series, (1.0, surroundings.gear[i]), strict=True):
+            phase = series.phase or (0.0,) * len(series.harmonic)
+            for k, harmonic in enumerate(series.harmonic):
                 sine, cosine = sines_cosines(np.array([phase[k]]))
-                record["harmonic"][row, i] = harmonic[k] * ratio
-                record["cosine"][row, i] = amplitude[k] * cosine[0]
-                record["sine"][row, i] = -amplitude[k] * sine[0]
+                record["harmonic"][row, i] = harmonic * ratio
+                record["cosine"][row, i] = series.amplitude[k] * cosine[0]
+                record["sine"][row, i] = -series.amplitude[k] * sine[0]
                 row += 1
         most = max(most, row)
     record["terms"] = most
@@ -136,3 +131,23 @@ def ripple_factor(part: Any, angle: Lanes, width: int) -> Lanes:
         sine, cosine = sine_cosine(load(part.harmonic[k], width) * angle)
         factor = fma(load(part.cosine[k], width), cosine, fma(load(part.sine[k], width), sine, factor))
     return factor
+
+
+@inlined
+def rippled(
+    parts: Any, _state: Any, present: Present, angle: Lanes, _velocity: Lanes, _ahead: float, width: int
+) -> Present:
+    """Scale Coulomb and static torque."""
+    return Present(
+        present.tau_c,
+        present.tau_s,
+        present.inverse_omega_s,
+        present.delta,
+        present.c2,
+        present.scale * ripple_factor(parts.ripple, angle, width),
+        present.coulomb,
+        present.static,
+    )
+
+
+RIPPLE = Part((RipplePart,), ripple_dtype, fill_ripple, present=rippled)

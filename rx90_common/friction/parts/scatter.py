@@ -19,17 +19,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
 
-from rx90_common.base.entries import Number
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.models import quantity
 from rx90_common.base.quoting import quoted
-from rx90_common.friction.parts.part import FrictionPart
+from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import GOLDEN, exponential_less_one_of, mixed, nearly_normal
+from rx90_common.kernels.lanes import Lanes, load
 
 BOUND = 4.0
 """Largest |w| in deviations."""
@@ -44,18 +44,16 @@ def check_seed(seed: object) -> None:
         raise ConfigError(f"seed is {quoted(seed)}; accepted: a whole number from 0 to {LARGEST_SEED}")
 
 
-@dataclass(frozen=True)
 class ScatterPart(FrictionPart):
-    """A random walk of the Coulomb and static torque; equations in this module's docstring."""
+    """A slow random walk of the friction.
 
-    name = "scatter"
-    about = "A slow random walk of the friction."
+    The equations stand in this module's docstring.
+    """
 
     deviation: Annotated[
-        float,
-        Number("Standard deviation, share of Coulomb and static torque.", "1", low=0.0, high=0.2, above=True),
+        float, quantity("1", "Standard deviation, share of Coulomb and static torque.", gt=0.0, le=0.2)
     ]
-    correlation_time: Annotated[float, Number("Time in which the walk forgets.", "s", low=1e-2, high=1e7)]
+    correlation_time: Annotated[float, quantity("s", "Time in which the walk forgets.", ge=1e-2, le=1e7)]
 
     @property
     def least_factor(self) -> float:
@@ -76,47 +74,84 @@ def scatter_dtype(width: int) -> np.dtype[np.void]:
     )
 
 
-def fill_scatter(record: Any, parts: Sequence[ScatterPart | None], period: float, seed: int) -> None:
-    """Write the constants, an element for each of `parts`, for a tick of `period`, s."""
-    record["seed"] = seed
+def scatter_state_dtype(width: int) -> np.dtype[np.void]:
+    """Return the type of the state; the factor is what Coulomb and static torque are multiplied with."""
+    walk = [("counter", np.uint64, (width,)), ("walk", np.float64, (width,)), ("factor", np.float64, (width,))]
+    return np.dtype(walk, align=True)
+
+
+def fill_scatter(record: Any, parts: Sequence[ScatterPart | None], surroundings: Surroundings) -> None:
+    """Write the constants, an element for each of `parts`."""
+    record["seed"] = surroundings.seed
     for i, part in enumerate(parts):
         if part is not None:
-            ticks = period / part.correlation_time
+            ticks = surroundings.period / part.correlation_time
             record["deviation"][i] = part.deviation
             record["decay"][i] = 1.0 + exponential_less_one_of(-ticks)
             record["kick"][i] = math.sqrt(-exponential_less_one_of(-2.0 * ticks))
 
 
 @inlined
-def _draw(state: Any, element: int) -> float:
+def _draw(walks: Any, element: int) -> float:
     """Return the next random number of an element: of mean 0 and variance 1, within 3.5."""
-    state.scatter_counter[element] += GOLDEN
-    return nearly_normal(mixed(state.scatter_counter[element]))
+    walks.counter[element] += GOLDEN
+    return nearly_normal(mixed(walks.counter[element]))
 
 
 @inlined
-def start_scatter(part: Any, state: Any) -> None:
+def start_scatter(parts: Any, state: Any, _transmitted: Lanes, _step: float, width: int) -> None:
     """Draw where the walks begin, always the same for a seed."""
-    for i in range(part.deviation.size):
-        state.scatter_counter[i] = mixed(part.seed + mixed(np.uint64(i + 1) * GOLDEN))
+    walks = state.scatter
+    for i in range(width):
+        walks.counter[i] = mixed(parts.scatter.seed + mixed(np.uint64(i + 1) * GOLDEN))
         total = 0.0
         for _ in range(4):  # sixteen uniform numbers are normal as far as four deviations
-            total += _draw(state, i)
-        state.scatter_walk[i] = 0.5 * total
-        state.scatter_factor[i] = _factor(part, state, i)
+            total += _draw(walks, i)
+        walks.walk[i] = 0.5 * total
+        walks.factor[i] = _factor(parts.scatter, walks, i)
 
 
 @inlined
-def advance_scatter(part: Any, state: Any) -> None:
+def advance_scatter(parts: Any, state: Any, _transmitted: Lanes, _step: float, width: int) -> None:
     """Advance the walks by a tick."""
-    for i in range(part.deviation.size):
+    part = parts.scatter
+    walks = state.scatter
+    for i in range(width):
         if part.deviation[i] > 0.0:
-            state.scatter_walk[i] = part.decay[i] * state.scatter_walk[i] + part.kick[i] * _draw(state, i)
-            state.scatter_factor[i] = _factor(part, state, i)
+            walks.walk[i] = part.decay[i] * walks.walk[i] + part.kick[i] * _draw(walks, i)
+            walks.factor[i] = _factor(part, walks, i)
 
 
 @inlined
-def _factor(part: Any, state: Any, element: int) -> float:
+def _factor(part: Any, walks: Any, element: int) -> float:
     """Return the number that Coulomb and static torque of an element are multiplied with."""
-    walk: float = min(max(state.scatter_walk[element], -BOUND), BOUND)
+    walk: float = min(max(walks.walk[element], -BOUND), BOUND)
     return 1.0 + walk * float(part.deviation[element])
+
+
+@inlined
+def scattered(
+    _parts: Any, state: Any, present: Present, _angle: Lanes, _velocity: Lanes, _ahead: float, width: int
+) -> Present:
+    """Scale Coulomb and static torque."""
+    return Present(
+        present.tau_c,
+        present.tau_s,
+        present.inverse_omega_s,
+        present.delta,
+        present.c2,
+        present.scale * load(state.scatter.factor, width),
+        present.coulomb,
+        present.static,
+    )
+
+
+SCATTER = Part(
+    (ScatterPart,),
+    scatter_dtype,
+    fill_scatter,
+    state=scatter_state_dtype,
+    present=scattered,
+    settle=start_scatter,
+    tick=advance_scatter,
+)

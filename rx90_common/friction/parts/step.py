@@ -11,59 +11,32 @@ from typing import Any
 import numpy as np
 
 from rx90_common.friction.compiled_elements import (
-    bristles_dtype,
     bristles_energy,
-    bristles_state_dtype,
     bristles_step,
     bristles_torque,
     load_elements,
-    reset_bristles,
     with_present,
 )
-from rx90_common.friction.element import FrictionElement
-from rx90_common.friction.parts.bristles import fill_bristles
-from rx90_common.friction.parts.load import fill_load, load_dtype, load_torques
-from rx90_common.friction.parts.ripple import fill_ripple, ripple_dtype, ripple_factor
-from rx90_common.friction.parts.scatter import fill_scatter, scatter_dtype, start_scatter
-from rx90_common.friction.parts.temperature import (
-    fill_temperature,
-    start_temperatures,
-    temperature_dtype,
-    temperature_state_dtype,
-    warm_static,
-)
+from rx90_common.friction.element import PARTS, FrictionElement
+from rx90_common.friction.parts.part import Present, Surroundings
+from rx90_common.friction.parts.temperature import start_temperatures
 from rx90_common.kernels.compiled import inlined
-from rx90_common.kernels.lanes import Lanes, fma, load, store
+from rx90_common.kernels.lanes import Lanes, fma, load
 
 
 def parts_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants of the parts of `width` elements, the element the last index."""
-    return np.dtype(
-        [
-            ("used", np.int64),  # 1 if any element has any part
-            ("load", load_dtype(width)),
-            ("temperature", temperature_dtype(width)),
-            ("ripple", ripple_dtype(width)),
-            ("scatter", scatter_dtype(width)),
-            ("bristles", bristles_dtype(width)),
-        ],
-        align=True,
-    )
+    constants = [(name, part.constants(width)) for name, part in PARTS.items()]
+    return np.dtype([("used", np.int64), *constants], align=True)  # used: 1 if any element has any part
 
 
 def parts_state_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the state of the parts of `width` elements."""
     return np.dtype(
         [
-            ("load", np.float64, (width,)),  # transmitted torque, Nm
-            ("load_slope", np.float64, (width,)),  # over the last step, Nm/s
             ("friction", np.float64, (width,)),  # torque of the last step, Nm
             ("transmitted", np.float64, (width,)),  # workspace: in the middle of the last step, Nm
-            ("temperature", temperature_state_dtype(width)),
-            ("scatter_counter", np.uint64, (width,)),
-            ("scatter_walk", np.float64, (width,)),
-            ("scatter_factor", np.float64, (width,)),
-            ("bristles", bristles_state_dtype(width)),
+            *((name, part.state(width)) for name, part in PARTS.items() if part.state is not None),
         ],
         align=True,
     )
@@ -75,44 +48,74 @@ def fill_parts(
     gear: Sequence[float],
     period: float,
     seed: int,
-    motor_heat: Sequence[float] = (),
+    motor_heat: Sequence[float] | None = None,
 ) -> None:
-    """Write the parts of elements into a record of `parts_dtype(len(elements))`, zero before.
+    """Write the constants of elements' parts into a record of `parts_dtype(len(elements))`, zero before.
 
     Args:
-        record: to write into.
-        elements: e elements.
-        gear: turns of the motor for a turn of each element, e numbers.
+        record: that is filled.
+        elements: with their parts.
+        gear: turns of the motor for a turn of each element.
         period: of a tick, s.
         seed: of the scatter.
         motor_heat: of the motors that drive the elements, W for the square of the torque in Nm, e numbers; none if
             left out.
     """
     record["used"] = int(any(element.parts for element in elements))
-    fill_load(record["load"], [element.load for element in elements])
-    fill_temperature(
-        record["temperature"], [element.temperature for element in elements], period,
-        motor_heat or [0.0] * len(elements),
-    )  # fmt: skip
-    fill_ripple(record["ripple"], [element.ripple for element in elements], gear)
-    fill_scatter(record["scatter"], [element.scatter for element in elements], period, seed)
-    fill_bristles(record["bristles"], [element.bristles for element in elements])
+    surroundings = Surroundings(gear, period, seed, motor_heat or [0.0] * len(elements))
+    for name, part in PARTS.items():
+        part.fill(record[name], [element.parts.get(name) for element in elements], surroundings)
+
+
+def _changing(hooks: Sequence[Any]) -> Any:
+    """Return a function for kernels that calls functions that change states, one after the other."""
+    first, *others = hooks
+    if not others:
+        return first
+    following = _changing(others)
+
+    @inlined
+    def both(parts: Any, state: Any, transmitted: Lanes, step: float, width: int) -> None:
+        first(parts, state, transmitted, step, width)
+        following(parts, state, transmitted, step, width)
+
+    return both
+
+
+def _presenting(hooks: Sequence[Any]) -> Any:
+    """Return a function for kernels that passes what the elements are at a moment from one function to the next."""
+    first, *others = hooks
+    if not others:
+        return first
+    following = _presenting(others)
+
+    @inlined
+    def both(
+        parts: Any, state: Any, present: Present, angle: Lanes, velocity: Lanes, ahead: float, width: int
+    ) -> Present:
+        changed = first(parts, state, present, angle, velocity, ahead, width)
+        return following(parts, state, changed, angle, velocity, ahead, width)  # type: ignore[no-any-return]
+
+    return both
+
+
+advance_parts = _changing([part.advance for part in PARTS.values() if part.advance is not None])
+"""Advance the parts by a step of the plant, s, with the torques that were transmitted in it, Nm."""
+
+tick_parts = _changing([part.tick for part in PARTS.values() if part.tick is not None])
+"""Advance the parts by a tick, s; temperatures have a function of their own."""
+
+settle_parts = _changing([part.settle for part in PARTS.values() if part.settle is not None])
+"""Begin anew, but for the temperatures, with the torques that are transmitted then, Nm; the step is 0."""
+
+_presented = _presenting([part.present for part in PARTS.values() if part.present is not None])
 
 
 @inlined
 def reset_parts(parts: Any, state: Any, transmitted: Lanes, width: int) -> None:
     """Begin anew, with the torques that are transmitted then, Nm."""
     start_temperatures(parts.temperature, state.temperature, width)
-    settle_parts(parts, state, transmitted)
-
-
-@inlined
-def settle_parts(parts: Any, state: Any, transmitted: Lanes) -> None:
-    """Begin anew, but for the temperatures."""
-    store(state.load, transmitted)
-    store(state.load_slope, 0.0 * transmitted)
-    start_scatter(parts.scatter, state)
-    reset_bristles(state.bristles)
+    settle_parts(parts, state, transmitted, 0.0, width)
 
 
 @inlined
@@ -121,19 +124,23 @@ def effective_elements(
 ) -> Any:
     """Return the parameters that the elements have `ahead` seconds after the last step, at an angle and a velocity."""
     element = load_elements(arrays, width)
-    scale = ripple_factor(parts.ripple, angle, width) * load(state.scatter_factor, width)
-    transmitted = fma(ahead, load(state.load_slope, width), load(state.load, width))
-    coulomb, static = load_torques(parts.load, transmitted, velocity, element.delta, width)
-    still = (
-        warm_static(state.temperature, element.tau_c[0], element.tau_s[0], width),
-        warm_static(state.temperature, element.tau_c[1], element.tau_s[1], width),
-    )
+    own = Present(
+        element.tau_c, element.tau_s, element.inverse_omega_s, element.delta, element.c2, 1.0 + 0.0 * angle,
+        0.0 * angle, 0.0 * angle,
+    )  # fmt: skip
+    present = _presented(parts, state, own, angle, velocity, ahead, width)
     return with_present(
         element,
-        (fma(element.tau_c[0], scale, coulomb), fma(element.tau_c[1], scale, coulomb)),
-        (fma(still[0], scale, static), fma(still[1], scale, static)),
-        element.inverse_omega_s * load(state.temperature.speed, width),
-        element.c2 * load(state.temperature.viscous, width),
+        (
+            fma(present.tau_c[0], present.scale, present.coulomb),
+            fma(present.tau_c[1], present.scale, present.coulomb),
+        ),
+        (
+            fma(present.tau_s[0], present.scale, present.static),
+            fma(present.tau_s[1], present.scale, present.static),
+        ),
+        present.inverse_omega_s,
+        present.c2,
     )
 
 

@@ -33,42 +33,48 @@ temperature: passive_damping is that of the least static torque and the least St
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
+from pydantic import model_validator
 
-from rx90_common.base.entries import Number
-from rx90_common.base.errors import ConfigError
-from rx90_common.friction.parts.part import FrictionPart
+from rx90_common.base.models import quantity, refusal
+from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import exponential_less_one, exponential_less_one_of
 from rx90_common.kernels.lanes import Lanes, fma, load, select, store
 
-LOWEST, HIGHEST = -50.0, 200.0
-"""Of every temperature, degrees Celsius: oils and greases are liquid at most here."""
-
-_degrees = partial(Number, unit="°C", low=LOWEST, high=HIGHEST)
-_slope = partial(Number, unit="1/K", low=-1.0, high=1.0)
-_share = partial(Number, unit="1", low=0.0, high=1.0)
+LOWEST = -50.0
+"""Of every temperature, degrees Celsius: oils and greases are liquid at most from here on."""
+HIGHEST = 200.0
 
 
-@dataclass(frozen=True)
+def _degrees(description: str) -> Any:
+    return quantity("°C", description, ge=LOWEST, le=HIGHEST)
+
+
+def _slope(description: str) -> Any:
+    return quantity("1/K", description, ge=-1.0, le=1.0)
+
+
+def _share(description: str) -> Any:
+    return quantity("1", description, ge=0.0, le=1.0)
+
+
 class TemperaturePart(FrictionPart):
-    """Friction by temperature, and a thermal node; equations in this module's docstring, degrees Celsius."""
+    """Friction by the temperature of the joint, which friction and motor heat.
 
-    name = "temperature"
-    about = "Friction by the temperature of the joint, which friction and motor heat."
+    A thermal node; equations in this module's docstring, degrees Celsius.
+    """
 
     reference: Annotated[float, _degrees("Temperature at which the element has its own parameters.")]
     lowest: Annotated[float, _degrees("Lowest temperature for which the law holds.")]
     highest: Annotated[float, _degrees("Highest temperature for which it holds.")]
     start: Annotated[float, _degrees("Temperature at the start and after a reset.")]
     ambient: Annotated[float, _degrees("Temperature of the surroundings.")]
-    capacity: Annotated[float, Number("Heat capacity of the joint.", "J/K", low=0.0, high=1e9, above=True)]
-    resistance: Annotated[float, Number("Between joint and surroundings.", "K/W", low=0.0, high=1e6, above=True)]
-    viscous_scale: Annotated[float, Number("Rise that takes viscous friction to 1/e.", "K", low=1.0, high=1000.0)]
+    capacity: Annotated[float, quantity("J/K", "Heat capacity of the joint.", gt=0.0, le=1e9)]
+    resistance: Annotated[float, quantity("K/W", "Between joint and surroundings.", gt=0.0, le=1e6)]
+    viscous_scale: Annotated[float, quantity("K", "Rise that takes viscous friction to 1/e.", ge=1.0, le=1000.0)]
     viscous_floor: Annotated[float, _share("Share of viscous friction that stays however warm it is.")] = 0.0
     speed_slope: Annotated[float, _slope("Growth of the Stribeck velocity, share of that at the reference.")] = 0.0
     static_slope: Annotated[float, _slope("Growth of static less Coulomb torque, share of that at the reference.")] = (
@@ -76,25 +82,21 @@ class TemperaturePart(FrictionPart):
     )
     motor_share: Annotated[float, _share("Share of the heat of the motor's winding that comes to the joint.")] = 1.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    @model_validator(mode="after")
+    def _check_range(self) -> TemperaturePart:
         if not self.lowest < self.highest:
-            raise ConfigError(f"temperature: lowest is {self.lowest:g} °C; accepted: below highest = {self.highest:g}")
-        for name in ("start", "ambient"):
-            value = getattr(self, name)
+            raise refusal("lowest", self.lowest, f"below highest = {self.highest:g} °C")
+        held = f"from lowest to highest, where the law holds, [{self.lowest:g}, {self.highest:g}] °C"
+        for name, value in (("start", self.start), ("ambient", self.ambient)):
             if not self.lowest <= value <= self.highest:
-                raise ConfigError(
-                    f"temperature: {name} is {value:g} °C; accepted: from lowest to highest, where the law holds, "
-                    f"[{self.lowest:g}, {self.highest:g}]"
-                )
-        for name, what in (("speed_slope", "Stribeck velocity"), ("static_slope", "static less Coulomb torque")):
-            for end in ("lowest", "highest"):
-                factor = 1.0 + getattr(self, name) * (getattr(self, end) - self.reference)
+                raise refusal(name, value, held)
+        for name, slope in (("speed_slope", self.speed_slope), ("static_slope", self.static_slope)):
+            for end in (self.lowest, self.highest):
+                factor = 1.0 + slope * (end - self.reference)
                 if not factor > 0.0:
-                    raise ConfigError(
-                        f"temperature: {name} is {getattr(self, name):g} 1/K, so that the {what} at {end} = "
-                        f"{getattr(self, end):g} °C is {factor:.3g} times its own; accepted: more than 0 times"
-                    )
+                    accepted = f"a growth that leaves more than 0 times at {end:g} °C; this leaves {factor:.3g} times"
+                    raise refusal(name, slope, accepted)
+        return self
 
     @property
     def lowers_friction(self) -> bool:
@@ -113,11 +115,12 @@ class TemperaturePart(FrictionPart):
         ends = np.array([self.lowest, self.highest]) - self.reference
         speed = float(np.min(1.0 + self.speed_slope * ends))
         static = float(np.min(1.0 + self.static_slope * ends))
-        return replace(
-            element,
+        return element.replaced(
             omega_s=element.omega_s * min(1.0, speed),
-            tau_s_positive=_between(element.tau_c_positive, element.tau_s_positive, min(1.0, static)),
-            tau_s_negative=_between(element.tau_c_negative, element.tau_s_negative, min(1.0, static)),
+            tau_s={
+                "positive": _between(element.tau_c.positive, element.tau_s.positive, min(1.0, static)),
+                "negative": _between(element.tau_c.negative, element.tau_s.negative, min(1.0, static)),
+            },
             temperature=None,
         )
 
@@ -126,12 +129,12 @@ def _between(coulomb: float, static: float, share: float) -> float:
     return max(coulomb, static + (share - 1.0) * (static - coulomb))
 
 
-_PLAIN = ("reference", "highest", "start", "ambient", "resistance", "speed_slope", "static_slope")
-
-
 def temperature_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants; a slope, or the share that fades, is 0 where the part is off."""
-    lanes = (*_PLAIN, "inverse_scale", "fading", "gain", "motor")
+    lanes = (
+        "reference", "highest", "start", "ambient", "resistance", "speed_slope", "static_slope", "inverse_scale",
+        "fading", "gain", "motor",
+    )  # fmt: skip
     return np.dtype([("used", np.int64), *((name, np.float64, (width,)) for name in lanes)], align=True)
 
 
@@ -149,27 +152,22 @@ def temperature_state_dtype(width: int) -> np.dtype[np.void]:
     return np.dtype([(name, np.float64, (width,)) for name in names], align=True)
 
 
-def fill_temperature(
-    record: Any, parts: Sequence[TemperaturePart | None], period: float, motor_heat: Sequence[float]
-) -> None:
-    """Write the constants, an element for each of `parts`.
-
-    Args:
-        record: of `temperature_dtype(len(parts))`, zero before.
-        parts: of the elements.
-        period: of a tick, s.
-        motor_heat: of the motor that drives each element, W for the square of its torque in Nm, winding at its
-            reference temperature.
-    """
+def fill_temperature(record: Any, parts: Sequence[TemperaturePart | None], surroundings: Surroundings) -> None:
+    """Write the constants, an element for each of `parts`."""
     for i, part in enumerate(parts):
         if part is not None:
             record["used"] = 1
-            for name in _PLAIN:
-                record[name][i] = getattr(part, name)
+            record["reference"][i] = part.reference
+            record["highest"][i] = part.highest
+            record["start"][i] = part.start
+            record["ambient"][i] = part.ambient
+            record["resistance"][i] = part.resistance
+            record["speed_slope"][i] = part.speed_slope
+            record["static_slope"][i] = part.static_slope
             record["inverse_scale"][i] = 1.0 / part.viscous_scale
             record["fading"][i] = 1.0 - part.viscous_floor
-            record["gain"][i] = -exponential_less_one_of(-period / (part.capacity * part.resistance))
-            record["motor"][i] = part.motor_share * motor_heat[i]
+            record["gain"][i] = -exponential_less_one_of(-surroundings.period / (part.capacity * part.resistance))
+            record["motor"][i] = part.motor_share * surroundings.motor_heat[i]
 
 
 @inlined
@@ -230,3 +228,28 @@ def advance_temperatures(part: Any, state: Any, stored: Lanes, motor: Lanes, per
     end = fma(load(part.resistance, width), heat / period, load(part.ambient, width))
     store(state.temperature, fma(load(part.gain, width), end - before, before))
     follow_temperatures(part, state, width)
+
+
+@inlined
+def warmed(
+    _parts: Any, state: Any, present: Present, _angle: Lanes, _velocity: Lanes, _ahead: float, width: int
+) -> Present:
+    """Change static torque, Stribeck velocity and viscous friction by the present temperature."""
+    return Present(
+        present.tau_c,
+        (
+            warm_static(state.temperature, present.tau_c[0], present.tau_s[0], width),
+            warm_static(state.temperature, present.tau_c[1], present.tau_s[1], width),
+        ),
+        present.inverse_omega_s * load(state.temperature.speed, width),
+        present.delta,
+        present.c2 * load(state.temperature.viscous, width),
+        present.scale,
+        present.coulomb,
+        present.static,
+    )
+
+
+TEMPERATURE = Part(
+    (TemperaturePart,), temperature_dtype, fill_temperature, state=temperature_state_dtype, present=warmed
+)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -301,7 +301,7 @@ def assumed_friction(elements: Mapping[str, IdentifiedElement], fallback_name: s
     missing = {name: one.estimates[_COULOMB[0]] for name, one in elements.items() if not _slides(one.estimates)}
     return {
         name: f"the friction of {name} is not identified ({estimate.reason}); assumed is a Coulomb torque of "
-        f"{elements[name].element.tau_c_positive:.3g} Nm, {whose}"
+        f"{elements[name].element.tau_c.positive:.3g} Nm, {whose}"
         for name, estimate in missing.items()
     }
 
@@ -311,15 +311,15 @@ def _element(known: Mapping[str, ParameterEstimate], other: FrictionElement | No
     found: dict[str, Any] = {parameter: one.value for parameter, one in known.items() if one.identifiable}
     for sign in ("positive", "negative"):
         coulomb = f"tau_c_{sign}"
-        found.setdefault(coulomb, least if other is None else float(getattr(other, coulomb)))
+        found.setdefault(coulomb, least if other is None else other.parameters[coulomb])
         found[f"tau_s_{sign}"] = max(found.get(f"tau_s_{sign}", 0.0), found[coulomb])
     found = _NEUTRAL | found
     mean = 0.5 * (found["tau_c_positive"] + found["tau_c_negative"])
     found.setdefault("c0", mean / _PRESLIDING_DISTANCE if other is None else other.c0)
     own = "c1" in found  # a fallback's own c1 fades as it does there
     found.setdefault("c1", found["c0"] * _BRISTLE_RELAXATION if other is None else other.c1)
-    element = FrictionElement(**found)
-    return with_passive_fading(element, other) if own or other is None else replace(element, omega_d=other.omega_d)
+    element = FrictionElement.of(found)
+    return with_passive_fading(element, other) if own or other is None else element.replaced(omega_d=other.omega_d)
 
 
 _MIN_TREND_BLOCKS = 6  # least number of blocks for a test

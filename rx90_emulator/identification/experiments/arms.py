@@ -75,7 +75,7 @@ class PlannedArm:
         elements = setup.friction.elements
         robot = setup.robot
         poses = None if home is not None or setup.files is None or setup.files.poses is None else Poses.of(setup)
-        coulomb = np.array([0.5 * (one.tau_c_positive + one.tau_c_negative) for one in elements])
+        coulomb = np.array([0.5 * (one.tau_c.positive + one.tau_c.negative) for one in elements])
         return cls(
             robot,
             RigidArm.from_setup(setup),

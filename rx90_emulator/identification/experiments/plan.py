@@ -430,14 +430,14 @@ def write_index(folder: Path, done: Sequence[Experiment]) -> None:
 def write_emulated(folder: Path, friction: FrictionSet) -> None:
     """Write the friction that runs were made with, for comparison with the identified one."""
     elements = dict(zip(friction.names, friction.elements, strict=True))
-    text = FrictionFile(elements, "assumed", "the emulator made the runs beside this file with it").text()
-    write_text(folder / EMULATED, text)
+    source = "the emulator made the runs beside this file with it"
+    write_text(folder / EMULATED, FrictionFile.of(elements, provenance="assumed", source=source).text())
 
 
 def read_emulated(bags: Iterable[Path]) -> dict[str, FrictionElement]:
     """Return the friction that all bags were made with, by element; empty if it is not known for all of them."""
     places = {bag.absolute().parent / EMULATED for bag in bags}
-    found = [dict(FrictionFile.read(place).elements) if place.is_file() else {} for place in sorted(places)]
+    found = [FrictionFile.read(place).elements.entries if place.is_file() else {} for place in sorted(places)]
     return found[0] if all(one == found[0] for one in found) else {}
 
 

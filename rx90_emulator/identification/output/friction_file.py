@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from datetime import datetime, timezone
 from types import MappingProxyType
 from typing import Any
@@ -16,7 +15,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import plain
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import FRICTION_UNITS
-from rx90_common.friction.friction_file import ALL_ELEMENTS, FrictionFile
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.estimates import (
     LARGEST,
     NOT_IN_MODEL,
@@ -105,9 +104,14 @@ def elements_text(
     check_numbers(identification, LARGEST, "identification")
     source = f"{len(labels)} bag{'s' * (len(labels) != 1)}, {date}; omega_d is not identified"
     source += "" if fallback_name is None else f", it is at most that of {fallback_name}"
-    about: dict[str, dict[str, Any]] = {name: {"note": text} for name, text in notes.items()}
-    about[ALL_ELEMENTS] = {"provenance": {"omega_d": "assumed"}}
-    file = FrictionFile(rounded, "identified", source, identification, about=about, joints=joints)
+    noted = {name: element.replaced(note=notes.get(name)) for name, element in rounded.items()}
+    file = FrictionFile.of(
+        {"provenance": {"omega_d": "assumed"}, **noted},
+        provenance="identified",
+        source=source,
+        joints=dict(joints),
+        identification=identification,
+    )
     text = file.text(_REMARKS)
     return in_unit(text, unit)
 
@@ -115,7 +119,7 @@ def elements_text(
 def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:
     """Return an element with the identified values rounded to six digits; refuse values that no arm has."""
     for parameter, unit in FRICTION_UNITS.items():
-        value = getattr(one.element, parameter)
+        value = one.element.parameters[parameter]
         estimate = one.estimates.get(parameter)
         most = math.inf if parameter == "omega_d" else _LARGEST[unit]
         spread = estimate.deviation if estimate is not None and estimate.identifiable else 0.0
@@ -124,15 +128,15 @@ def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:
                 f"{plain(name)}: {parameter} came out as {value:.3g} +- {spread:.2g}; accepted: up to {most:g} {unit}, "
                 "with a finite deviation; nothing is written"
             )
-    values: dict[str, Any] = {each: digits(getattr(one.element, each)) for each in FRICTION_UNITS}
-    return replace(one.element, **values)
+    element = one.element.with_parameters({key: digits(value) for key, value in one.element.parameters.items()})
+    return element.replaced(provenance=None, source=None)  # of a fallback's file
 
 
 def _provenance(
     one: IdentifiedElement, element: FrictionElement, labels: dict[BagSource, str], date: str, fallback_name: str | None
 ) -> dict[str, Any]:
     """Return value, deviation, bags and origin of each parameter of an element."""
-    values = vars(element) | {
+    values = element.parameters | {
         f"{name}.{key}": value for name, part in element.parts.items() for key, value in part.numbers().items()
     }
     found = {}

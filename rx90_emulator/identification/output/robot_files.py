@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import ABOUT, check_numbers, load_yaml, without_schema_line, yaml_text
+from rx90_common.base.config import ABOUT, check_numbers, read_yaml, without_schema_line, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.description.coupling import Coupling
@@ -315,7 +315,7 @@ def _compensation(
     viscous, exponent = zip(
         *(viscous_sum(some, top) for some, top in zip(moved_elements, speed, strict=True)), strict=True
     )
-    coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in moved_elements]
+    coulomb = [sum(0.5 * (one.tau_c.positive + one.tau_c.negative) for one in some) for some in moved_elements]
     source = "the identified friction of each joint"
     if base.turning.size.wrist:
         source += "; of joint 6 and of element 7, with which motor 6 turns as well"
@@ -332,8 +332,8 @@ def _initial_contents(
     if base.files is None:
         return assumed_files(base.robot, pin.buildModelFromXML(urdf), base.turning, rotors, new, peak_acceleration)
     # The model for its feed-forward is the folder's own arm, not the one named in the basis.
-    controller = {key: value for key, value in load_yaml(base.files.controller).content.items() if key != "model"}
-    return dict(load_yaml(base.files.drives).content), controller
+    controller = {key: value for key, value in read_yaml(base.files.controller).items() if key != "model"}
+    return dict(read_yaml(base.files.drives)), controller
 
 
 def _joints(result: ExcitationIdentification) -> dict[str, dict[str, float]]:

@@ -61,7 +61,9 @@ def identification_summary(result: FrictionIdentification) -> str:
             cells = ("1" if each is None else _with_deviation(each, "not identifiable") for each in given)
             rows.append([name, *cells])
             if name in result.truth:
-                rows.append(["  true", *(f"{getattr(result.truth[name], parameter):.6g}" for parameter in parameters)])
+                rows.append(
+                    ["  true", *(f"{result.truth[name].parameters[parameter]:.6g}" for parameter in parameters)]
+                )
     lines = _table(["element", *parameters], [_width(10, names), *[22] * len(parameters)], rows)
     if others := ", ".join(name for name in names if name not in result.identified_elements):
         lines.append(f"{others}: nothing identified")

@@ -68,7 +68,7 @@ class ElementTrace:
     @classmethod
     def of(cls, element: FrictionElement, speed: Array, step: float) -> ElementTrace:
         """Return the trace of an element, c0 and c1 of which are not used, at input velocities in a record's steps."""
-        plain = replace(element.without_parts(), c1=1.0, c2=0.0)
+        plain = element.without_parts().replaced(c1=1.0, c2=0.0)
         viscous = block_means(element.viscous_torque(speed), BLOCK)
         return cls(plain, speed[: len(viscous) * BLOCK], viscous, step)
 
@@ -88,7 +88,7 @@ class ElementTrace:
             c0: Nm/rad.
             start: deflection at the beginning over that of steady sliding.
         """
-        first = start * self.element.tau_c_positive / c0
+        first = start * self.element.tau_c.positive / c0
         found = np.empty((len(self.speed), 2))
         _deflect_lugre(self.speed, self._sliding_torque, self.step, c0, first, found)
         found[:, 1] *= self._fading

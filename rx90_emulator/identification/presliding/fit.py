@@ -199,7 +199,7 @@ class _GroupFit:
         found = np.empty((len(self._motions), len(self._sliding)))
         for (index, n), _ in np.ndenumerate(found):
             low, high = np.percentile(self.model.torque(self.x, index, n)[:, 1], (1.0, 99.0))
-            found[index, n] = 0.5 * (high - low) / self._sliding[n].tau_c_positive
+            found[index, n] = 0.5 * (high - low) / self._sliding[n].tau_c.positive
         return found
 
     def estimates(self, arm: RigidArm, sliding: Array | None) -> list[ElementEstimate]:
@@ -297,8 +297,9 @@ class _GroupFit:
         for n, element in enumerate(self._sliding):
             for name in SLIDING:
                 # The Coulomb torque is decreased, so that it stays below the static one.
-                step = getattr(element, name) * (-_RELATIVE_STEP if name.startswith("tau_c") else _RELATIVE_STEP)
-                moved = replace(element, **{name: getattr(element, name) + step})
+                values = element.parameters
+                step = values[name] * (-_RELATIVE_STEP if name.startswith("tau_c") else _RELATIVE_STEP)
+                moved = element.with_parameters({name: values[name] + step})
                 changed = replace(self.model, motions=tuple(one.changed(n, moved) for one in self.model.motions))
                 columns.append((changed.residual(self.x) - here) / step if step else np.zeros_like(here))
         return np.column_stack(columns)
@@ -337,5 +338,5 @@ def _first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequenc
             torque.append(column)
     stiffness, damping = np.split(np.linalg.lstsq(np.vstack(matrix), np.concatenate(torque), rcond=1e-6)[0], 2)
     viscous = np.array([e.c2 * LINEAR_SPEED ** (e.alpha - 1.0) for e in sliding])
-    c0 = np.maximum(1.2 * stiffness, np.array([e.tau_c_positive for e in sliding]) / 2e-3)
+    c0 = np.maximum(1.2 * stiffness, np.array([e.tau_c.positive for e in sliding]) / 2e-3)
     return np.column_stack([c0, np.maximum(damping - viscous, 2e-4 * c0)])

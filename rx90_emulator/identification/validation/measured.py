@@ -78,7 +78,7 @@ def simulated_setup(files: RobotFiles) -> Setup:
             counts = f"{counted(len(joints), 'movable joint')}, and {files.drives} is of {len(turning.turns)}"
             raise IdentificationError(f"{files.urdf}: {counts}; {_OTHER_ARMS}")
         names = turning.element_names(joints)
-        there = FrictionFile.read(files.friction).elements
+        there = FrictionFile.read(files.friction).elements.entries
         if missing := [name for name in names if name not in there]:
             raise IdentificationError(f"{files.friction}: no friction element {listed(missing)}; {_OTHER_ARMS}")
     return Setup.load(files)

@@ -217,8 +217,8 @@ def test_drives_and_friction_are_the_published_ones(tx40: Setup) -> None:
     gain = np.abs(drives.gear) * drives.torque_constant
     assert gain == pytest.approx([35.24, 32.04, 23.94, 9.05, 15.5, 6.56], rel=1e-9)
     assert gain * drives.peak_current == pytest.approx(tx40.robot.max_effort, rel=1e-7)
-    coulomb = [e.tau_c_positive for e in elements]
-    assert coulomb == [e.tau_c_negative for e in elements] == [7.14, 8.26, 6.34, 2.48, 3.03, 0.282, 1.95]
+    coulomb = [e.tau_c.positive for e in elements]
+    assert coulomb == [e.tau_c.negative for e in elements] == [7.14, 8.26, 6.34, 2.48, 3.03, 0.282, 1.95]
     viscous = np.array([e.c2 for e in elements])
     assert viscous[:4].tolist() == [8.05, 5.53, 1.97, 1.11]
     assert viscous[4:6] + viscous[6] == pytest.approx([1.86, 0.65])
@@ -303,7 +303,7 @@ def test_limits_and_friction_are_those_of_their_sources(panda: Setup) -> None:
         for name in ("robots/panda/friction.yaml", "friction/library/panda_gaz.yaml")
     )
     assert own.elements == library.elements
-    assert own.identification["parameters"].keys() == own.elements.keys()
+    assert own.identification["parameters"].keys() == own.elements.entries.keys()
 
 
 def test_a_controller_of_ones_own_holds_seven_joints(panda: Setup) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -21,8 +20,17 @@ from rx90_common.friction.bristle import bristle_step, damping, friction_torque
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 
 Record = Callable[[FrictionElement], Any]
-ELEMENT = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
-CONSTANT_C1 = dataclasses.replace(ELEMENT, omega_d=math.inf)
+ELEMENT = FrictionElement(
+    tau_c={"positive": 25.0, "negative": 31.0},
+    tau_s={"positive": 32.0, "negative": 47.0},
+    omega_s=0.05,
+    delta=1.0,
+    c0=1e5,
+    c1=100.0,
+    c2=14.0,
+    omega_d=1.0,
+)
+CONSTANT_C1 = ELEMENT.replaced(omega_d=math.inf)
 COMPILED = one_element(element_arrays((ELEMENT,))[0], 0)
 SPEEDS = [sign * speed for speed in np.geomspace(1e-7, 20.0, 25) for sign in (1.0, -1.0)]
 STEP = 2.5e-4
@@ -45,7 +53,7 @@ def closed_form(element: FrictionElement, z: float, v: float, step: float) -> tu
 def stribeck(element: FrictionElement, v: float) -> float:
     """Return equation 19 with its sign, plus the viscous part, from the paper's text."""
     coulomb, static = (
-        (element.tau_c_positive, element.tau_s_positive) if v > 0 else (element.tau_c_negative, element.tau_s_negative)
+        (element.tau_c.positive, element.tau_s.positive) if v > 0 else (element.tau_c.negative, element.tau_s.negative)
     )
     curve = coulomb + (static - coulomb) * math.exp(-((abs(v) / element.omega_s) ** element.delta))
     return math.copysign(curve, v) + element.c2 * v
@@ -54,7 +62,7 @@ def stribeck(element: FrictionElement, v: float) -> float:
 @pytest.mark.parametrize("delta", [0.5, 1.0, 2.0, 2.7])
 def test_steady_state_is_the_stribeck_curve_of_each_sign(record: Record, delta: float) -> None:
     """After a long way at constant velocity torque and c0 z are the Stribeck curve of that sign to 1e-9 Nm."""
-    element = FrictionElement(**{**vars(ELEMENT), "delta": delta})
+    element = ELEMENT.replaced(delta=delta)
     compiled = record(element)
     for v in SPEEDS:
         # Forty times the bristle's own deflection, in 400 steps.
@@ -71,7 +79,7 @@ def test_steady_state_is_the_stribeck_curve_of_each_sign(record: Record, delta: 
 @pytest.mark.parametrize("alpha", [1.0, 0.3, 0.6, 2.0])
 def test_torque_at_rest_is_the_bristle_s_alone(record: Record, alpha: float) -> None:
     """At zero velocity the torque is c0 z and the deflection keeps every bit, for either sign and any exponent."""
-    compiled = record(dataclasses.replace(ELEMENT, alpha=alpha))
+    compiled = record(ELEMENT.replaced(alpha=alpha))
     for z in (0.0, 1.234e-5, -2.5e-4, 5e-324):
         for v in (0.0, -0.0):
             assert bristle_step(compiled, z, v, STEP) == (z, ELEMENT.c0 * z)
@@ -82,7 +90,7 @@ def test_torque_at_rest_is_the_bristle_s_alone(record: Record, alpha: float) -> 
 @pytest.mark.parametrize("alpha", [0.3, 0.6, 0.9, 2.0])
 def test_the_exponent_changes_the_viscous_part_alone(record: Record, alpha: float) -> None:
     """Deflections keep their bits; torques differ by c2 (|v|^alpha - |v|) sign(v), below 1 mrad/s by its chord."""
-    element = dataclasses.replace(ELEMENT, alpha=alpha)
+    element = ELEMENT.replaced(alpha=alpha)
     linear, bent = record(ELEMENT), record(element)
     for v in (sign * speed for speed in (1e-12, 1e-4, 1e-3, 0.3, 1.0, 7.0) for sign in (1, -1)):
         power = abs(v) ** alpha if abs(v) > 1e-3 else abs(v) / 1e-3 * 1e-3**alpha
@@ -178,7 +186,9 @@ def test_the_order_is_two_and_one_and_alpha_where_the_joint_reverses(
 ) -> None:
     """With another exponent the torque's impulse converges with order two, in coarse reversals 1 + alpha at least."""
     # The bristle's own error would cover that of the viscous part.
-    element = FrictionElement(1e-6, 1e-6, 1e-6, 1e-6, 0.05, 1.0, 1e5, 0.0, 14.0, 1.0, alpha=alpha)
+    element = FrictionElement(
+        tau_c=1e-6, tau_s=1e-6, omega_s=0.05, delta=1.0, c0=1e5, c1=0.0, c2=14.0, omega_d=1.0, alpha=alpha
+    )
 
     def velocity(t: float) -> float:
         return 3.0 * (0.2 / 3 - t) * (1.0 + t) if through_zero else 0.2 + 3.0 * t * (1.0 + t)
@@ -217,7 +227,7 @@ def test_every_parameter_set_gives_numbers(
 ) -> None:
     """Any accepted parameters, however far from a robot's, give finite deflection and torque."""
     static = tau * ratio
-    element = FrictionElement(tau, tau, static, static, omega_s, delta, c0, 1.0, 1.0)
+    element = FrictionElement(tau_c=tau, tau_s=static, omega_s=omega_s, delta=delta, c0=c0, c1=1.0, c2=1.0)
     compiled = one_element(element_arrays((element,))[0], 0)
     z, torque = bristle_step(compiled, 0.5 * tau / c0, v, 2.5e-4)
     assert math.isfinite(z)
@@ -229,7 +239,7 @@ def test_constant_damping_gives_energy_back_beyond_its_limit(record: Record) -> 
 
     With tau_s = 2 tau_c the loaded bristle starts at z = 2 g(v), where c1 |v| < 4 c0 g is sharp.
     """
-    element = FrictionElement(25.0, 25.0, 50.0, 50.0, 0.01, 1.0, 1e5, 100.0, 0.0)
+    element = FrictionElement(tau_c=25.0, tau_s=50.0, omega_s=0.01, delta=1.0, c0=1e5, c1=100.0, c2=0.0)
     compiled = record(element)
     limit = element.passivity_limit(10.0)
     assert limit == pytest.approx(1.0, rel=1e-12)  # c1 v = 4 c0 g: 100 v = 4 * 25
@@ -242,7 +252,7 @@ def test_constant_damping_gives_energy_back_beyond_its_limit(record: Record) -> 
 
     assert dissipated(0.97 * limit) > 0.0
     assert dissipated(1.03 * limit) < 0.0
-    assert math.isinf(dataclasses.replace(element, omega_d=1.0).passivity_limit(10.0))
+    assert math.isinf(element.replaced(omega_d=1.0).passivity_limit(10.0))
 
 
 def test_damping_fades_as_documented(record: Record) -> None:
@@ -255,6 +265,6 @@ def test_damping_fades_as_documented(record: Record) -> None:
 
 def test_the_damping_s_limit_does_not_depend_on_the_exponent() -> None:
     """The c1 that passivity accepts is the linear element's: the viscous part alone always takes power."""
-    bent = dataclasses.replace(CONSTANT_C1, alpha=0.6)
+    bent = CONSTANT_C1.replaced(alpha=0.6)
     assert bent.passivity_limit(6.0) == CONSTANT_C1.passivity_limit(6.0) < 6.0
     assert bent.passive_damping(6.0) == CONSTANT_C1.passive_damping(6.0)

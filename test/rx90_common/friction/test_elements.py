@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numba
@@ -49,13 +48,12 @@ def test_the_set_equals_its_elements(deltas: list[float], alphas: list[float]) -
     """Stuck, creeping, in transition and sliding either way, a lane gives the bits that its element gives by itself."""
     rng = np.random.default_rng(11)
     elements = [
-        dataclasses.replace(random_element(rng), delta=delta, alpha=alpha)
-        for delta, alpha in zip(deltas, alphas, strict=True)
+        random_element(rng).replaced(delta=delta, alpha=alpha) for delta, alpha in zip(deltas, alphas, strict=True)
     ]
     arrays, out = element_arrays(elements), np.empty((6, 7))
     for _ in range(200):
         velocity = rng.choice([-1, 0, 1], 7) * 10.0 ** rng.uniform(-9, 1.5, 7)
-        z = rng.uniform(-1.0, 1.0, 7) * [e.tau_c_positive / e.c0 for e in elements]
+        z = rng.uniform(-1.0, 1.0, 7) * [e.tau_c.positive / e.c0 for e in elements]
         away = rng.uniform(0.0, 0.9, 7)
         together(arrays, away, z, velocity, out)
         for i in range(7):
@@ -67,18 +65,28 @@ def test_the_set_equals_its_elements(deltas: list[float], alphas: list[float]) -
 
 def test_the_arrays_hold_each_sign_in_its_row(shipped: Setup) -> None:
     """Torques for v >= 0 stand in the first row and for v < 0 in the second, everything else once, in SI units."""
-    element = FrictionElement(2.0, 3.0, 4.0, 5.0, 0.5, 6.0, 7.0, 8.0, 9.0)
+    element = FrictionElement(
+        tau_c={"positive": 2.0, "negative": 3.0},
+        tau_s={"positive": 4.0, "negative": 5.0},
+        omega_s=0.5,
+        delta=6.0,
+        c0=7.0,
+        c1=8.0,
+        c2=9.0,
+    )
     arrays = element_arrays((*shipped.friction.elements, element))[0]
     assert (arrays["tau_c"][:, 7].tolist(), arrays["tau_s"][:, 7].tolist()) == ([2.0, 3.0], [4.0, 5.0])
     rest = [arrays[name][7] for name in ("inverse_omega_s", "delta", "c0", "c1", "c2", "inverse_omega_d", "alpha")]
     assert rest == [2.0, 6.0, 7.0, 8.0, 9.0, 0.0, 1.0]
-    assert arrays["tau_c"][1, :7].tolist() == [e.tau_c_negative for e in shipped.friction.elements]
+    assert arrays["tau_c"][1, :7].tolist() == [e.tau_c.negative for e in shipped.friction.elements]
 
 
-PLAIN = FrictionElement(25.0, 25.0, 28.0, 28.0, 0.05, 1.0, 1e5, 100.0, 14.0)
+PLAIN = FrictionElement(tau_c=25.0, tau_s=28.0, omega_s=0.05, delta=1.0, c0=1e5, c1=100.0, c2=14.0)
 
 
-@pytest.mark.parametrize("bristles", [ElastoPlastic(0.7), MaxwellSlip((0.6, 0.4), (0.7, 0.3), 5000.0)])
+@pytest.mark.parametrize(
+    "bristles", [ElastoPlastic(break_away=0.7), MaxwellSlip(stiffness=(0.6, 0.4), share=(0.7, 0.3), attraction=5000.0)]
+)
 def test_other_bristles_are_springs_below_break_away(bristles: BristlesPart) -> None:
     """Below break-away the mean torque of a step is c0 x + (c1 + c2) v in its middle; LuGre's beside it bends."""
     steps = np.full(400, 1e-3)
@@ -86,7 +94,7 @@ def test_other_bristles_are_springs_below_break_away(bristles: BristlesPart) -> 
     time = np.cumsum(steps)
     velocity = np.where(steps > 0.0, 2e-4 * np.pi * np.cos(2.0 * np.pi * 5.0 * time), 0.0)
     middle = np.cumsum(velocity * steps) - 0.5 * velocity * steps
-    elements = (PLAIN, FrictionElement(**{**vars(PLAIN), "bristles": bristles}))
+    elements = (PLAIN, PLAIN.replaced(bristles=bristles))
     lugre, other = prescribed_torque(elements, np.column_stack([velocity, velocity]), steps).T
     exact = 1e5 * middle + (100.0 + 14.0) * velocity
     assert np.ptp(exact) > 3.0

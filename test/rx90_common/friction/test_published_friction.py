@@ -22,10 +22,10 @@ from scipy.optimize import brentq, nnls
 
 from friction_bench.rig.rig_file import load_rig
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import load_yaml, yaml_text
+from rx90_common.base.config import read_yaml, yaml_text
 from rx90_common.base.share import config_path
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.friction_file import ALL_ELEMENTS, FrictionFile
+from rx90_common.friction.friction_file import FrictionFile
 
 SIX_DIGITS = 5e-6
 
@@ -161,16 +161,16 @@ def test_friction_by_load_is_bam_s(name: str) -> None:
         assert load is not None
         slow, fast = 1e-7 * one.omega_s, 40.0 * one.omega_s  # the Stribeck part whole, and gone
         for torque in (0.0, 5.0, 20.0):
-            found = one.tau_s_positive + (load.driving + load.stribeck_driving) * torque
+            found = one.tau_s.positive + (load.driving + load.stribeck_driving) * torque
             found += load.quadratic_driving * torque**2
             expected = bam_friction(model, torque, slow, driving=True)
             assert found == pytest.approx(expected, rel=2 * SIX_DIGITS)
-            found = one.tau_c_positive + load.driving * torque + one.c2 * fast
+            found = one.tau_c.positive + load.driving * torque + one.c2 * fast
             assert found == pytest.approx(bam_friction(model, torque, fast, driving=True), rel=2 * SIX_DIGITS)
         assert (load.driven, load.stribeck_driven, load.quadratic_driven) == pytest.approx(
             fitted_driven(model), rel=2 * SIX_DIGITS
         )
-        assert one.tau_c_negative == one.tau_c_positive
+        assert one.tau_c.negative == one.tau_c.positive
         if element != "m3":
             assert (one.omega_s, one.delta) == pytest.approx(model[-2:], rel=SIX_DIGITS)
 
@@ -200,10 +200,11 @@ def test_how_far_the_load_part_is_from_bam(
 def torque_by_load(one: FrictionElement, load: Array, v: Array, *, driving: bool) -> Array:
     """Return an element's torque at constant speeds from 0 on under loads, by the equations of its load part, Nm."""
     assert one.load is not None
+    values = one.load.numbers()
     end = "driving" if driving else "driven"
-    k, stribeck, square = (getattr(one.load, f"{name}{end}") for name in ("", "stribeck_", "quadratic_"))
-    rise = one.tau_s_positive - one.tau_c_positive + stribeck * load + square * load**2
-    return one.tau_c_positive + k * load + rise * np.exp(-((v / one.omega_s) ** one.delta)) + one.c2 * v
+    k, stribeck, square = (values[f"{name}{end}"] for name in ("", "stribeck_", "quadratic_"))
+    rise = one.tau_s.positive - one.tau_c.positive + stribeck * load + square * load**2
+    return one.tau_c.positive + k * load + rise * np.exp(-((v / one.omega_s) ** one.delta)) + one.c2 * v
 
 
 def far_from_reversals(k: float, f_v: float, f_o: float, f_c: float, alpha: float, nu: float) -> Sliding:
@@ -237,13 +238,13 @@ def test_numbers_are_the_sources_converted(name: str) -> None:
     """Each torque and viscous value is the source's, brought to the joint; what the source lacks has no effect."""
     file = FrictionFile.read(config_path(f"friction/{name}.yaml"))
     expected = published()[name]
-    assert [element for element in file.elements if element not in BY_LOAD] == list(expected)
+    assert [element for element in file.elements.entries if element not in BY_LOAD] == list(expected)
     for element, given in expected.items():
         one = file.elements[element]
-        assert (one.tau_c_positive, one.tau_c_negative) == pytest.approx(given.coulomb, rel=SIX_DIGITS)
+        assert (one.tau_c.positive, one.tau_c.negative) == pytest.approx(given.coulomb, rel=SIX_DIGITS)
         assert one.c2 == pytest.approx(given.viscous, rel=SIX_DIGITS)
         static = given.coulomb if given.static is None else (given.static, given.static)
-        assert (one.tau_s_positive, one.tau_s_negative) == pytest.approx(static, rel=SIX_DIGITS)
+        assert (one.tau_s.positive, one.tau_s.negative) == pytest.approx(static, rel=SIX_DIGITS)
         if given.omega_s is not None:
             assert (one.omega_s, one.delta) == pytest.approx((given.omega_s, given.delta), rel=SIX_DIGITS)
         assert one.alpha == 1.0
@@ -253,13 +254,13 @@ def test_numbers_are_the_sources_converted(name: str) -> None:
 def test_what_is_assumed_is_as_the_file_says(name: str) -> None:
     """Bristles follow from the static torque by the deflection that is named, are passive, and are called assumed."""
     file = FrictionFile.read(config_path(f"friction/{name}.yaml"))
-    said = file.about[ALL_ELEMENTS]
+    said = file.elements
     assert file.provenance == "assumed"
-    assert not {"c0", "c1", "omega_d"} & set(said["provenance"])
-    assert {"tau_c", "c2"} <= set(said["provenance"])
-    for k, one in enumerate(file.elements.values()):
+    assert not {"c0", "c1", "omega_d"} & set(said.provenance)
+    assert {"tau_c", "c2"} <= set(said.provenance)
+    for k, one in enumerate(file.elements.entries.values()):
         deflection = 0.25e-3 if k < 3 or "erob80" in name else 0.4e-3
-        c0 = max(one.tau_s_positive, one.tau_s_negative) / deflection
+        c0 = max(one.tau_s.positive, one.tau_s.negative) / deflection
         assert one.c0 == pytest.approx(c0, rel=0.05)  # two digits
         assert one.c1 == pytest.approx(1e-3 * one.c0)
         assert math.isinf(one.passivity_limit(100.0))
@@ -268,8 +269,12 @@ def test_what_is_assumed_is_as_the_file_says(name: str) -> None:
 def test_what_a_file_says_of_its_values_is_written_back(tmp_path: Path) -> None:
     """Provenance, source and note of all elements and of single ones come back as they stood."""
     file = FrictionFile.read(config_path("friction/manutec_r3.yaml"))
-    assert file.about[ALL_ELEMENTS]["provenance"] == {"tau_c": "published", "c2": "published", "tau_s": "published"}
-    assert set(file.about) == {ALL_ELEMENTS, "joint_1", "joint_2", "joint_3"}
+    assert file.elements.provenance == {"tau_c": "published", "c2": "published", "tau_s": "published"}
+    assert [name for name, element in file.elements.entries.items() if element.source] == [
+        "joint_1",
+        "joint_2",
+        "joint_3",
+    ]
     path = tmp_path / "again.yaml"
     path.write_text(file.text(), encoding="utf-8")
     assert FrictionFile.read(path) == file
@@ -278,8 +283,8 @@ def test_what_a_file_says_of_its_values_is_written_back(tmp_path: Path) -> None:
 def test_the_rig_takes_a_line_of_a_friction_file(tmp_path: Path) -> None:
     """An element as it stands in a friction file, sources and all, is the joint of a rig that is emulated."""
     published = config_path("friction/manutec_r3.yaml")
-    content = load_yaml(config_path("rig/gm8224_lugre.yaml")).content
-    content["emulation"]["joint_friction"]["lugre"] = load_yaml(published).content["elements"]["joint_1"]
+    content = read_yaml(config_path("rig/gm8224_lugre.yaml"))
+    content["emulation"]["joint_friction"]["lugre"] = read_yaml(published)["elements"]["joint_1"]
     path = tmp_path / "rig.yaml"
     path.write_text(yaml_text(content), encoding="utf-8")
     assert load_rig(path).plant.joint == FrictionFile.read(published).elements["joint_1"]
@@ -351,31 +356,32 @@ def test_a_file_says_where_its_data_are_and_how_to_come_to_it(file: FrictionFile
 
 def test_identified_values_stand_in_their_intervals(file: FrictionFile) -> None:
     """Each identified value is the middle of its interval of 1.96 deviations; every element has some, and a range."""
-    assert set(stated(file, "speeds")) == set(file.elements) == set(stated(file, "parameters"))
-    for name, element in file.elements.items():
+    assert set(stated(file, "speeds")) == set(file.elements.entries) == set(stated(file, "parameters"))
+    for name, element in file.elements.entries.items():
         low, high = stated(file, "speeds")[name]
         assert 0.0 < low < high < 20.0
         known = {key: one for key, one in stated(file, "parameters", name).items() if one["provenance"] == "identified"}
         assert {"tau_c_positive", "tau_c_negative"} <= set(known)
         for key, one in known.items():
-            value, (least, most) = getattr(element, key), one["interval"]
+            value, (least, most) = element.parameters[key], one["interval"]
             assert value == one["value"]
             digits = 1e-5 * max(abs(least), abs(most))
             assert 0.5 * (least + most) == pytest.approx(value, abs=digits)
             assert 0.5 * (most - least) == pytest.approx(1.96 * one["deviation"], abs=digits + 2e-5 * one["deviation"])
 
 
-def test_torques_are_near_those_of_others(file: FrictionFile) -> None:
+@pytest.mark.parametrize("path", LIBRARY, ids=lambda path: path.stem)
+def test_torques_are_near_those_of_others(path: Path) -> None:
     """From a fifth of the fastest speed of the data on the mean torque of both directions is that of others' fits."""
-    assert file.path is not None
-    others = OTHERS[file.path.stem]
-    assert set(others) == set(file.elements)
+    file = FrictionFile.read(path)
+    others = OTHERS[path.stem]
+    assert set(others) == set(file.elements.entries)
     for name, (coulomb, viscous) in others.items():
         _, high = stated(file, "speeds")[name]
         speed, element = np.linspace(0.2 * high, high, 9), file.elements[name]
         torque = 0.5 * (element.steady_torque(speed) - element.steady_torque(-speed))
         difference = float(np.abs(torque / (coulomb + viscous * speed) - 1.0).max())
-        assert difference < WITHIN.get((file.path.stem, name), 0.15), (name, difference)
+        assert difference < WITHIN.get((path.stem, name), 0.15), (name, difference)
 
 
 def test_all_that_is_compared_is_there() -> None:

@@ -10,6 +10,7 @@ from scipy.stats import kstest, norm
 
 from rx90_common.friction.parts.scatter import BOUND, ScatterPart, advance_scatter
 from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.lanes import load
 
 Array = NDArray[np.float64]
 PERIOD = 2.5e-4
@@ -20,9 +21,9 @@ def walk(parts: Record, states: Record, every: int, factors: Array) -> None:
     """Write the factors of the seven elements every so many ticks, shape (n, 7)."""
     for k in range(len(factors)):
         for _ in range(every):
-            advance_scatter(parts[0].scatter, states[0])
+            advance_scatter(parts[0], states[0], load(states[0].transmitted, 7), PERIOD, 7)
         for i in range(7):
-            factors[k, i] = states[0].scatter_factor[i]
+            factors[k, i] = states[0].scatter.factor[i]
 
 
 def factors_of(part: ScatterPart, seed: int, count: int, every: int = 1, again: bool = False) -> Array:
@@ -40,7 +41,9 @@ def factors_of(part: ScatterPart, seed: int, count: int, every: int = 1, again: 
 def test_variance_and_autocorrelation() -> None:
     """The walk has mean 0, the variance of a normal variable within its bound, and forgets as exp(-lag / time)."""
     time, every = 0.05, 20
-    x = factors_of(ScatterPart(0.1, time), 1, 60_000, every)  # 300 s of seven walks: 6,000 correlation times each
+    x = factors_of(
+        ScatterPart(deviation=0.1, correlation_time=time), 1, 60_000, every
+    )  # 300 s of seven walks: 6,000 correlation times each
     lag = every * PERIOD
     independent = x.size * lag / (2.0 * time)  # of the mean
     assert abs(x.mean()) < 4.0 / np.sqrt(independent)
@@ -57,7 +60,7 @@ def test_the_tick_does_not_enter() -> None:
     """The decay over a tick is exp(-tick / time), and the kick keeps the variance at 1, for any tick."""
     for period in (1e-4, 1e-3, 0.05):
         for time in (0.01, 3.0, 1e5):
-            element = any_element(np.random.default_rng(0), scatter=ScatterPart(0.1, time))
+            element = any_element(np.random.default_rng(0), scatter=ScatterPart(deviation=0.1, correlation_time=time))
             scatter = Seven.of([element] * 7, period).parts["scatter"][0]
             assert scatter["decay"] == pytest.approx(np.exp(-period / time), rel=1e-15)
             assert scatter["kick"] == pytest.approx(np.sqrt(-np.expm1(-2.0 * period / time)), rel=1e-14)
@@ -65,7 +68,9 @@ def test_the_tick_does_not_enter() -> None:
 
 def test_the_start_is_drawn_from_what_the_walk_keeps() -> None:
     """Over 300 seeds the first factors are normal with deviation 1; elements and seeds differ."""
-    starts = np.array([factors_of(ScatterPart(0.05, 1e6), seed, 1)[0] for seed in range(300)])
+    starts = np.array(
+        [factors_of(ScatterPart(deviation=0.05, correlation_time=1e6), seed, 1)[0] for seed in range(300)]
+    )
     assert kstest(starts.ravel(), "norm").pvalue > 0.01
     assert len(np.unique(starts)) == starts.size
     assert np.abs(np.corrcoef(starts.T) - np.eye(7)).max() < 4.0 / np.sqrt(300)
@@ -73,7 +78,7 @@ def test_the_start_is_drawn_from_what_the_walk_keeps() -> None:
 
 def test_the_same_seed_gives_the_same_bits_also_after_a_reset() -> None:
     """A seed has its walk; these are its bits, on every machine."""
-    part = ScatterPart(0.1, 0.5)
+    part = ScatterPart(deviation=0.1, correlation_time=0.5)
     first = factors_of(part, 7, 200)
     assert np.array_equal(first, factors_of(part, 7, 200))
     assert np.array_equal(first, factors_of(part, 7, 200, again=True))
@@ -100,9 +105,9 @@ def test_the_random_numbers_are_splitmix64() -> None:
         state, word = splitmix(state)
         outputs.append(word)
     assert outputs == [6457827717110365317, 3203168211198807973, 9817491932198370423]
-    part = ScatterPart(0.1, 0.5)
+    part = ScatterPart(deviation=0.1, correlation_time=0.5)
     seven = Seven.of([any_element(np.random.default_rng(0), scatter=part)] * 7, PERIOD, 3)
-    counter, x = int(seven.states["scatter_counter"][0, 2]), float(seven.states["scatter_walk"][0, 2])
+    counter, x = int(seven.states["scatter"]["counter"][0, 2]), float(seven.states["scatter"]["walk"][0, 2])
     factors = np.empty((5, 7))
     walk(seven.parts, seven.states, 1, factors)
     decay = np.exp(-PERIOD / 0.5)
@@ -115,11 +120,11 @@ def test_the_random_numbers_are_splitmix64() -> None:
 
 def test_the_walk_stays_within_its_bound() -> None:
     """However far the walk goes, the factor leaves 1 - 4 deviations of the friction, and 1 + 4 at most."""
-    part = ScatterPart(0.2, 0.01)
+    part = ScatterPart(deviation=0.2, correlation_time=0.01)
     seven = Seven.of([any_element(np.random.default_rng(0), scatter=part)] * 7, PERIOD, 3)
     factors = np.empty((1, 7))
     for far, want in ((50.0, 1.8), (-50.0, 0.2)):
-        seven.states["scatter_walk"][:] = far
+        seven.states["scatter"]["walk"][:] = far
         walk(seven.parts, seven.states, 1, factors)
         assert factors == pytest.approx(np.full((1, 7), want), rel=1e-14)
     assert part.least_factor == pytest.approx(0.2)

@@ -16,7 +16,7 @@ import yaml
 from config_samples import shipped, written
 from needs import need
 
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import read_yaml
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import EXECUTABLES, run
@@ -84,7 +84,7 @@ def test_all_problems_of_files_are_told_with_their_lines(arm: Path, capsys: Capt
     ]
     colour = f"{tool}:{line_of(tool, 'colour:')}: \\u202ecolour is not a known key; accepted: inertial, tcp, "
     assert said[0].startswith(colour)
-    assert said[3].startswith(f"{friction}:{line_of(friction, 'joint_3:')}: elements.joint_3: tau_s_positive is 23.0")
+    assert said[3].startswith(f"{friction}:{line_of(friction, 'joint_3:') + 1}: elements.joint_3.tau_s is 23.0")
     assert re.match(rf"{re.escape(str(task))}:\d+: not valid YAML", said[4])
     assert run("rx90_config", ["check", "nowhere.yaml", *files]) == 2
     again = capsys.readouterr()
@@ -95,7 +95,7 @@ def test_all_problems_of_files_are_told_with_their_lines(arm: Path, capsys: Capt
 def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captured) -> None:
     """Every good file is taken for what it is whatever it is called; what cannot be told is refused unless named."""
     for kind, path in shipped() + written(tmp_path):
-        assert kind_of(path, load_yaml(path, first=True).content).name == kind, path
+        assert kind_of(path, read_yaml(path, first=True)).name == kind, path
     odd = tmp_path / "odd.yaml"
     odd.write_text("mass: 1.0\n", encoding="utf-8")
     assert run("rx90_config", ["check", str(odd)]) == 2

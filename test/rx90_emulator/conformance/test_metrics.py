@@ -95,7 +95,7 @@ def test_other_arms_are_the_nominal_one_but_for_what_is_named(nominal: Nominal) 
     assert heavier == pytest.approx(0.3 * 3.5)
     assert payload.friction.elements == nominal.setup.friction.elements
     for one, usual in zip(friction.friction.elements, nominal.setup.friction.elements, strict=True):
-        assert (one.tau_c_positive, one.c2) == pytest.approx((0.7 * usual.tau_c_positive, 0.7 * usual.c2))
+        assert (one.tau_c.positive, one.c2) == pytest.approx((0.7 * usual.tau_c.positive, 0.7 * usual.c2))
         assert (one.c0, one.omega_s) == (usual.c0, usual.omega_s)
     case = CASES["saturation"](nominal, "saturation")
     needed = np.abs(run_cs7b(CASES["step"](nominal, "step"), nominal.setup).sent).max(axis=0)

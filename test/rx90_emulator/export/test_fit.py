@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 from pathlib import Path
@@ -21,7 +20,7 @@ from rx90_emulator.export.fit import fit_friction, speeds_up_to
 from rx90_emulator.export.targets import TARGETS
 from rx90_emulator.loop.setup import Setup
 
-LUGRE = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 2.0, 1e5, 100.0, 14.0)
+LUGRE = FrictionElement(tau_c=25.0, tau_s=32.0, omega_s=0.05, delta=2.0, c0=1e5, c1=100.0, c2=14.0)
 SPEEDS = speeds_up_to(4.0)
 
 
@@ -37,7 +36,7 @@ def test_what_a_target_holds_is_copied() -> None:
 
 def test_two_signs_cost_half_of_their_difference() -> None:
     """The mean of both signs is nearest; what is left is half of what they differ by."""
-    element = dataclasses.replace(LUGRE, tau_c_negative=21.0, tau_s_negative=28.0)
+    element = LUGRE.with_parameters({"tau_c_negative": 21.0, "tau_s_negative": 28.0})
     fit = fit_friction(TARGETS["mujoco"], "joint", [element], SPEEDS)
     assert (fit.law.tau_c, fit.law.tau_s) == (23.0, 30.0)
     assert (fit.largest, fit.rms) == pytest.approx((2.0, 2.0))
@@ -46,7 +45,7 @@ def test_two_signs_cost_half_of_their_difference() -> None:
 
 def test_no_law_of_the_target_is_nearer() -> None:
     """A global search over MuJoCo's parameters finds no smaller RMS difference for delta 0.8 and exponent 0.7."""
-    element = dataclasses.replace(LUGRE, delta=0.8, alpha=0.7)
+    element = LUGRE.replaced(delta=0.8, alpha=0.7)
     fit = fit_friction(TARGETS["mujoco"], "joint", [element], SPEEDS)
     torque = element.steady_torque(SPEEDS)
 
@@ -58,7 +57,7 @@ def test_no_law_of_the_target_is_nearer() -> None:
     bounds = [(10, 40), (0, 20), (5e-3, 1.0), (0, 8), (-3, 3), (0, 10)]
     best = differential_evolution(rms, bounds, seed=1, maxiter=120, popsize=8, tol=1e-6)
     assert fit.rms <= 1.02 * best.fun
-    linear = fit_friction(TARGETS["mujoco"], "joint", [dataclasses.replace(LUGRE, delta=0.8)], SPEEDS)
+    linear = fit_friction(TARGETS["mujoco"], "joint", [LUGRE.replaced(delta=0.8)], SPEEDS)
     assert linear.law.viscous[1:] == (0.0, 0.0)
     a, b, c = fit.law.viscous
     fast = np.geomspace(1e-3, 1e3, 200)
@@ -137,7 +136,7 @@ def test_speeds_are_those_of_the_identification(shipped: Setup, tmp_path: Path) 
     file = rx.FrictionFile.read(shipped.friction.file)
     bands = {"fit": {"joint_2": {"residual_by_speed": [[0.004, 0.1, 0.0], [0.2, 1.3, 0.0]]}}}
     path = tmp_path / "friction.yaml"
-    path.write_text(dataclasses.replace(file, identification=bands).text(), encoding="utf-8")
+    path.write_text(file.replaced(identification=bands).text(), encoding="utf-8")
     fits = rx.export_robot(rx.load_setup(friction=path), "mujoco").fits
     assert (fits[1].speeds.min(), fits[1].speeds.max()) == pytest.approx((0.004, 1.3))
     assert fits[0].speeds.max() == pytest.approx(shipped.robot.max_velocity[0])
@@ -187,7 +186,7 @@ def test_no_controller_is_needed(tmp_path: Path) -> None:
     folder = write_arm(tmp_path / "arm", 2)
     (folder / "controller.yaml").unlink()
     file = rx.FrictionFile.read(folder / "friction.yaml")
-    found = dataclasses.replace(file, identification={"speeds": {"arm_2": [0.02, 1.5]}})
+    found = file.replaced(identification={"speeds": {"arm_2": [0.02, 1.5]}})
     (folder / "friction.yaml").write_text(found.text(), encoding="utf-8")
     assert run("rx90_export", ["mujoco", "--robot", str(folder), "--output", str(tmp_path / "out")]) == DONE
     fits = yaml.safe_load((tmp_path / "out" / "export.yaml").read_text(encoding="utf-8"))["friction"]

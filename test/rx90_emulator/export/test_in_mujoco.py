@@ -35,7 +35,7 @@ class Motion(NamedTuple):
 
 def holdable(setup: Setup) -> Setup:
     """Return the setup with elements that MuJoCo can hold: delta 2, the same for both signs, a constant c1."""
-    elements = [dataclasses.replace(e, delta=2.0, omega_d=math.inf) for e in setup.friction.elements]
+    elements = [e.replaced(delta=2.0, omega_d=math.inf) for e in setup.friction.elements]
     return dataclasses.replace(setup, friction=dataclasses.replace(setup.friction, elements=tuple(elements)))
 
 
@@ -47,7 +47,7 @@ def torques(setup: Setup, scenario: str) -> Array:
     data.qpos[:] = START
     mujoco.mj_forward(model, data)
     joint = data.qfrc_bias - data.qfrc_spring
-    static = np.array([e.tau_s_positive for e in setup.friction.elements[:6]])
+    static = np.array([e.tau_s.positive for e in setup.friction.elements[:6]])
     hold, break_away = np.empty(6), np.empty(6)
     to_motor_torque(setup.drives.gear, joint, hold)
     to_motor_torque(setup.drives.gear, static, break_away)
@@ -195,7 +195,7 @@ def test_seven_joints_with_a_motor_that_turns_with_three(tmp_path: Path) -> None
     still = mujoco.MjData(model)
     still.qpos[:] = start
     mujoco.mj_forward(model, still)
-    swing = 1.6 * np.array([e.tau_s_positive for e in setup.friction.elements[:7]])
+    swing = 1.6 * np.array([e.tau_s.positive for e in setup.friction.elements[:7]])
     time = np.arange(TICKS)[:, None] * setup.rates.period
     joint = still.qfrc_bias - still.qfrc_spring + swing * np.sin(4.0 * np.pi * time)
     commands = joint @ setup.drives.turning.joint_turns / setup.drives.gear

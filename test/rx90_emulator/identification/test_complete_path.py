@@ -38,7 +38,7 @@ def test_the_runs_of_one_joint_tell_that_joint_alone(
         load_friction(output, RX_WRIST.element_names(shipped.robot.joint_names)).elements[2],
         shipped.friction.elements[2],
     )
-    assert found.tau_c_positive == pytest.approx(truth.tau_c_positive, rel=0.1)
+    assert found.tau_c.positive == pytest.approx(truth.tau_c.positive, rel=0.1)
     sentence = (
         r"confirmed by a bag that the fit did not use; 54 of 63 values are assumed: .*torque RMS of a joint ([\d.]+)%"
     )
@@ -123,7 +123,7 @@ def test_experiments_run_on_the_real_nodes(
         load_friction(output, RX_WRIST.element_names(shipped.robot.joint_names)).elements[3],
         shipped.friction.elements[3],
     )
-    assert abs(found.tau_c_positive / true.tau_c_positive - 1.0) < 0.02
+    assert abs(found.tau_c.positive / true.tau_c.positive - 1.0) < 0.02
     assert abs(found.c0 / true.c0 - 1.0) < 0.05
     truth = dict(zip(shipped.friction.names, shipped.friction.elements, strict=True))
     assert read_emulated([folder / "any"]) == truth

@@ -284,5 +284,5 @@ def test_a_planned_run_tells_the_inertias_that_the_engine_has(
     for k in (4, 5, 6):
         assert values[f"Ia_{k}"] == pytest.approx(tx40.drives.rotor_inertia[k - 1], rel=2e-3)
     for element, law in zip(problem.arm.element_names, tx40.friction.elements, strict=True):
-        assert values[f"{element}.tau_c"] == pytest.approx(law.tau_c_positive, rel=1e-2)
+        assert values[f"{element}.tau_c"] == pytest.approx(law.tau_c.positive, rel=1e-2)
     assert all(run.reference is not None for run in problem.runs)

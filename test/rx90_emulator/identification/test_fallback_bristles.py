@@ -27,7 +27,10 @@ from rx90_emulator.identification.robot import RecordedRobot
 
 SLIPPING = {"kind": "maxwell_slip", "stiffness": [0.61234567, 0.38765433], "share": [0.25, 0.75], "attraction": 5000.0}
 ELASTIC = {"kind": "elasto_plastic", "break_away": 0.4512345678}
-PARTS = (MaxwellSlip((0.61234567, 0.38765433), (0.25, 0.75), 5000.0), ElastoPlastic(0.4512345678))
+PARTS = (
+    MaxwellSlip(stiffness=(0.61234567, 0.38765433), share=(0.25, 0.75), attraction=5000.0),
+    ElastoPlastic(break_away=0.4512345678),
+)
 
 
 def fallback(path: Path, bristles: dict[str, Any]) -> Path:
@@ -77,7 +80,7 @@ def test_bristles_go_with_c0(hinge: Hinge, tmp_path: Path, monkeypatch: pytest.M
     if known:
         alone = RecordedRobot.load(replace(options, fallback="none"))
         (own,) = identify_records([], [None], alone).elements  # type: ignore[list-item]
-        assert replace(own.element, omega_d=one.element.omega_d) == one.element
+        assert own.element.replaced(omega_d=one.element.omega_d) == one.element
         assert own.element.passivity_limit(1e3) == np.inf
 
 

@@ -35,7 +35,7 @@ def identified(arguments: Sequence[object], output: Path, capsys: pytest.Capture
     parameters: dict[str, Any] = file.identification["parameters"]
     for element, values in parameters.items():
         for name, entry in values.items():
-            assert getattr(file.elements[element], name) == entry["value"], (element, name)
+            assert file.elements[element].parameters[name] == entry["value"], (element, name)
     return parameters
 
 

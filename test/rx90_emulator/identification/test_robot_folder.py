@@ -61,7 +61,7 @@ def element_of(element: FrictionElement, source: BagSource) -> IdentifiedElement
     estimates = {
         name: ParameterEstimate.unknown("too short")
         if name in ("omega_s", "c0", "c1")
-        else ParameterEstimate(float(getattr(element, name)), 0.01)
+        else ParameterEstimate(element.parameters[name], 0.01)
         for name in PARAMETERS
     }
     return IdentifiedElement(element, estimates, dict.fromkeys(PARAMETERS, (source,)))
@@ -223,7 +223,7 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     prior = InertialPrior.of_urdf(file, arm.names, [0.0, 0.0, 0.1])
     assert prior.dropped == ("dust",)
     inertias = consistent_inertias(estimate_of(columns, theta), prior)
-    element = FrictionElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, 0.5)
+    element = FrictionElement(tau_c=1.0, tau_s=1.5, omega_s=0.05, delta=1.0, c0=1e4, c1=1.0, c2=0.5)
     result = identified(arm, inertias, columns, (element_of(element, source),) * 3, source)
     base, why = folder_base(arm, file)
     assert base is None
@@ -274,7 +274,8 @@ def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
     assert written["viscous_exponent"] == [1.0] * 6
     assert written["coulomb_torque"] == [25.0, 28.0, 18.0, 6.0, 4.0, 3.5]
     bent, straight = (
-        FrictionElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, c2, alpha=a) for c2, a in ((2, 0.6), (1, 1))
+        FrictionElement(tau_c=1.0, tau_s=1.5, omega_s=0.05, delta=1.0, c0=1e4, c1=1.0, c2=c2, alpha=a)
+        for c2, a in ((2, 0.6), (1, 1))
     )
     c2, alpha = viscous_sum([bent, straight], 8.0)
     speed = np.linspace(1.5, 9.0, 20)
@@ -294,10 +295,10 @@ def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
 )
 def test_no_absurd_friction_is_written(source: BagSource, parameter: str, value: float, deviation: float) -> None:
     """A friction value that no arm has, or a deviation that is absurd or no number, is refused by name in one line."""
-    good = element_of(FrictionElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, 0.5), source)
+    good = element_of(FrictionElement(tau_c=1.0, tau_s=1.5, omega_s=0.05, delta=1.0, c0=1e4, c1=1.0, c2=0.5), source)
     assert "tau_c: 1.0" in elements_text(["a"], [good], None)
     estimates = {**good.estimates, parameter: ParameterEstimate(value, deviation)}
-    bad = replace(good, element=replace(good.element, **{parameter: value}), estimates=estimates)
+    bad = replace(good, element=good.element.with_parameters({parameter: value}), estimates=estimates)
     said = rf"^a: {parameter} came out as .*accepted: up to |a\.{parameter}\.deviation is 1e\+48, so the file is not"
     with pytest.raises(Rx90Error, match=said):
         elements_text(["a"], [bad], None)

@@ -34,7 +34,7 @@ pytestmark = pytest.mark.slow
 
 def errors(estimate: ElementEstimate, element: FrictionElement) -> dict[str, float]:
     """Return relative errors by parameter."""
-    return {name: abs(found.value / getattr(element, name) - 1.0) for name, found in estimate.parameters.items()}
+    return {name: abs(found.value / element.parameters[name] - 1.0) for name, found in estimate.parameters.items()}
 
 
 @pytest.mark.parametrize("joint", [0, 1])
@@ -61,7 +61,7 @@ def test_a_coulomb_difference_of_element_seven_moves_to_joints_five_and_six(
     sweeps: Any, arm: RigidArm, shipped: Setup
 ) -> None:
     """A constant torque of element 7 shows in no motion: joints 5 and 6 take it, and nothing else changes."""
-    seventh = dataclasses.replace(shipped.friction.elements[6], tau_c_positive=1.6, tau_c_negative=1.4)
+    seventh = shipped.friction.elements[6].replaced(tau_c={"positive": 1.6, "negative": 1.4})
     friction = FrictionSet(shipped.friction.names, (*shipped.friction.elements[:6], seventh))
     record, _ = sweeps([4, 5], 1, Noise(0.0), friction=friction)
     found = [fit.parameters for fit in identify_sliding([record], arm).estimates[4:]]
@@ -97,7 +97,7 @@ def test_intervals_cover_the_truth(sweeps: Any, arm: RigidArm, common: float) ->
         for joint in range(4):
             for name, found in estimates[joint].parameters.items():
                 low, high = found.bounds
-                true = getattr(friction.elements[joint], name)
+                true = friction.elements[joint].parameters[name]
                 inside.append(low <= true <= high)
                 scores.append((found.value - true) / found.deviation)
     assert len(inside) == 84
@@ -143,7 +143,7 @@ def test_a_poor_record_is_no_obstacle(
 
 def test_no_stribeck_effect_is_reported_as_such(sweeps: Any, arm: RigidArm, shipped: Setup) -> None:
     """Friction without a static rise leaves tau_s, omega_s and delta not identifiable, and the others identifiable."""
-    plain = dataclasses.replace(shipped.friction.elements[2], tau_s_positive=18.0, tau_s_negative=18.0)
+    plain = shipped.friction.elements[2].replaced(tau_s=18.0)
     elements = (*shipped.friction.elements[:2], plain, *shipped.friction.elements[3:])
     record, _ = sweeps([2], 9, friction=FrictionSet(shipped.friction.names, elements))
     found = identify_sliding([record], arm).estimates[2].parameters
@@ -160,8 +160,8 @@ def test_a_viscous_exponent_is_found_where_there_is_one(
 ) -> None:
     """The exponent is within 0.05 and three deviations of the truth, is no Stribeck effect, and stands in the file."""
     base = shipped.friction.elements[joint]
-    static = base.tau_s_positive if rises else base.tau_c_positive
-    bent = dataclasses.replace(base, alpha=alpha, tau_s_positive=static, tau_s_negative=static)
+    static = base.tau_s.positive if rises else base.tau_c.positive
+    bent = base.replaced(alpha=alpha, tau_s=static)
     elements = [bent if e == joint else one for e, one in enumerate(shipped.friction.elements)]
     friction = FrictionSet(shipped.friction.names, tuple(elements))
     record, _ = sweeps([joint], 32, friction=friction, count=16, longest=longest)
@@ -264,7 +264,7 @@ def test_the_shipped_plan_separates_gravity_from_coulomb_friction(
 ) -> None:
     """The plan's sweeps of joint 3 give its sliding parameters within 2 % and within 4 deviations, both directions."""
     for name, found in identify_sliding([swept], arm).estimates[2].parameters.items():
-        truth = getattr(shipped.friction.elements[2], name)
+        truth = shipped.friction.elements[2].parameters[name]
         assert found.value == pytest.approx(truth, rel=0.02), name
         assert abs(found.value - truth) < 4.0 * found.deviation, name
 
@@ -279,7 +279,7 @@ def test_a_record_in_pieces_is_no_surer_than_it_is_right(shipped: Setup, arm: Ri
         kept = (swept.time + phase) % 0.7 > 0.21
         for name, found in identify_sliding([some_rows(swept, kept)], arm).estimates[2].parameters.items():
             if found.identifiable:
-                error = abs(found.value - getattr(shipped.friction.elements[2], name))
+                error = abs(found.value - shipped.friction.elements[2].parameters[name])
                 deviations[name].append(error / found.deviation)
     assert {"tau_c_positive", "tau_c_negative", "c2"} <= set(deviations)
     for name, found_off in deviations.items():

@@ -56,7 +56,7 @@ def everything(setup: Setup, side: str) -> Setup:
         },
         current_sensor={"offset": np.full(6, 0.01), "noise": np.full(6, 0.01)},
     )
-    elements = tuple(dataclasses.replace(element, **PARTS) for element in setup.friction.elements)
+    elements = tuple(element.replaced(**PARTS) for element in setup.friction.elements)
     switches = {"inverse_dynamics": True, "friction_model": True}
     files = setup.files
     assert files is not None
@@ -149,9 +149,8 @@ def soft_joint(shipped: Setup) -> Setup:
     stiffness, damping, rotor = np.full(6, np.inf), np.zeros(6), np.full(6, 1e12)
     stiffness[0], damping[0], rotor[0] = STIFFNESS, DAMPING, ROTOR
     setup = elastic(floating(shipped), stiffness, damping)
-    drives = setup.drives.replaced(
-        transmission={"rotor_inertia": rotor}, encoder={"counts_per_revolution": 2**40, "velocity_bandwidth": OBSERVER}
-    )
+    fine = {"counts_per_revolution": 2**40, "velocity_bandwidth": OBSERVER}
+    drives = unchecked(setup.drives, transmission={"rotor_inertia": rotor}, encoder=fine)
     six = np.ones(6)
     controller = unchecked(
         setup.controller,

@@ -30,13 +30,29 @@ from rx90_emulator.loop.setup import Setup
 Array = NDArray[np.float64]
 HOME = np.array([0.1, 0.5, 1.2, 0.2, 0.9, 0.3])
 PARTS = {
-    "load": LoadPart(0.05, 0.08),
-    "temperature": TemperaturePart(40.0, 15.0, 90.0, 20.0, 20.0, 9000.0, 0.4, 20.7, 0.4, 0.02, 0.02),
-    "ripple": RipplePart((1.0,), (0.05,), (), (2.0,), (0.06,)),
+    "load": LoadPart(driving=0.05, driven=0.08),
+    "temperature": TemperaturePart(
+        reference=40.0,
+        lowest=15.0,
+        highest=90.0,
+        start=20.0,
+        ambient=20.0,
+        capacity=9000.0,
+        resistance=0.4,
+        viscous_scale=20.7,
+        viscous_floor=0.4,
+        speed_slope=0.02,
+        static_slope=0.02,
+    ),
+    "ripple": RipplePart(
+        joint_harmonic=(1.0,), joint_amplitude=(0.05,), joint_phase=(), motor_harmonic=(2.0,), motor_amplitude=(0.06,)
+    ),
 }
 BRISTLES: dict[str, Callable[[FrictionElement], BristlesPart]] = {
-    "elasto_plastic": lambda _: ElastoPlastic(0.7),
-    "maxwell_slip": lambda element: MaxwellSlip((0.5, 0.3, 0.2), (0.2, 0.3, 0.5), 20.0 * element.tau_c_positive),
+    "elasto_plastic": lambda _: ElastoPlastic(break_away=0.7),
+    "maxwell_slip": lambda element: MaxwellSlip(
+        stiffness=(0.5, 0.3, 0.2), share=(0.2, 0.3, 0.5), attraction=20.0 * element.tau_c.positive
+    ),
 }
 
 
@@ -56,7 +72,7 @@ def test_with_the_right_model_the_path_error_is_below_30_micrometres(shipped: Se
 
 def with_parts(setup: Setup, kind: str, path: Path) -> Setup:
     """Return the setup with all parts, bristles of a kind too, in the plant and in the controller's model."""
-    elements = tuple(dataclasses.replace(e, **PARTS, bristles=BRISTLES[kind](e)) for e in setup.friction.elements)
+    elements = tuple(e.replaced(**PARTS, bristles=BRISTLES[kind](e)) for e in setup.friction.elements)
     parted = dataclasses.replace(setup, friction=dataclasses.replace(setup.friction, elements=elements))
     return with_friction(parted, elements, path)
 

@@ -14,6 +14,7 @@ from pinocchio_chain import pinocchio_chain
 
 import rx90_emulator as rx
 from rx90_common.base.errors import ConfigError, LineError, Rx90Error
+from rx90_common.base.models import FileModel, Model, unit_of
 from rx90_common.description.drives import Cogging
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, FrictionSet
@@ -27,10 +28,17 @@ from rx90_emulator.loop.parameters import Catalogue, Leaf, Value, apply, paramet
 from rx90_emulator.loop.setup import Setup
 
 PARTS = {
-    "load": LoadPart(0.05, 0.08),
-    "ripple": RipplePart((1.0,), (0.1,), (0.0,), (2.0, 4.0), (0.1, 0.05), (0.3, 0.0)),
-    "scatter": ScatterPart(0.02, 5.0),
-    "bristles": ElastoPlastic(0.7),
+    "load": LoadPart(driving=0.05, driven=0.08),
+    "ripple": RipplePart(
+        joint_harmonic=(1.0,),
+        joint_amplitude=(0.1,),
+        joint_phase=(0.0,),
+        motor_harmonic=(2.0, 4.0),
+        motor_amplitude=(0.1, 0.05),
+        motor_phase=(0.3, 0.0),
+    ),
+    "scatter": ScatterPart(deviation=0.02, correlation_time=5.0),
+    "bristles": ElastoPlastic(break_away=0.7),
 }
 COGGING = Cogging(harmonic=[2.0, 6.0], amplitude=(np.arange(12.0).reshape(2, 6) / 100.0).tolist())
 
@@ -39,7 +47,7 @@ COGGING = Cogging(harmonic=[2.0, 6.0], amplitude=(np.arange(12.0).reshape(2, 6) 
 def parted(shipped: Setup) -> Setup:
     """Return the shipped setup, whose second element has all parts."""
     one, two, *others = shipped.friction.elements
-    return replace(shipped, friction=FrictionSet(shipped.friction.names, (one, replace(two, **PARTS), *others)))
+    return replace(shipped, friction=FrictionSet(shipped.friction.names, (one, two.replaced(**PARTS), *others)))
 
 
 def leaves(catalogue: Catalogue, values: dict[str, Value]) -> dict[Leaf, Value]:
@@ -99,9 +107,13 @@ def test_values_of_task_and_links(shipped: Setup, task: LineTask, catalogue: Cat
     ("path", "value", "said"),
     [
         ("friction.joint_1.omega_s", 0.0, "friction.joint_1: omega_s is 0.0"),
-        ("friction.joint_2.tau_c", -1.0, "friction.joint_2: tau_c_positive is -1.0; accepted"),
-        ("friction.joint_2.load.driving", 2.0, "friction.joint_2: load: driving is 2.0; accepted: a number in [0"),
-        ("friction.joint_2.ripple.motor_amplitude[0]", 0.9, "friction.joint_2: ripple: the amplitudes sum to 1.05"),
+        ("friction.joint_2.tau_c", -1.0, "friction.joint_2: tau_c.positive is -1.0; accepted"),
+        ("friction.joint_2.load.driving", 2.0, "friction.joint_2: load.driving is 2.0; accepted: a number in [0"),
+        (
+            "friction.joint_2.ripple.motor_amplitude[0]",
+            0.9,
+            "joint_amplitude is '1.05'; accepted: amplitudes that",
+        ),
         ("friction.joint_1.load.driving", 0.1, "names nothing: 'load' is unknown; accepted there: alpha"),
         ("controller.feed_forward.coulomb", 0.5, "'controller.feed_forward.coulomb': a value is 0.5; accepted: true"),
         ("friction.joint_2.c0", True, "a value is True; accepted: numbers"),
@@ -160,13 +172,14 @@ def test_wrong_values_of_the_task_are_refused(
 )
 def test_every_number_has_a_path(catalogue: Catalogue, prefix: str, kind: type, without: set[str]) -> None:
     """No parameter of friction, drives, controller and line can be forgotten in the table of paths."""
-    for field in fields(kind):
-        if field.name not in without:
+    names = kind.model_fields if issubclass(kind, Model) else [field.name for field in fields(kind)]
+    for name in names:
+        if name not in {*without, *FileModel.about_keys}:
             try:
-                places = catalogue.places(f"{prefix}.{field.name}")
+                places = catalogue.places(f"{prefix}.{name}")
             except ConfigError:
-                places = catalogue.places(f"{prefix}.{field.name}[*]")
-            assert {place.leaves[0].key[-1] for place in places} == {field.name}
+                places = catalogue.places(f"{prefix}.{name}[*]")
+            assert name in {key for place in places for key in place.leaves[0].key}
 
 
 def test_star_and_index_expand(catalogue: Catalogue) -> None:
@@ -176,9 +189,10 @@ def test_star_and_index_expand(catalogue: Catalogue) -> None:
         "friction.joint_5_6.tau_c",
     ]
     (both,) = catalogue.places("friction.joint_2.tau_c")
-    assert [leaf.key[-1] for leaf in both.leaves] == ["tau_c_positive", "tau_c_negative"]
+    assert [leaf.key[-2:] for leaf in both.leaves] == [("tau_c", "positive"), ("tau_c", "negative")]
+    assert catalogue.places("friction.joint_2.tau_c_negative")[0].leaves == both.leaves[1:]
     assert [p.leaves for p in catalogue.places("controller.kp[*]")] == [
-        (Leaf(("controller", "kp"), (i,)),) for i in range(6)
+        (Leaf(("controller", "servo", "kp"), (i,)),) for i in range(6)
     ]
     assert len(catalogue.places("arm.*.com[*]")) == 18
     paths = ("friction.joint_3.c0", "drives.rotor_inertia[1]", "controller.feed_forward.coulomb", "task.end[2]")
@@ -210,15 +224,11 @@ def test_every_value_of_a_part_has_a_path(parted: Setup) -> None:
     """Each field of each part of an element can be set by its path, each number of a list by its index."""
     listed = rx.parameters(parted)
     for name, part in PARTS.items():
-        for field in fields(part):
-            value = getattr(part, field.name)
-            numbers = value if isinstance(value, tuple) else (value,)
-            for i, number in enumerate(numbers):
-                path = f"friction.joint_2.{name}.{field.name}{f'[{i}]' if isinstance(value, tuple) else ''}"
-                assert listed[path] == (number, part.units()[field.name])
-                element = rx.with_parameters(parted, {path: 0.9 * number}).friction.elements[1]
-                changed = getattr(getattr(element, name), field.name)
-                assert (changed[i] if isinstance(value, tuple) else changed) == 0.9 * number
+        for key, number in part.numbers().items():
+            path = f"friction.joint_2.{name}.{key}"
+            assert listed[path] == (number, unit_of(type(part), key.partition("[")[0]))
+            element = rx.with_parameters(parted, {path: 0.9 * number}).friction.elements[1]
+            assert element.parts[name].numbers()[key] == 0.9 * number
     paths = [place.path for place in Catalogue(parted).places("friction.*.load.driving")]
     assert paths == ["friction.joint_2.load.driving"]
 
@@ -243,15 +253,12 @@ def test_numpy_s_scalars_are_numbers(parted: Setup) -> None:
     for value in (np.float32(0.25), np.float64(0.25), np.int64(0), np.float16(0.25)):
         driving = rx.with_parameters(parted, {path: value}).friction["joint_2"].load.driving
         assert (type(driving), driving) == (float, float(value))
-        for name in ("c2", "tau_s_positive"):
-            made = replace(parted.friction["joint_2"], **{name: value + type(value)(64)})
-            assert (type(getattr(made, name)), getattr(made, name)) == (float, float(value) + 64.0)
-        assert type(LoadPart(value, value).driven) is float
+        assert type(LoadPart(driving=value, driven=value).driven) is float
     off = rx.with_parameters(parted, {"controller.feed_forward.coulomb": np.bool_(False)})
     assert off.controller.feed_forward.coulomb is False
     for value in (np.float32("nan"), np.bool_(True), "0.25"):
-        with pytest.raises(ConfigError, match=r"accepted: a (finite )?number"):
-            LoadPart(value, 0.1)  # type: ignore[arg-type]
+        with pytest.raises(ConfigError, match=r"accepted: (a finite )?number"):
+            rx.with_parameters(parted, {path: value})
 
 
 def test_friction_must_not_follow_the_load_faster_than_the_step(parted: Setup) -> None:

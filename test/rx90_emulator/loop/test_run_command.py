@@ -11,7 +11,7 @@ import pytest
 
 from rx90_common.bags.reading import read_bag
 from rx90_common.bags.recorded import ParameterChange
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import BagError, Rx90Warning
 from rx90_common.base.share import config_path
 from rx90_controller.lines.task import load_task
@@ -122,7 +122,7 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
     assert RecordedRobot.load(RobotOptions(robot="tx40")).layout(first, fast=True).topic == "motor_states"
     changes = [ParameterChange(node, f"{node}.kp", "[]", 0) for node in ("servo", "other")]
     monkeypatch.setattr("rx90_emulator.loop.recorded_run.read_changes", lambda _: changes)
-    own = load_yaml(config_path("robots/tx40/controller.yaml")).content
+    own = read_yaml(config_path("robots/tx40/controller.yaml"))
     told = {f"{of}.{key}": value for of in ("servo", "feed_forward", "supervision") for key, value in own[of].items()}
     told |= {"servo.kv": [100.0] * 6, "feed_forward.coulomb": False, "constraints.goal_time": 3.0}
     told |= {"allow_partial_joints_goal": True, "allow_trajectory_replacement": False}

@@ -221,7 +221,7 @@ class Arm:
         torques = np.empty(7)
         for i, (e, speed) in enumerate(zip(self.elements, v, strict=True)):
             coulomb, static = (
-                (e.tau_c_positive, e.tau_s_positive) if speed >= 0 else (e.tau_c_negative, e.tau_s_negative)
+                (e.tau_c.positive, e.tau_s.positive) if speed >= 0 else (e.tau_c.negative, e.tau_s.negative)
             )
             g = coulomb + (static - coulomb) * np.exp(-((abs(speed) / e.omega_s) ** e.delta))
             x = T * e.c0 * abs(speed) / g

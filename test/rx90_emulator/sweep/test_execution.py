@@ -122,7 +122,7 @@ def test_resuming_completes(tmp_path: Path, sweep: Sweep, expected: pa.Table) ->
     [
         ("friction.*.c1", True, (1.0, 1e7), "ConfigError: friction.joint_6.c1 is 5e+07 Nm s/rad"),
         ("controller.following_error[1]", False, (0.05, 1e-6), "SupervisionError: joint_2: following error"),
-        ("friction.joint_1.tau_c", True, (1.0, 2.0), "ConfigError: friction.joint_1: tau_s_positive is 32.0"),
+        ("friction.joint_1.tau_c", True, (1.0, 2.0), "ConfigError: friction.joint_1: tau_s is 32.0"),
         ("task.end[0]", False, (0.604, 3.0), "LineError: the line cannot be travelled at"),
         ("controller.start_tolerance", False, (1e-3, 0.0), "TrajectoryError: point 0"),
     ],

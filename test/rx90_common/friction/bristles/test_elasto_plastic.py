@@ -15,7 +15,16 @@ from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 
-ELEMENT = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
+ELEMENT = FrictionElement(
+    tau_c={"positive": 25.0, "negative": 31.0},
+    tau_s={"positive": 32.0, "negative": 47.0},
+    omega_s=0.05,
+    delta=1.0,
+    c0=1e5,
+    c1=100.0,
+    c2=14.0,
+    omega_d=1.0,
+)
 COMPILED = one_element(element_arrays((ELEMENT,))[0], 0)
 
 
@@ -33,7 +42,7 @@ def test_a_step_at_constant_velocity_is_exact(seed: int) -> None:
     element = random_element(rng)
     compiled = one_element(element_arrays((element,))[0], 0)
     oracle = ElastoPlasticOracle(element, rng.uniform(0.0, 0.9))
-    z, share = 0.0, 2e-9 * element.tau_c_positive
+    z, share = 0.0, 2e-9 * element.tau_c.positive
     for sign in (1.0, 1.0, -1.0, 1.0):
         velocity, step = sign * 10.0 ** rng.uniform(-2.0, 0.7), 10.0 ** rng.uniform(-4.0, -2.5)
         assert elasto_plastic_torque(compiled, oracle.break_away, z, velocity) == pytest.approx(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,10 +14,19 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 
-ELEMENT = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
-FLAT = FrictionElement(25.0, 25.0, 25.0, 25.0, 0.05, 1.0, 1e5, 100.0, 0.0)
-ELASTIC = ElastoPlastic(0.7)
-BLOCKS = MaxwellSlip((0.5, 0.3, 0.2), (0.2, 0.3, 0.5), 2000.0)
+ELEMENT = FrictionElement(
+    tau_c={"positive": 25.0, "negative": 31.0},
+    tau_s={"positive": 32.0, "negative": 47.0},
+    omega_s=0.05,
+    delta=1.0,
+    c0=1e5,
+    c1=100.0,
+    c2=14.0,
+    omega_d=1.0,
+)
+FLAT = FrictionElement(tau_c=25.0, tau_s=25.0, omega_s=0.05, delta=1.0, c0=1e5, c1=100.0, c2=0.0)
+ELASTIC = ElastoPlastic(break_away=0.7)
+BLOCKS = MaxwellSlip(stiffness=(0.5, 0.3, 0.2), share=(0.2, 0.3, 0.5), attraction=2000.0)
 KINDS = {"LuGre": None, "elasto-plastic": ELASTIC, "Maxwell slip": BLOCKS}
 STEP = 2.5e-4
 each_kind = pytest.mark.parametrize("bristles", KINDS.values(), ids=KINDS.keys())
@@ -30,7 +38,7 @@ def test_at_rest_the_bristles_keep_every_bit(bristles: BristlesPart | None) -> N
     rng = np.random.default_rng(4)
     for scale in (1e-3, 0.1, 3.0):
         velocity = np.concatenate([scale * rng.standard_normal(50), np.zeros(50)])
-        torque, stored = led(replace(ELEMENT, bristles=bristles), velocity, STEP)
+        torque, stored = led(ELEMENT.replaced(bristles=bristles), velocity, STEP)
         assert np.unique(stored[49:]).size == 1
         assert np.unique(torque[50:]).size == 1
         assert abs(torque[-1]) > 1e-3
@@ -40,7 +48,7 @@ def test_at_rest_the_bristles_keep_every_bit(bristles: BristlesPart | None) -> N
 def test_a_stuck_mass_does_not_creep(bristles: BristlesPart | None) -> None:
     """Under a constant load below break-away a mass comes to rest and stays on the same bits."""
     for load in (8.0, -20.0, 15.0):
-        motion = driven_mass(replace(ELEMENT, bristles=bristles), 2.0, np.full(40_000, load), STEP)
+        motion = driven_mass(ELEMENT.replaced(bristles=bristles), 2.0, np.full(40_000, load), STEP)
         assert np.unique(motion.position[-10_000:]).size == 1
         assert np.ptp(motion.deflection[-10_000:]) < 1e-18
         assert motion.friction[-1] == pytest.approx(load, rel=1e-12)
@@ -49,10 +57,10 @@ def test_a_stuck_mass_does_not_creep(bristles: BristlesPart | None) -> None:
 @each_kind
 def test_torque_at_both_ends_of_the_hysteresis(bristles: BristlesPart | None) -> None:
     """A small deflection costs c0 times it, a long way at any velocity the torque of the steady curve."""
-    torque, _ = led(replace(ELEMENT, bristles=bristles), np.array([1e-6, 0.0]), 1e-3)
+    torque, _ = led(ELEMENT.replaced(bristles=bristles), np.array([1e-6, 0.0]), 1e-3)
     assert torque[-1] == pytest.approx(1e5 * 1e-9, rel=1e-4)
     for velocity in (-3.0, -0.02, 1e-3, 0.4):
-        torque, _ = led(replace(ELEMENT, bristles=bristles), np.full(20_000, velocity), 1e-3)
+        torque, _ = led(ELEMENT.replaced(bristles=bristles), np.full(20_000, velocity), 1e-3)
         assert torque[-1] == pytest.approx(float(ELEMENT.steady_torque(velocity)), rel=1e-12)
 
 
@@ -68,7 +76,7 @@ def test_no_kind_creates_energy(bristles: BristlesPart | None) -> None:
     rng = np.random.default_rng(5)
     for step, alpha in ((STEP, 1.0), (1e-2, 1.0), (STEP, 0.3), (1e-3, 2.0)):
         velocity = random_cycles(rng, 10_000)
-        torque, stored = led(replace(ELEMENT, bristles=bristles, alpha=alpha), velocity, step)
+        torque, stored = led(ELEMENT.replaced(bristles=bristles, alpha=alpha), velocity, step)
         dissipated = torque * velocity * step - np.diff(stored, prepend=0.0)
         assert np.all(dissipated >= -1e-12 * (np.abs(torque * velocity * step) + stored))
         assert np.sum(dissipated) > 0.0
@@ -106,7 +114,7 @@ def order_on_a_mass(element: FrictionElement, bristles: ElastoPlastic | MaxwellS
     for steps in counts:
         h = end / steps
         middle = np.array([force((k + 0.5) * h) for k in range(steps)])
-        motion = driven_mass(replace(element, bristles=bristles), inertia, middle, h, start)
+        motion = driven_mass(element.replaced(bristles=bristles), inertia, middle, h, start)
         errors.append([abs(motion.position[-1] - x), abs(motion.velocity[-1] - v)])
     # Where in a step a reversal falls changes the constant of the error from one step size to the next.
     return float(-np.polyfit(np.log(counts), np.log(np.array(errors)), 1)[0].mean()), np.array(errors)
@@ -114,17 +122,17 @@ def order_on_a_mass(element: FrictionElement, bristles: ElastoPlastic | MaxwellS
 
 def test_elasto_plastic_is_second_order_on_a_mass() -> None:
     """Against a solver with located kinks the error falls fourfold when the step is halved."""
-    order, errors = order_on_a_mass(replace(ELEMENT, tau_s_positive=28.0, tau_s_negative=36.0), ELASTIC)
+    order, errors = order_on_a_mass(ELEMENT.replaced(tau_s={"positive": 28.0, "negative": 36.0}), ELASTIC)
     assert order == pytest.approx(2.0, abs=0.3)
     assert errors[0][0] < 2e-5
 
 
 def test_maxwell_slip_is_second_order_on_a_mass_where_the_sliding_curve_is_flat() -> None:
     """With a Stribeck effect a block begins to slip at the torque of the middle of the step: first order."""
-    order, errors = order_on_a_mass(replace(FLAT, c2=14.0), BLOCKS)
+    order, errors = order_on_a_mass(FLAT.replaced(c2=14.0), BLOCKS)
     assert order == pytest.approx(2.0, abs=0.3)
     assert errors[0][0] < 2e-5
-    order, errors = order_on_a_mass(replace(ELEMENT, tau_s_positive=28.0, tau_s_negative=36.0), BLOCKS)
+    order, errors = order_on_a_mass(ELEMENT.replaced(tau_s={"positive": 28.0, "negative": 36.0}), BLOCKS)
     assert order > 0.9
     assert errors[0][0] < 2e-5
 
@@ -135,7 +143,7 @@ def presliding_drift(bristles: BristlesPart | None, low: float, high: float, cyc
     phase = (np.arange(cycles * per_cycle) + 0.5) / per_cycle
     load = 25.0 * (0.5 * (high + low) - 0.5 * (high - low) * np.cos(2.0 * math.pi * phase))
     ramp = 25.0 * low * np.linspace(0.0, 1.0, per_cycle)
-    position = driven_mass(replace(FLAT, bristles=bristles), 0.2, np.concatenate([ramp, load]), 2e-4).position
+    position = driven_mass(FLAT.replaced(bristles=bristles), 0.2, np.concatenate([ramp, load]), 2e-4).position
     return np.diff(position[per_cycle - 1 :: per_cycle])
 
 
@@ -152,7 +160,7 @@ def test_only_lugre_drifts_below_break_away() -> None:
     assert np.max(np.abs(presliding_drift(ELASTIC, low, high, 12)[2:])) < 1e-9 * g
     assert np.max(np.abs(presliding_drift(BLOCKS, low, high, 12)[2:])) < 1e-9 * g
     # Above break-away the elasto-plastic bristle drifts, too.
-    assert presliding_drift(ElastoPlastic(0.5), low, high, 6)[-1] > 1e-3 * g
+    assert presliding_drift(ElastoPlastic(break_away=0.5), low, high, 6)[-1] > 1e-3 * g
 
 
 def play(reach: float, path: Array) -> Array:
@@ -171,7 +179,7 @@ def test_maxwell_slip_is_the_prandtl_operator_in_presliding() -> None:
     velocity = np.concatenate([np.full(7, (b - a) / 7) for a, b in pairwise(turning)]) / STEP
     still = np.zeros((velocity.size, 2))
     still[:, 0] = velocity  # at rest after each step the torque is that of the deflections
-    torque, _ = led(replace(FLAT, c1=0.0, bristles=BLOCKS), still.ravel(), STEP)
+    torque, _ = led(FLAT.replaced(c1=0.0, bristles=BLOCKS), still.ravel(), STEP)
     path = np.cumsum(velocity) * STEP
     expected = np.zeros(path.size)
     for stiffness, share in zip(BLOCKS.stiffness, BLOCKS.share, strict=True):
@@ -185,7 +193,7 @@ def loop(bristles: BristlesPart | None, turning: list[float]) -> Array:
     for count in range(1, len(turning)):
         ways = np.diff(turning[: count + 1])
         velocity = np.concatenate([np.full(400, way / 400 / STEP) for way in ways])
-        found.append(led(replace(FLAT, c1=0.0, bristles=bristles), np.append(velocity, 0.0), STEP)[0][-1])
+        found.append(led(FLAT.replaced(c1=0.0, bristles=bristles), np.append(velocity, 0.0), STEP)[0][-1])
     return np.array(found)
 
 

@@ -16,9 +16,18 @@ from rx90_common.friction.compiled_elements import bristles_dtype, element_array
 from rx90_common.friction.maxwell_slip import MAX_BLOCKS, maxwell_slip_step, maxwell_slip_torque
 from rx90_common.friction.parts.bristles import MaxwellSlip, fill_bristles
 
-ELEMENT = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
+ELEMENT = FrictionElement(
+    tau_c={"positive": 25.0, "negative": 31.0},
+    tau_s={"positive": 32.0, "negative": 47.0},
+    omega_s=0.05,
+    delta=1.0,
+    c0=1e5,
+    c1=100.0,
+    c2=14.0,
+    omega_d=1.0,
+)
 COMPILED = one_element(element_arrays((ELEMENT,))[0], 0)
-BLOCKS = MaxwellSlip((0.5, 0.3, 0.2), (0.2, 0.3, 0.5), 2000.0)
+BLOCKS = MaxwellSlip(stiffness=(0.5, 0.3, 0.2), share=(0.2, 0.3, 0.5), attraction=2000.0)
 
 
 def record_of(blocks: MaxwellSlip) -> Any:
@@ -34,7 +43,7 @@ def test_a_step_at_constant_velocity_is_exact(seed: int) -> None:
     rng = np.random.default_rng(seed)
     element, count = random_element(rng), int(rng.integers(1, 6))
     stiffness, share = rng.dirichlet(np.full(count, 3.0), 2)
-    blocks = MaxwellSlip(tuple(stiffness), tuple(share), 10.0 ** rng.uniform(2.0, 4.0))
+    blocks = MaxwellSlip(stiffness=tuple(stiffness), share=tuple(share), attraction=10.0 ** rng.uniform(2.0, 4.0))
     oracle = MaxwellSlipOracle(element, stiffness, share, blocks.attraction)
     compiled, arrays = one_element(element_arrays((element,))[0], 0), record_of(blocks)
     state, forces = np.zeros((2, MAX_BLOCKS)), np.zeros(count)
@@ -42,7 +51,7 @@ def test_a_step_at_constant_velocity_is_exact(seed: int) -> None:
         velocity, step = sign * 10.0 ** rng.uniform(-2.5, 0.7), 10.0 ** rng.uniform(-4.0, -2.2)
         forces, exact = oracle.hold(forces, velocity, step)
         z, torque = maxwell_slip_step(compiled, arrays, 0, state, velocity, step)
-        limit = 1e-11 * element.tau_s_positive
+        limit = 1e-11 * element.tau_s.positive
         np.testing.assert_allclose(state[0, :count] * stiffness * element.c0, forces, atol=limit)
         assert z * element.c0 == pytest.approx(np.sum(forces), abs=limit)
         assert torque == pytest.approx(exact, abs=2.0 * limit)
@@ -75,7 +84,7 @@ def test_every_velocity_gives_numbers_within_the_blocks_range(
     velocities: list[float], step: float, attraction: float
 ) -> None:
     """No history gives NaN or a block beyond its share of the static torque."""
-    arrays = record_of(MaxwellSlip(BLOCKS.stiffness, BLOCKS.share, attraction))
+    arrays = record_of(MaxwellSlip(stiffness=BLOCKS.stiffness, share=BLOCKS.share, attraction=attraction))
     state = np.zeros((2, MAX_BLOCKS))
     for velocity in velocities:
         z, torque = maxwell_slip_step(COMPILED, arrays, 0, state, velocity, step)
@@ -88,13 +97,13 @@ def test_every_velocity_gives_numbers_within_the_blocks_range(
 
 def test_the_bound_of_c1_is_sharp() -> None:
     """A block that slips with the torque that takes least power dissipates below the bound and creates above it."""
-    one = MaxwellSlip((1.0,), (1.0,), 5e4)
+    one = MaxwellSlip(stiffness=(1.0,), share=(1.0,), attraction=5e4)
     arrays, speed = record_of(one), 2.0
     tau, attracted = 25.0, one.attraction / 1e5
     beyond = 1.0 + math.sqrt(speed / attracted)
     bound = tau * float(one.passivity_factor(1e5, speed)) / speed
     for c1, created in ((0.99 * bound, False), (1.01 * bound, True)):
-        element = FrictionElement(tau, tau, 20.0 * tau, 20.0 * tau, 1e-3, 1.0, 1e5, c1, 0.0)
+        element = FrictionElement(tau_c=tau, tau_s=20.0 * tau, omega_s=1e-3, delta=1.0, c0=1e5, c1=c1, c2=0.0)
         compiled, step = one_element(element_arrays((element,))[0], 0), 1e-9
         state = np.zeros((2, MAX_BLOCKS))
         state[0, 0], state[1, 0] = z0, _ = beyond * tau / 1e5, 1.0

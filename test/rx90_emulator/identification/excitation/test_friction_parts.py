@@ -457,10 +457,10 @@ def test_an_assumed_fading_keeps_elements_passive(told: dict[str, float]) -> Non
     values = {"tau_c_positive": 1.2, "tau_c_negative": 0.9, "c2": 0.1, **told}
     known = dict.fromkeys(PARAMETERS, reason) | {name: ParameterEstimate(one, 0.0) for name, one in values.items()}
     (one,) = simulated_elements([ElementEstimate("hinge", known, np.eye(len(known)), ())], None)
-    assert {name: getattr(one.element, name) for name in told} == told
+    assert {name: one.element.parameters[name] for name in told} == told
     assert one.element.passivity_limit(1e3) == np.inf
     assert one.element.omega_d <= 1.0
-    other = replace(one.element, c1=4.0, omega_d=2.0)  # of a fallback, whose own c1 fades as it does there
+    other = one.element.replaced(c1=4.0, omega_d=2.0)  # of a fallback, whose own c1 fades as it does there
     (beside,) = simulated_elements([ElementEstimate("hinge", known, np.eye(len(known)), ())], [other])
     if "c1" in told:
         assert beside.element.passivity_limit(1e3) == np.inf

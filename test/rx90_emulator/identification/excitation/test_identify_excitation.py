@@ -253,7 +253,7 @@ def test_a_joint_that_is_not_identified_follows_the_bag(tmp_path: Path) -> None:
     assert "not identified, along their recorded motion: wrist" in rx.excitation_summary(result)
     for one, curve in zip(result.elements, CURVES, strict=True):
         estimate = one.estimates["tau_c_positive"]
-        assert abs(estimate.value - curve.tau_c_positive) < 4.0 * estimate.deviation
+        assert abs(estimate.value - curve.tau_c.positive) < 4.0 * estimate.deviation
     rx.write_excitation(result, tmp_path / "identified")
     written = replace(robot, urdf=tmp_path / "identified" / "robot.urdf")
     (again,) = rx.check_friction(tmp_path / "identified" / "friction.yaml", [tmp_path / "unseen"], written)
@@ -386,10 +386,10 @@ def test_a_joint_at_rest_is_assumed_and_the_others_are_written(
     mark = file["identification"]["parameters"]["elbow"]["tau_c_positive"]
     assert (mark["identifiable"], mark["reason"], mark["provenance"]) == (False, "at rest in all runs", "assumed")
     elements = rx.FrictionFile.read(tmp_path / "out" / "friction.yaml").elements
-    assert elements["shoulder"].tau_c_positive == pytest.approx(CURVES[0].tau_c_positive, rel=0.05)
+    assert elements["shoulder"].tau_c.positive == pytest.approx(CURVES[0].tau_c_positive, rel=0.05)
     elbow = elements["elbow"]
-    expected = (0.7, 0.9, 0.3, 900.0) if fallback else (elements["shoulder"].tau_c_positive,) * 2 + (0.0, elbow.c0)
-    assert (elbow.tau_c_positive, elbow.tau_s_positive, elbow.c2, elbow.c0) == expected
+    expected = (0.7, 0.9, 0.3, 900.0) if fallback else (elements["shoulder"].tau_c.positive,) * 2 + (0.0, elbow.c0)
+    assert (elbow.tau_c.positive, elbow.tau_s.positive, elbow.c2, elbow.c0) == expected
 
 
 @pytest.mark.parametrize("bag", ["dead", "zero"])
