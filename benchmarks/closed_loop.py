@@ -40,7 +40,7 @@ class PythonDrives:
     def __init__(self, setup: Setup, position: Sequence[float]) -> None:
         drives, rates = setup.drives, setup.rates
         self._gear = drives.gear.tolist()
-        self._resolution = (2.0 * np.pi / drives.encoder_counts).tolist()
+        self._resolution = np.full(len(self._gear), 2.0 * np.pi / drives.encoder_counts).tolist()
         pole = float(np.exp(-2.0 * np.pi * drives.velocity_bandwidth * rates.period))
         self._period = rates.period
         self._position_gain = 1.0 - pole**2

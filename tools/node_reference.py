@@ -74,7 +74,7 @@ def describe_nodes() -> list[NodeReference]:
 def _describe(node: Any) -> NodeReference:
     from rx90_common.exchange.parameters import OF_ROS
 
-    names = [name for name in node._parameters if name not in OF_ROS]
+    names = [name for name in node.get_parameters_by_prefix("") if name not in OF_ROS]
     return NodeReference(
         node.get_name(),
         [_parameter(node, name) for name in names],

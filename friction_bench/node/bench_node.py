@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Annotated, Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from pydantic import Field
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -16,16 +20,23 @@ from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, PtyRig
 from friction_bench.rig.link import RigLink
 from friction_bench.rig.messages import Fault, RigInputError, RigLostError, fault_text
-from friction_bench.rig.rig_file import Rig, load_rig
+from friction_bench.rig.rig_file import load_rig
 from friction_bench.rig.serial_port import SerialPort
-from rx90_common.base.errors import Rx90Error
-from rx90_common.base.quoting import one_line
+from rx90_common.base.errors import ConfigError, Rx90Error
+from rx90_common.base.quoting import one_line, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.exchange.endpoints import REQUEST_QOS, publish, ros_time
 from rx90_common.exchange.lifecycle import Diagnostics
 from rx90_common.exchange.lifecycle import spin as spin_node
-from rx90_common.exchange.parameters import declare
+from rx90_common.exchange.parameters import (
+    NodeModel,
+    NodeParameters,
+    checked,
+    named_parameters,
+    parameter_values,
+    refuse_unknown_parameters,
+)
 
 JOINT = "rig_motor"
 EMULATED = "emulated"
@@ -35,19 +46,54 @@ _THREADS = 3
 """Timers, requests that wait for the rig, and the stop."""
 
 
-def declare_bench_parameters(node: Node) -> tuple[Rig, str, int, int]:
-    """Declare the node's parameters; return the rig, its port or link, the line's rate, and an emulated rig's seed."""
-    port = declare(node, "port", EMULATED, "serial device, pyserial URL, or 'emulated'")
-    rig = load_rig(resolve_config(declare(node, "rig", SHIPPED_RIG, "rig file: own path or a shipped file's name")))
-    baud = declare(node, "baud", rig.baud, "line rate", low=1200, high=1_000_000)
-    seed = declare(node, "seed", 0, "seed of the emulated rig's noise", low=0, high=2**31 - 1)
-    about = "slope of run_ramp, Nm/s at the motor"
-    declare(node, "ramp_slope", rig.ramps.slopes[0], about, low=1e-4, high=1.0, read_only=False)
-    about = "torque at which run_ramp ends, Nm at the motor"
-    declare(
-        node, "ramp_end_torque", rig.ramps.end_torque, about, low=0.0, high=rig.torque.dac_full_scale, read_only=False
-    )
-    return rig, port, baud, seed
+class BenchParameters(NodeModel):
+    """The node's parameters; rate of the line and ramp are the rig's where they are left out."""
+
+    port: Annotated[str, Field(description="Serial device, pyserial URL, or 'emulated'.")] = EMULATED
+    rig: Annotated[str, Field(description="Rig file: own path or a shipped file's name.")] = SHIPPED_RIG
+    baud: Annotated[int, Field(ge=1200, le=1_000_000, description="Line rate.")]
+    seed: Annotated[int, Field(ge=0, le=2**31 - 1, description="Seed of the emulated rig's noise.")] = 0
+    ramp_slope: Annotated[
+        float,
+        Field(
+            ge=1e-4,
+            le=1.0,
+            description="Slope of run_ramp, at the motor.",
+            json_schema_extra={"unit": "Nm/s", "read_only": False},
+        ),
+    ]
+    ramp_end_torque: Annotated[
+        float,
+        Field(
+            ge=0.0,
+            description="Torque at which run_ramp ends, at the motor, up to the full scale of the converter.",
+            json_schema_extra={"unit": "Nm", "read_only": False},
+        ),
+    ]
+
+
+def bench_content(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the parameters come to, unchecked: what is given, by name, and for the rest what the rig's file says.
+
+    Raises:
+        ConfigError: for a rig's file that is none, and a torque beyond its scale.
+    """
+    name = given.get("rig", SHIPPED_RIG)
+    if not isinstance(name, str):
+        raise ConfigError(f"parameter rig is {quoted(name)}; accepted: a text")
+    rig = load_rig(resolve_config(name))
+    ramps = rig.ramps
+    content = {"baud": rig.baud, "ramp_slope": ramps.slopes[0], "ramp_end_torque": ramps.end_torque, **given}
+    torque = content["ramp_end_torque"]
+    if isinstance(torque, float) and torque > rig.torque.dac_full_scale:
+        most = f"{rig.torque.dac_full_scale:g}"
+        raise ConfigError(f"parameter ramp_end_torque is {torque:g}; accepted: a number in [0, {most}]")
+    return content
+
+
+def bench_parameters(given: Mapping[str, Any]) -> BenchParameters:
+    """Return the node's parameters for what it was given, by name."""
+    return checked(BenchParameters, bench_content(given))
 
 
 class BenchNode:
@@ -57,19 +103,25 @@ class BenchNode:
     """
 
     def __init__(self) -> None:
-        self.node = node = Node("friction_bench")
-        self.rig, port, baud, seed = declare_bench_parameters(node)
+        with named_parameters():
+            self.node = node = Node("friction_bench", automatically_declare_parameters_from_overrides=True)
+        own = NodeParameters(node)
+        parameters = bench_parameters(own.values)
+        own.declare(parameters)
+        self.rig = load_rig(resolve_config(parameters.rig))
+        port = parameters.port
+        node.add_on_set_parameters_callback(self._check)
         self._states = publish(node, JointState, "~/joint_states", QoSProfile(depth=10))
         self._commands = publish(node, JointState, "~/joint_commands", QoSProfile(depth=10))
         self._previous: Sample | None = None
         self._epoch_ns = 0
         self._emulated: PtyRig | None = None
         if port == EMULATED:
-            self._emulated = PtyRig(EmulatedRig(self.rig, seed))
+            self._emulated = PtyRig(EmulatedRig(self.rig, parameters.seed))
             port = self._emulated.path
         log = node.get_logger()
         self._link = RigLink(
-            lambda: SerialPort(port, baud),
+            lambda: SerialPort(port, parameters.baud),
             self.rig,
             self._publish,
             lambda text: log.error(one_line(text)),
@@ -94,6 +146,16 @@ class BenchNode:
             )
             for name, (job, done, group) in jobs.items()
         ]
+        refuse_unknown_parameters([(node, own)])
+
+    def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        try:
+            bench_parameters(
+                {**parameter_values(self.node), **{parameter.name: parameter.value for parameter in parameters}}
+            )
+        except Rx90Error as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
     def _publish(self, sample: Sample) -> None:
         previous = self._previous

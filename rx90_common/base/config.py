@@ -1,13 +1,10 @@
-"""The one reader and the one writer of YAML, and the mappings in a file.
-
-Every refusal names file, key, value and accepted range.
-"""
+"""The one reader and the one writer of YAML 1.2, with limits on size and depth."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Mapping
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -15,7 +12,7 @@ from typing import Any
 import yaml
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import breaks_a_line, nearest, plain, question, quoted
+from rx90_common.base.quoting import breaks_a_line, plain, quoted
 
 # What is read in two seconds: letters, and values, as often as aliases repeat them.
 _MAX_BYTES = 3 << 20
@@ -24,7 +21,6 @@ _DEEPEST = 64
 _LONGEST_INTEGER = 400  # characters; the largest finite number has 309 digits
 _IN_FILE = re.compile(r',? in "<file>", ')
 _LONGEST_REASON = 400
-_TYPING_ERROR = 0.8  # likeness of a misspelt key to the required one that is meant, where other keys are accepted, too
 _SCHEMA_LINE = "# yaml-language-server: $schema="
 
 
@@ -126,24 +122,6 @@ _Loader.add_constructor("tag:yaml.org,2002:bool", _construct_switch)
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_mapping)
 
 
-def load_yaml(
-    path: Path,
-    accepted: str = "a mapping of keys to values",
-    *,
-    first: bool = False,
-    faults: list[ConfigError] | None = None,
-) -> Section:
-    """Read a YAML file whose top level is a mapping, as a Section; see `read_yaml`.
-
-    Args:
-        path: of the file.
-        accepted: expected content, for messages.
-        first: whether to read the first of several documents; otherwise there must be one.
-        faults: collects refusals, see `Section`.
-    """
-    return Section(read_yaml(path, accepted, first=first), path, faults=faults)
-
-
 def read_yaml(path: Path, accepted: str = "a mapping of keys to values", *, first: bool = False) -> dict[str, Any]:
     """Read a YAML file whose top level is a mapping.
 
@@ -175,7 +153,7 @@ def yaml_value(text: str) -> Any:
 
 def yaml_lines(path: Path) -> dict[str, int]:
     """Return the line numbers, from 1 on, of the keys and items of a YAML file, by path such as `a.b[2].c`."""
-    load_yaml(path, first=True)
+    read_yaml(path, first=True)
     lines: dict[str, int] = {}
     _note_lines(next(yaml.compose_all(_read(path), _Loader)), "", lines)
     return lines
@@ -235,136 +213,9 @@ def check_numbers(content: object, most: float = math.inf, where: str = "") -> N
 
 
 def yaml_text(content: Mapping[str, Any]) -> str:
-    """Return plain data as YAML; `load_yaml` and readers of YAML 1.1 return the same bits.
+    """Return plain data as YAML; `read_yaml` and readers of YAML 1.1 return the same bits.
 
     Lists and mappings without others inside are written on one line each.
     """
     check_numbers(content)
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=118)
-
-
-PROVENANCE = ("published", "derived", "assumed", "identified")
-ABOUT = ("source", "provenance", "note")
-"""Keys that every mapping may have: they speak of the values in it."""
-
-
-class Section:
-    """A mapping of a YAML file, with its place in the file for messages.
-
-    A section may carry `source:` (a sentence) and `provenance:` (one of PROVENANCE), or a mapping from keys to these.
-    `refuse_unknown()` refuses keys that nobody knows: a misspelt key must not fall back to a default.
-
-    Args:
-        data: the mapping.
-        file: that contains it.
-        path: to the mapping.
-        faults: collects the refusals of `attempt`, so that the checks continue; by default they are raised.
-    """
-
-    def __init__(
-        self, data: dict[str, Any], file: Path, path: str = "", faults: list[ConfigError] | None = None
-    ) -> None:
-        self._data = data
-        self.file = file
-        self.path = path
-        self._faults = faults
-        self._used = set(ABOUT)
-        provenance = data.get("provenance")
-        for value in provenance.values() if isinstance(provenance, dict) else [provenance]:
-            if value is not None and value not in PROVENANCE:
-                self.attempt(self.refuse, "provenance", value, f"one of {', '.join(PROVENANCE)}")
-
-    @property
-    def provenance(self) -> str | None:
-        """Return where the values come from: published, derived, assumed or identified."""
-        value = self._data.get("provenance")
-        return None if value is None else str(value)
-
-    @property
-    def source(self) -> str | None:
-        """Return the sentence that names the source."""
-        value = self._data.get("source")
-        return None if value is None else str(value)
-
-    @property
-    def content(self) -> dict[str, Any]:
-        """Return the mapping itself, unchecked."""
-        return self._data
-
-    def where(self, key: str) -> str:
-        """Return `file: path.key`, the way every message names a value."""
-        return f"{plain(self.file)}: {plain(self.path)}{'.' if self.path else ''}{plain(key)}"
-
-    def refuse(self, key: str, value: object, accepted: str) -> None:
-        """Raise a ConfigError that names file, key, value and the accepted values."""
-        raise ConfigError(f"{self.where(key)} is {quoted(value)}; accepted: {accepted}")
-
-    def fault(self, key: str, text: str) -> None:
-        """Raise a ConfigError whose text continues after file and key."""
-        raise ConfigError(f"{self.where(key)}{text}")
-
-    def attempt(self, action: Callable[..., object], *values: Any) -> None:
-        """Call `action` with the values; collect its refusals if faults are collected."""
-        try:
-            action(*values)
-        except ConfigError as error:
-            if self._faults is None:
-                raise
-            self._faults.append(error)
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._data
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(key for key in self._data if key not in ABOUT)
-
-    def holds_mapping(self, key: str) -> bool:
-        """Return whether the value under `key` is itself a mapping."""
-        return isinstance(self._data.get(key), dict)
-
-    def get(self, key: str, accepted: str) -> Any:
-        """Return the value of `key`, of any type; refuse a mapping without it."""
-        self._used.add(key)
-        if key not in self._data:
-            raise ConfigError(f"{self.where(key)} is missing; accepted: {accepted}")
-        return self._data[key]
-
-    def refuse_unknown(self, known: Collection[str]) -> set[str]:
-        """Refuse keys that are neither known nor have been read; return the known ones that they may be meant for."""
-        unknown = self._data.keys() - self._used - set(known)
-        accepted = sorted({*known, *self._used} - {*ABOUT})
-        missing = [key for key in (*accepted, *ABOUT) if key not in self._data]
-        meant: set[str] = set()
-        for key in sorted(unknown):
-            near = nearest(key, missing)
-            meant.add(near)
-            self.attempt(self.fault, key, f" is not a known key{question(near)}; accepted: {', '.join(accepted)}")
-        return meant - {""}
-
-    def refuse_misspelt(self, required: Collection[str]) -> set[str]:
-        """Refuse keys that are much like required ones that are not there, where other keys are accepted, too."""
-        missing = [key for key in required if key not in self._data]
-        meant = {key: nearest(key, missing, _TYPING_ERROR) for key in self._data if missing and key not in required}
-        for key, near in meant.items():
-            if near:
-                self.attempt(self.fault, key, f" is not a known key{question(near)}; accepted: {', '.join(required)}")
-        return {*meant.values()} - {""}
-
-    def section(self, key: str, accepted: str = "a mapping") -> Section:
-        """Return the mapping under `key`."""
-        value = self.get(key, accepted)
-        if not isinstance(value, dict):
-            self.refuse(key, value, accepted)
-        return Section(value, self.file, f"{self.path}{'.' if self.path else ''}{key}", self._faults)
-
-    def sections(self, key: str) -> list[Section]:
-        """Return the mappings in the list under `key`."""
-        values = self.get(key, "a list of mappings")
-        if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
-            self.refuse(key, values, "a list of mappings")
-        where = f"{self.path}{'.' if self.path else ''}{key}"
-        return [Section(value, self.file, f"{where}[{i}]") for i, value in enumerate(values)]
-
-    def item(self, key: str, index: int, value: object) -> Section:
-        """Return a mapping that holds a value of the list under `key` alone, under the name `key[index]`."""
-        return Section({f"{key}[{index}]": value}, self.file, self.path, self._faults)

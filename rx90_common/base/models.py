@@ -49,6 +49,7 @@ _REFUSED: Final = "refused"
 _UNKNOWN_KEY: Final = "extra_forbidden"
 _TYPING_ERROR: Final = 0.8
 """Likeness of a misspelt key to the missing one that is meant, where other keys are accepted, too."""
+_MISSING: Final = {"missing", "union_tag_not_found"}
 _BRANCH_FAULTS: Final = {"union_tag_invalid", "union_tag_not_found"}
 
 
@@ -333,7 +334,7 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
         content: that was validated, if it came from a file.
     """
     schema = model.model_json_schema()
-    faults = [(fault, _place_of(fault, content)) for fault in error.errors(include_url=False)]
+    faults = [(fault, _place_of(fault, schema, content)) for fault in error.errors(include_url=False)]
     places = [place for _, place in faults]
     lines: list[str] = []
     meant: set[Place] = set()
@@ -346,7 +347,7 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
     for fault, place in faults:
         if fault["type"] == _UNKNOWN_KEY or any(inner != place and inner[: len(place)] == place for inner in places):
             continue  # of several kinds of value, another one is meant
-        if fault["type"] == "missing":
+        if fault["type"] in _MISSING:
             if place in meant:
                 continue  # one mistake would be told twice
             node = schema_at(schema, place[:-1], content)
@@ -357,9 +358,8 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
                 lines.insert(0, _unknown_key(where, (*place[:-1], near), str(place[-1]), node))
                 continue
         line = _line(schema, fault, place, where, content)
-        if line not in lines:
-            lines.append(line)
-    return lines
+        lines.append(line)
+    return list(dict.fromkeys(lines))  # two kinds of a union, or both signs, say the same
 
 
 def _unknown_key(where: str, place: Place, near: str, node: JsonSchema) -> str:
@@ -439,8 +439,8 @@ def _line(schema: JsonSchema, fault: ErrorDetails, place: Place, where: str, con
     if fault["type"] in _BRANCH_FAULTS:
         kinds = _kinds_at(schema, place[:-1], content)
         accepted = f"one of {', '.join(kind['properties'][place[-1]]['const'] for kind in kinds)}"
-        value = context.get("tag")
-    if fault["type"] in {"missing", "union_tag_not_found"}:
+        value = value_at(value, place[-1:])
+    if fault["type"] in _MISSING:
         return f"{_where(where, place)} is missing; accepted: {accepted}"
     if fault["type"] == "finite_number":
         accepted = accepted.replace("a number", "a finite number", 1)
@@ -457,27 +457,39 @@ def _where(where: str, place: Sequence[str | int]) -> str:
     return f"{where}: {path}" if where and path else where or path or "the value"
 
 
-def _place_of(fault: ErrorDetails, content: Any) -> Place:
+def _place_of(fault: ErrorDetails, schema: JsonSchema, content: Any) -> Place:
     """Return the place of a fault in the file; of a missing key where it would stand, of a choice its key."""
     if fault["type"] == "missing":
-        return (*_place_in_file(fault["loc"][:-1], content), fault["loc"][-1])
-    place = _place_in_file(fault["loc"], content)
+        return (*_place_in_file(fault["loc"][:-1], schema, content), fault["loc"][-1])
+    place = _place_in_file(fault["loc"], schema, content)
     if fault["type"] in _BRANCH_FAULTS:
         return (*place, fault["ctx"]["discriminator"].strip("'"))
     return place
 
 
-def _place_in_file(loc: Place, content: Any) -> Place:
+def _place_in_file(loc: Place, schema: JsonSchema, content: Any) -> Place:
     """Return a place as it stands in the file: without what pydantic adds to it, as the names of a union's kinds."""
     if content is None:
         return loc
     place: list[str | int] = []
     value = content
+    names = _names_of_kinds(schema, (), content)
     for key in loc:
-        if _holds(value, key):
+        if key in names:
+            names = []
+        elif _holds(value, key):
             place.append(key)
             value = value[key]
+            names = _names_of_kinds(schema, tuple(place), content)
     return tuple(place)
+
+
+def _names_of_kinds(schema: JsonSchema, place: Place, content: Any) -> list[Any]:
+    """Return the texts by which the kinds of mapping at a place are told apart."""
+    kinds = _kinds_at(schema, place, content)
+    if len(kinds) == 1:
+        return []
+    return [key["const"] for kind in kinds for key in kind.get("properties", {}).values() if "const" in key]
 
 
 def _holds(value: Any, key: str | int) -> bool:

@@ -318,8 +318,8 @@ class DriveParameters(FileModel):
 
     @model_serializer(mode="wrap")
     def _without_ideal_blocks(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        blocks = (self.elasticity, self.cogging, self.winding, self.current_sensor)
-        ideal = [name for name, block in zip(_OPTIONAL, blocks, strict=True) if not block.used]
+        used = (self.elasticity.used, self.cogging.used, self.winding.used, self.current_sensor.used)
+        ideal = [name for name, block_used in zip(_OPTIONAL, used, strict=True) if not block_used]
         return {name: value for name, value in write(self).items() if name not in ideal}
 
     @cached_property

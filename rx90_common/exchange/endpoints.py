@@ -74,19 +74,27 @@ def ros_time(nanoseconds: int) -> Time:
     return Time(sec=seconds, nanosec=rest)
 
 
+def is_given_alone(node: Node, name: str) -> bool:
+    """Return whether a parameter is there because it was given, and has not been declared with a description."""
+    return node.has_parameter(name) and not node.describe_parameter(name).description
+
+
 def _overridable(node: Node, topic: str, entity: str) -> QoSOverridingOptions:
     """Return the options with which rclpy declares and applies the parameters of a topic's "publisher" or such."""
     for policy, (values, accepted) in _ACCEPTED.items():
         name = f"{PREFIX}{node.resolve_topic_name(topic)}.{entity}.{policy.name.lower()}"
-        override = node._parameter_overrides.get(name)  # rclpy's own errors name no parameter
-        if override is not None and (isinstance(override.value, bool) or override.value not in values):
-            raise ConfigError(f"parameter {plain(name)} is {quoted(override.value)}; accepted: {accepted}")
+        if is_given_alone(node, name):  # rclpy's own errors name no parameter
+            value = node.get_parameter(name).value
+            if isinstance(value, bool) or value not in values:
+                raise ConfigError(f"parameter {plain(name)} is {quoted(value)}; accepted: {accepted}")
+            node.undeclare_parameter(name)  # rclpy declares it again, with the value that was given
     return QoSOverridingOptions(list(_ACCEPTED))
 
 
 def overridable_topics(node: Node) -> str:
     """Return, for a message, the parameters that can be chosen, once the node has all its topics."""
-    known = {known.removeprefix(PREFIX).rpartition(".")[0] for known in node._parameters if known.startswith(PREFIX)}
+    names = [name for name in node.get_parameters_by_prefix("") if name.startswith(PREFIX)]
+    known = {name.removeprefix(PREFIX).rpartition(".")[0] for name in names if not is_given_alone(node, name)}
     return f"{', '.join(policy.name.lower() for policy in _ACCEPTED)} of {', '.join(sorted(known))}"
 
 

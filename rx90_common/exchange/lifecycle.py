@@ -27,15 +27,14 @@ from rclpy.utilities import try_shutdown
 
 from rx90_common.base.errors import FAILED, Rx90Error
 from rx90_common.base.quoting import one_line, plain
-from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.channel import MakeChannel, TickChannel
 from rx90_common.exchange.endpoints import CLOCK_QOS, TICK_QOS, publish
 from rx90_common.exchange.pacing import ThrottledLog, error_log
 from rx90_common.exchange.parameters import (
+    NodeParameters,
     ParameterChanges,
     answer_all_requests,
-    declare,
-    declare_robot_files,
+    named_parameters,
     refuse_unknown_parameters,
     unknown_parameter,
 )
@@ -124,7 +123,6 @@ def _cut_off() -> None:
 
 def _spin(members: Sequence[TickingNode], services: int, cut_off: threading.Timer) -> None:
     nodes = [member.node for member in members]
-    refuse_unknown_parameters(nodes)
     failures: list[BaseException] = []
 
     def run(tick_loop: Callable[[], None]) -> None:
@@ -178,12 +176,6 @@ def _spin_once(executor: Executor, log: ThrottledLog) -> None:
         log.say(where, f"not served: {type(error).__name__} in {where}: {reason(error)}")
 
 
-def declare_autostart(node: Node) -> bool:
-    """Declare and return whether a managed node is active at once."""
-    about = "configure and activate the node when it starts; else that is left to its lifecycle services"
-    return declare(node, "autostart", True, about, read_only=True)
-
-
 class Managed(TickingNode, Protocol):
     """What a managed node is made of; the transitions are called on the executor's thread."""
 
@@ -217,21 +209,22 @@ class ManagedNode(LifecycleNode):
         make_channel: makes the node's end of the exchange.
 
     Attributes:
+        parameters: that it was given, and declares.
         changes: answers requests to set parameters.
         ticking: the ticking thread, from a `configure` to the cleanup.
-        autostart: whether it is configured and activated at the start, by `started`.
         starting: whether that is going on.
         error: why the last transition was refused, if it was.
     """
 
     def __init__(self, name: str, own_args: Sequence[str], managed: Managed, make_channel: MakeChannel) -> None:
-        super().__init__(name, cli_args=list(own_args))
+        with named_parameters():
+            super().__init__(name, cli_args=list(own_args), automatically_declare_parameters_from_overrides=True)
         self._managed = managed
         self._make_channel = make_channel
         self._channel: TickChannel | None = None
+        self.parameters = NodeParameters(self)
         self.changes = ParameterChanges(self, lambda: not self.configured)
         self.ticking = TickThread()
-        self.autostart = declare_autostart(self)
         self.starting = False
         self.error: Exception | None = None
         self._before: dict[str, set[Any]] = {}
@@ -251,12 +244,6 @@ class ManagedNode(LifecycleNode):
         """
         self._channel = channel = self._make_channel(self, publish_topic, subscribe_topic, TICK_QOS)
         return channel
-
-    def declare_robot_files(self, *names: str) -> RobotFiles:
-        """Declare the parameters of `declare_robot_files`; another robot brings its files, except for named ones."""
-        chosen = declare_robot_files(self, *names)
-        self.changes.follow_robot(*names)
-        return chosen
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters, all or none; one that there is not is refused with those that there are."""
@@ -295,7 +282,7 @@ class ManagedNode(LifecycleNode):
     def _configure(self) -> None:
         self._managed.configure()
         if not self.starting:
-            refuse_unknown_parameters([self])
+            refuse_unknown_parameters([(self, self.parameters)])
         self.changes.publish_values()
 
     def _clean_up(self) -> None:
@@ -337,11 +324,11 @@ class ManagedNode(LifecycleNode):
 def started(members: Iterable[_Member]) -> list[_Member]:
     """Configure all nodes that start by themselves, in this order, then activate them; return all."""
     members = list(members)
-    own = [member.node for member in members if member.node.autostart]
+    own = [member.node for member in members if member.node.get_parameter("autostart").value]
     for node in own:
         node.starting = True
         _insist(node, node.trigger_configure())
-    refuse_unknown_parameters([member.node for member in members if member.node.configured])
+    refuse_unknown_parameters([(member.node, member.node.parameters) for member in members if member.node.configured])
     for node in own:
         _insist(node, node.trigger_activate())
         node.starting = False

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
+from pydantic import Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -18,7 +19,6 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -26,10 +26,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from type_description_interfaces.srv import GetTypeDescription
 
 from rx90_common.base.errors import ConfigError, Rx90Error
+from rx90_common.base.models import FileModel, Model, fault_lines, quantity
 from rx90_common.base.quoting import nearest, plain, question, quoted
 from rx90_common.base.rates import Rates
-from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, RobotFiles
-from rx90_common.exchange.endpoints import PREFIX, overridable_topics, ros_time
+from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, FILES, RobotFiles
+from rx90_common.exchange.endpoints import PREFIX, is_given_alone, overridable_topics, ros_time
 from rx90_common.exchange.topics import PARAMETERS
 
 OF_ROS = ("use_sim_time", "start_type_description_service")
@@ -37,100 +38,229 @@ OF_ROS = ("use_sim_time", "start_type_description_service")
 Effective = Callable[[int], None]
 """To be called, on the executor's thread, with the simulated time, ns, of the first tick that has a change."""
 _Group = tuple[tuple[str, ...], Callable[[Mapping[str, Any]], Any], Callable[[Any, Effective], None]]
-_Value = TypeVar("_Value", bool, int, float, str, list[float])
 _REMEMBERED = 100  # changes that a recorder gets which comes later
 _TYPES = [kind.value for kind in Parameter.Type]
 _TYPE_HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 
 
-def declare(
-    node: Node,
-    name: str,
-    default: _Value,
-    description: str,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-    read_only: bool | None = None,
-) -> _Value:
-    """Declare a parameter with its descriptor, unless it is declared, and return its value.
+class NodeModel(Model):
+    """Parameters of a node, as its file has them: a mapping for each dot of a name."""
+
+
+class RateParameters(NodeModel):
+    """The rates, which both nodes must have alike."""
+
+    base_rate: Annotated[
+        int, quantity("Hz", "Rate of plant, velocity and current loops, and of the exchange.", ge=100, le=20000)
+    ] = Rates().base_hz
+    position_rate: Annotated[int, quantity("Hz", "Rate of the position loop and of set-points.", ge=10, le=20000)] = (
+        Rates().position_hz
+    )
+
+    @model_validator(mode="after")
+    def _check_rates(self) -> RateParameters:
+        with as_refusal():
+            _ = self.rates
+        return self
+
+    @property
+    def rates(self) -> Rates:
+        """Return the rates."""
+        return Rates(self.base_rate, self.position_rate)
+
+
+_of_robot = "; the robot's or your own."
+
+
+class RobotParameters(RateParameters):
+    """Robot and rates of a node; a file that is left out is the robot's."""
+
+    autostart: Annotated[
+        bool,
+        Field(
+            description="Configure and activate the node when it starts; else that is left to its lifecycle services.",
+            json_schema_extra={"read_only": True},
+        ),
+    ] = True
+    robot: Annotated[str, Field(description="Robot: name of a shipped one, or your own robot folder.")] = DEFAULT_ROBOT
+    urdf: Annotated[str, Field(description=f"{DESCRIPTIONS['urdf']}{_of_robot}")] = ""
+    drives: Annotated[str, Field(description=f"{DESCRIPTIONS['drives'].capitalize()}{_of_robot}")] = ""
+
+    def files(self) -> RobotFiles:
+        """Return the robot's files, and those that are named in their place."""
+        of_robot = RobotFiles.named(self.robot)
+        chosen = {role: name for role, name in self if role in FILES and name != of_robot.text(role)}
+        return RobotFiles.named(self.robot, **chosen)
+
+
+AnyNodeModel = TypeVar("AnyNodeModel", bound=NodeModel)
+
+
+@contextmanager
+def as_refusal() -> Iterator[None]:
+    """Let a validator of a model raise what pydantic collects, for an Rx90Error."""
+    try:
+        yield
+    except Rx90Error as error:
+        raise ValueError(str(error)) from None
+
+
+def flat(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Return parameters by their full names, a dot for each nested mapping; an empty mapping is kept as a value."""
+    found: dict[str, Any] = {}
+    for key, value in content.items():
+        if isinstance(value, dict) and value:
+            found |= flat(value, f"{before}{key}.")
+        else:
+            found[f"{before}{key}"] = value
+    return found
+
+
+def nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return parameters by the parts of their names, a mapping for each dot; what is no mapping wins."""
+    content: dict[str, Any] = {}
+    for name, value in values.items():
+        *above, last = name.split(".")
+        inner = content
+        for key in above:
+            inner = inner.setdefault(key, {})
+            if not isinstance(inner, dict):
+                break
+        else:
+            inner[last] = value
+    return content
+
+
+def with_robot_files(model: type[RobotParameters], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the content of parameters, by their parts, with the files of the robot that is given where none is named.
+
+    An empty name, the value of a launch argument that was left out, is none.
+    """
+    content = nested({name: value for name, value in given.items() if value != "" or name not in FILES})
+    robot = content.get("robot", DEFAULT_ROBOT)
+    if not isinstance(robot, str):
+        raise ConfigError(f"parameter robot is {quoted(robot)}; accepted: a text")
+    of_robot = RobotFiles.named(robot)
+    return {role: of_robot.text(role) for role in FILES if role in model.model_fields} | content
+
+
+def checked(model: type[AnyNodeModel], content: Mapping[str, Any]) -> AnyNodeModel:
+    """Return parameters, without those that the model does not know.
+
+    Raises:
+        ConfigError: naming the parameter, its value and what is accepted.
+    """
+    known = {name: value for name, value in content.items() if name in model.model_fields}
+    try:
+        return model.model_validate(known)
+    except ValidationError as error:
+        raise ConfigError(f"parameter {fault_lines(model, error, '', known)[0]}") from None
+
+
+def leaves(values: Model, before: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:
+    """Yield name, value and declaration of each parameter."""
+    for key, value in values:
+        if key in FileModel.about_keys:
+            continue
+        if isinstance(value, Model):
+            yield from leaves(value, f"{before}{key}.")
+        else:
+            yield f"{before}{key}", value, type(values).model_fields[key]
+
+
+def _descriptor(field: FieldInfo, value: Any, read_only: bool) -> ParameterDescriptor:
+    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
+    unit = extra.get("unit", "1")
+    description = str(field.description)
+    if unit != "1":
+        description = f"{description} [{unit}]"
+    descriptor = ParameterDescriptor(description=description, read_only=bool(extra.get("read_only", read_only)))
+    least = next((rule.ge for rule in field.metadata if hasattr(rule, "ge")), None)
+    most = next((rule.le for rule in field.metadata if hasattr(rule, "le")), None)
+    if least is not None and most is not None and isinstance(value, float):
+        descriptor.floating_point_range = [FloatingPointRange(from_value=float(least), to_value=float(most))]
+    elif least is not None and most is not None and isinstance(value, int):
+        descriptor.integer_range = [IntegerRange(from_value=int(least), to_value=int(most), step=1)]
+    return descriptor
+
+
+@contextmanager
+def named_parameters() -> Iterator[None]:
+    """Refuse, while a node is made, a parameter that is given without a value, of which rclpy says less."""
+    try:
+        yield
+    except ValueError as error:
+        if "PARAMETER_NOT_SET" not in str(error):
+            raise
+        raise ConfigError("a parameter is given without a value; accepted: -p NAME:=VALUE") from error
+
+
+class NodeParameters:
+    """The parameters that a node is given, and those that it declares by models.
 
     Args:
-        node: its owner.
-        name: of the parameter.
-        default: its value if none is given.
-        description: its meaning, with its unit.
-        low: the least accepted value.
-        high: the largest one.
-        read_only: whether it can never be set; None: it can be set on a managed node, see ParameterChanges.
+        node: made with `automatically_declare_parameters_from_overrides`; what it was given is taken out.
     """
-    if not node.has_parameter(name):
-        if read_only is None:
-            read_only = not isinstance(node, LifecycleNode)
-        descriptor = ParameterDescriptor(description=description, read_only=read_only)
-        accepted = "list of numbers" if isinstance(default, list) else type(default).__name__
-        if low is not None and high is not None:
-            accepted += f" in [{low:g}, {high:g}]"
-            if isinstance(default, float):
-                descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
-            else:
-                descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
-        given = node._parameter_overrides.get(name)  # rclpy names neither value nor range in a way to show
-        if given is not None:
-            if given.value is None:
-                raise ConfigError(f"parameter {name} is empty; accepted: {accepted}")
-            node._parameter_overrides[name] = _with_real_numbers(given, default)
-        try:
-            node.declare_parameter(name, default, descriptor)
-        except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-            shown = quoted(None if given is None else given.value)
-            raise ConfigError(f"parameter {name} is {shown}; accepted: {accepted}") from error
-    value: Any = node.get_parameter(name).value
-    if isinstance(value, array):  # as rclpy has lists that were set
-        value = value.tolist()
-    return value  # type: ignore[no-any-return]
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._given: dict[str, Any] = {}
+        for name, value in parameter_values(node).items():
+            if name not in OF_ROS and not name.startswith(PREFIX):
+                self._given[name] = value
+                node.undeclare_parameter(name)
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Return what the node was given, and what is declared, by name."""
+        return {**self._given, **parameter_values(self._node)}
+
+    def declare(self, values: NodeModel) -> None:
+        """Declare those parameters of a model that are not declared; a node that is not managed has them read-only."""
+        read_only = not isinstance(self._node, LifecycleNode)
+        for name, value, field in leaves(values):
+            if not self._node.has_parameter(name):
+                plain_value = list(value) if isinstance(value, tuple) else value
+                descriptor = _descriptor(field, value, read_only)
+                self._node.declare_parameter(name, plain_value, descriptor, ignore_override=True)
+
+    def forget(self, *names: str) -> None:
+        """Undeclare parameters, or those in mappings, by their first names: another robot has others."""
+        for name in self._node.get_parameters_by_prefix(""):
+            if name.partition(".")[0] in names:
+                self._node.undeclare_parameter(name)
+
+    def ignore(self, names: Sequence[str]) -> None:
+        """Take what was given under these names for known."""
+        for name in names:
+            self._given.pop(name, None)
+
+    @property
+    def unknown(self) -> list[str]:
+        """Return the names that were given and are not declared."""
+        of_topics = [name for name in self._node.get_parameters_by_prefix("") if name.startswith(PREFIX)]
+        unused = [name for name in of_topics if is_given_alone(self._node, name)]
+        return [name for name in self._given if not self._node.has_parameter(name)] + unused
 
 
-def declare_options(node: Node, owner: type[Any], prefix: str = "") -> dict[str, Any]:
-    """Declare each field of a dataclass that is made by `option`, unless it is declared; return the values by field."""
-    return {one.name: declare(node, f"{prefix}{one.name}", **one.metadata) for one in fields(owner) if one.metadata}
+def parameter_values(node: Node) -> dict[str, Any]:
+    """Return the values of a node's declared parameters by name."""
+    values = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
+    return {name: value.tolist() if isinstance(value, array) else value for name, value in values.items()}
 
 
-def declare_rates(node: Node) -> Rates:
-    """Declare the rates, which both nodes must have alike, and return them."""
-    usual = Rates()
-    about = "rate of plant, velocity and current loops, and of the exchange, Hz"
-    base = declare(node, "base_rate", usual.base_hz, about, low=100, high=20000)
-    about = "rate of the position loop and of set-points, Hz"
-    return Rates(base, declare(node, "position_rate", usual.position_hz, about, low=10, high=20000))
-
-
-def declare_robot_files(node: Node, *names: str) -> RobotFiles:
-    """Declare `robot` and a parameter for each of these keys of FILES; return the files that they name."""
-    robot = declare(node, "robot", DEFAULT_ROBOT, "robot: name of a shipped one, or your own robot folder")
-    of_robot = RobotFiles.named(robot)
-    given: dict[str, str | None] = {}
-    for name in names:
-        override = node._parameter_overrides.get(name)
-        if override is not None and override.value == "":  # the value of a launch argument that was left out
-            del node._parameter_overrides[name]
-        usual = of_robot.text(name)
-        chosen = declare(node, name, usual, f"{DESCRIPTIONS[name]}; the robot's or your own")
-        given[name] = None if chosen == usual else chosen
-    return RobotFiles.named(robot, **given)
-
-
-def refuse_unknown_parameters(nodes: Sequence[Node]) -> None:
+def refuse_unknown_parameters(nodes: Sequence[tuple[Node, NodeParameters]]) -> None:
     """Look for values given to parameters that a node has not declared; to be called when all are declared.
 
     A managed node that is not configured has not declared all of them.
     """
-    for node in nodes:
-        for name in node._parameter_overrides:
-            if not node.has_parameter(name) and name not in OF_ROS:
-                owners = [other.get_name() for other in nodes if other.has_parameter(name)]
-                alone = f"-p {owners[0]}:{name}:=... for that node alone" if owners else None
-                raise ConfigError(unknown_parameter(node, name, alone))
+    for node, parameters in nodes:
+        for name in parameters.unknown:
+            owners = [
+                other.get_name() for other, _ in nodes if other.has_parameter(name) and not is_given_alone(other, name)
+            ]
+            alone = f"-p {owners[0]}:{name}:=... for that node alone" if owners else None
+            raise ConfigError(unknown_parameter(node, name, alone))
 
 
 def unknown_parameter(node: Node, name: str, accepted: str | None = None) -> str:
@@ -139,7 +269,7 @@ def unknown_parameter(node: Node, name: str, accepted: str | None = None) -> str
     if accepted is None and name.startswith(PREFIX):
         accepted = overridable_topics(node)
     elif accepted is None:
-        known = sorted(one for one in node._parameters if one not in OF_ROS and PREFIX not in one)
+        known = sorted(one for one in node.get_parameters_by_prefix("") if one not in OF_ROS and PREFIX not in one)
         accepted = ", ".join(known)
     asked = question(nearest(name, known))
     return f"parameter {plain(name)} is unknown to {node.get_name()}{asked}; accepted: {accepted}"
@@ -153,7 +283,7 @@ class ParameterChanges:
     of them is refused, none is set.
 
     Args:
-        node: its parameters are declared by `declare`.
+        node: its parameters are declared by NodeParameters.
         unconfigured: whether it is in that state.
     """
 
@@ -209,8 +339,11 @@ class ParameterChanges:
 
     def _complete(self, given: Sequence[Parameter]) -> list[Parameter]:
         """Return a request with whole numbers made real ones where that is needed, and with a robot's files."""
-        known = self._node._parameters
-        complete = [_with_real_numbers(each, known[each.name].value) if each.name in known else each for each in given]
+        complete = []
+        for parameter in given:
+            known = self._node.has_parameter(parameter.name)
+            usual = self._node.get_parameter(parameter.name).value if known else None
+            complete.append(_with_real_numbers(parameter, usual) if known else parameter)
         names = {parameter.name for parameter in given}
         for parameter in given:
             if parameter.name == "robot" and self._robot_files and self._unconfigured():

@@ -35,6 +35,14 @@ a light wrist in a tick: the part would be a Coulomb torque without bristles.
 _SIGNED = "; one value, or {positive: x, negative: y}"
 
 
+class CoulombTorque(BySign[Annotated[float, Field(gt=0.0)]]):
+    """Coulomb torque for each sign of the velocity."""
+
+
+class StaticTorque(BySign[Annotated[float, Field(ge=0.0)]]):
+    """Static torque for each sign of the velocity."""
+
+
 class FrictionElement(FileModel):
     """A LuGre friction element (equations 17 to 19), joint side.
 
@@ -54,11 +62,11 @@ class FrictionElement(FileModel):
     """
 
     tau_c: Annotated[
-        BySign[Annotated[float, Field(gt=0.0)]],
+        CoulombTorque,
         quantity("Nm", "Coulomb friction torque.", accepted=f"a number > 0{_SIGNED}"),
     ]
     tau_s: Annotated[
-        BySign[Annotated[float, Field(ge=0.0)]],
+        StaticTorque,
         quantity("Nm", "Static friction torque, at least tau_c.", accepted=f"a number >= 0{_SIGNED}"),
     ]
     omega_s: Annotated[float, quantity("rad/s", "Stribeck velocity.", ge=MIN_SPEED)]

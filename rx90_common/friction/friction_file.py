@@ -25,23 +25,31 @@ class JointTorques(FileModel):
     spring: Annotated[float, quantity("Nm", "k of a torque -k sin(q).")] = 0.0
 
 
+class Elements(Named[FrictionElement]):
+    """Elements by their names."""
+
+
+class Joints(Named[JointTorques]):
+    """Torques of joints by their names."""
+
+
 class FrictionFile(FileModel):
     """LuGre friction, joint side, SI units (equations 17 to 19 of the paper)."""
 
     elements: Annotated[
-        Named[FrictionElement],
+        Elements,
         Field(
             description="Elements by joint, and by motors that turn with several joints: joint_5_6 of the RX family "
             "turns with joints 5 and 6 together."
         ),
     ]
     joints: Annotated[
-        Named[JointTorques],
+        Joints,
         Field(
             description="What torques hold beside links and friction, by joint, where no drives file says it. The "
             "simulation takes nothing of it; rx90_identify --friction adds it to what the URDF predicts."
         ),
-    ] = Named[JointTorques]()
+    ] = Joints()
     identification: Annotated[
         dict[str, Any] | None,
         Field(description="How the values were found and how well they are known; for readers."),

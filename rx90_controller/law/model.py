@@ -178,7 +178,7 @@ class ModelFiles(FileModel):
                         f"{accepted}"
                     ) from None
             found[role] = str(path)
-        return ModelFiles(**found)
+        return ModelFiles.model_validate(found)
 
     def path(self, role: str) -> Path | None:
         """Return the path of a file, None for no tool."""

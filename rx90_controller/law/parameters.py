@@ -297,18 +297,8 @@ class CS7BParameters(FileModel):
 def load_controller(path: Path) -> CS7BParameters:
     """Read a controller file, and what the files of its model hold, if it names any or needs them."""
     law = read_model(CS7BParameters, path)
-    return with_model(law, (law.model or ModelFiles()).resolved(path), plain(path))
-
-
-def with_model(law: CS7BParameters, model: ModelFiles, where: str) -> CS7BParameters:
-    """Return parameters with the files of a model, which are read once if the law needs them, or has any named.
-
-    Args:
-        law: the parameters.
-        model: resolved.
-        where: what names it, for messages.
-    """
+    model = (law.model or ModelFiles()).resolved(path)
     if law.model is not None or law.feed_forward.model_parts:
-        with located(where):
-            _ = model.constants
+        with located(plain(path)):
+            _ = model.constants  # read once
     return law.model_copy(update={"model": model})

@@ -23,7 +23,6 @@ from rx90_common.base.errors import ExchangeError
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import load_robot
-from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange import lifecycle
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.exchange.channel import Channel, MakeChannel
@@ -40,7 +39,6 @@ from rx90_common.exchange.endpoints import (
 )
 from rx90_common.exchange.lifecycle import Diagnostics, ManagedNode, started
 from rx90_common.exchange.pacing import Pacer
-from rx90_common.exchange.parameters import declare_rates
 from rx90_common.exchange.ros_start import missing_control_msgs, missing_controller_manager_msgs
 from rx90_common.exchange.topics import (
     COMMANDED_CORRECTION,
@@ -54,15 +52,16 @@ from rx90_common.exchange.topics import (
     motor_names,
 )
 from rx90_controller.law.cs7b import CS7B
+from rx90_controller.law.parameters import load_controller
 from rx90_controller.node.parameters import (
     FILE_PARAMETERS,
-    LAW_ENTRIES,
+    OF_ROBOT,
     allow_goal_changes,
-    declare_goal_parameters,
-    declare_joints,
-    declare_law,
-    declare_own,
-    forget_robot,
+    controller_files,
+    controller_parameters,
+    law_names,
+    law_of,
+    unused_parameters,
 )
 from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
@@ -84,7 +83,6 @@ class Control:
 
     Args:
         node: owner of topics, services and parameters.
-        files: the robot's.
         local: whether a simulation in this process announces the time mode, by `serving.follow`, and calls
             `serving.answer`; else the topic announces it.
 
@@ -96,13 +94,20 @@ class Control:
         ready: the line for the log once the first states have arrived.
     """
 
-    def __init__(self, node: ManagedNode, files: RobotFiles, *, local: bool) -> None:
+    def __init__(self, node: ManagedNode, *, local: bool) -> None:
         self._node = node
         self._log = node.get_logger()
-        rates = declare_rates(node)
+        given = node.parameters.values
+        unused = unused_parameters(given)
+        node.parameters.ignore(unused)
+        parameters = controller_parameters(given)
+        node.parameters.declare(parameters)
+        files = parameters.files()
+        rates = parameters.rates
         robot = load_robot(files.urdf)
         drives = load_drives(files.drives)
-        law, read_law = declare_law(node, files.controller)
+        of_file = load_controller(files.controller)
+        law = parameters.law(of_file)
         robot.check_count(files.drives, "gear", drives.gear)
         robot.check_count(files.controller, "inertia", law.inertia)
         motor = motor_names(len(robot.joint_names))
@@ -111,14 +116,11 @@ class Control:
         name = plain(robot.model.name)
         tick_ns = rates.period_ns * rates.ratio
         channel = node.make_channel(MOTOR_COMMANDS, MOTOR_STATES)
-        horizon, decimation = declare_own(node)
-        goals = declare_goal_parameters(node, cs7b.joint_names)
-        monitor_ticks = max(1, round(rates.position_hz / goals.action_monitor_rate))
-        state_ticks = max(1, round(rates.position_hz / goals.state_publish_rate))
-        declare_joints(node, cs7b.joint_names)
-        if goals.unused:
+        monitor_ticks = max(1, round(rates.position_hz / parameters.action_monitor_rate))
+        state_ticks = max(1, round(rates.position_hz / parameters.state_publish_rate))
+        if unused:
             self._log.warning(
-                f"not used, parameters of joint_trajectory_controller: {', '.join(goals.unused)}; the law is the "
+                f"not used, parameters of joint_trajectory_controller: {', '.join(unused)}; the law is the "
                 "CS7B's, set-points go on from set-points along splines, and whatever stops decelerates"
             )
         self.ready = (
@@ -140,17 +142,17 @@ class Control:
         self._correction = topic(CORRECTION), codec.encoder(position=self._offset)
         details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
         self._details = [(topic(each), names.encoder(effort=values)) for each, names, values in details]
-        self._detail_ns = tick_ns * decimation
+        self._detail_ns = tick_ns * parameters.slow_topics_every_n_ticks
         self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS)
-        self.loop = loop = ServoLoop(cs7b, self, horizon, monitor_ticks)
+        self.loop = loop = ServoLoop(cs7b, self, parameters.max_seconds_ahead, monitor_ticks)
         loop.active = loop.enabled = False
         node.changes.allow(
-            tuple(LAW_ENTRIES), lambda values: read_law(values).record(robot, drives, rates), loop.change_law
+            law_names(node), lambda values: law_of(of_file, values).record(robot, drives, rates), loop.change_law
         )
-        loop.options = goals.options
-        loop.tolerances = goals.tolerances
-        loop.streaming = goals.streaming
-        cs7b.trajectory.set_speed_scaling(goals.scaling, cs7b.position_tick)
+        loop.options = parameters.options
+        loop.tolerances = parameters.tolerances
+        loop.streaming = parameters.stream
+        cs7b.trajectory.set_speed_scaling(parameters.speed_scaling.initial_scaling_factor, cs7b.position_tick)
         self._report = node.create_guard_condition(loop.report)
         self._pacer = pacer = Pacer(rates.period, 1.0)
         self.serving = Serving(channel, motor, rates, loop, pacer, name, self.info, self.error, local=local)
@@ -162,7 +164,7 @@ class Control:
         self.clients: ClientInterfaces | None = None
         if interfaces is not None:
             self.clients = interfaces.ClientInterfaces(node, loop, cs7b, state_ticks, channel)
-        manager = goals.controller_manager
+        manager = parameters.controller_manager
         if manager and (services := import_optional(
             node, "manager_services", "the services of a controller_manager are", missing_controller_manager_msgs()
         )):  # fmt: skip
@@ -337,16 +339,14 @@ class ControllerNode:
         self._control: Control | None = None
         self._time_mode: TimeMode | None = None
         self._answering = threading.Lock()
-        declare_rates(self.node)
-        self.node.declare_robot_files(*FILE_PARAMETERS)
-        declare_own(self.node)
+        self.node.parameters.declare(controller_files(self.node.parameters.values))
+        self.node.changes.follow_robot(*FILE_PARAMETERS)
 
     # Transitions, on the executor's thread.
 
     def configure(self) -> None:
         """Load the robot; the torque stays off."""
-        files = self.node.declare_robot_files(*FILE_PARAMETERS)
-        self._control = control = Control(self.node, files, local=self._local)
+        self._control = control = Control(self.node, local=self._local)
         if self._time_mode is not None:
             control.serving.follow(self._time_mode)
         self.node.ticking.begin(control.tick_loop, control.serving.stop)
@@ -371,7 +371,7 @@ class ControllerNode:
             self._control = None
         if control is not None and control.clients is not None:
             control.clients.close()
-        forget_robot(self.node)
+        self.node.parameters.forget(*OF_ROBOT)
 
     # A simulation in this process.
 

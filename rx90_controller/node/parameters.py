@@ -3,145 +3,221 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, TypeAlias
 
-from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.node import Node
+from pydantic import Field
 
-from rx90_common.base.declared import option
-from rx90_common.base.errors import ConfigError, located
-from rx90_common.base.models import FileModel, unit_of
-from rx90_common.base.quoting import quoted
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.models import FileModel, Model, quantity, refusals
+from rx90_common.base.quoting import nearest, plain, question, quoted
+from rx90_common.description.robot import load_robot
+from rx90_common.description.robot_files import DESCRIPTIONS
 from rx90_common.exchange.lifecycle import ManagedNode
-from rx90_common.exchange.parameters import Effective, declare, declare_options
+from rx90_common.exchange.parameters import Effective, RobotParameters, checked, nested, with_robot_files
 from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS
 from rx90_controller.law.cs7b import CS7B
-from rx90_controller.law.model import ModelFiles
-from rx90_controller.law.parameters import (
-    CS7BParameters,
-    FeedForward,
-    Servo,
-    Supervision,
-    load_controller,
-    with_model,
-)
+from rx90_controller.law.parameters import CS7BParameters, FeedForward, Servo, Supervision, load_controller
 from rx90_controller.node.servo_loop import ServoLoop
-from rx90_controller.trajectory.request import GoalOptions, GoalTolerances, constraint_parameters
+from rx90_controller.trajectory.request import Constraints, GoalOptions, GoalTolerances
 from rx90_controller.trajectory.stream import StreamOptions
 
 FILE_PARAMETERS: Final = ("urdf", "drives", "controller")
 """Files of the robot that the node can be given."""
-_LARGEST = 1e6  # rad, rad/s, s
 _UNUSED_PARAMETERS = re.compile(
     r"(command_joints|update_rate|is_async|speed_scaling\.(command|state)_interface|open_loop_control|cmd_timeout"
     r"|interpolate_from_desired_state|interpolation_method|allow_integration_in_goal_trajectories"
     r"|set_last_command_interface_value_as_state_on_activation|gains\..+"
     r"|constraints\.(decelerate_on_cancel|[^.]+\.max_deceleration_on_cancel))"
 )
-_SIMULATED_RATE: Final = "in simulated time, Hz; every whole number of position ticks"
-_OF_JOINTS: Final = "; one value for each motor, seen from its joint"
-
-
-def declare_own(node: Node) -> tuple[float, int]:
-    """Declare, unless they are, how far ahead a trajectory may start, s, and the decimation of DETAILS; return both."""
-    about = "how far ahead of the controller's own time the stamp of a trajectory may lie, s"
-    horizon = declare(node, "max_seconds_ahead", 60.0, about, low=0.0, high=1e6)
-    about = f"position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}"
-    return horizon, declare(node, "slow_topics_every_n_ticks", DETAIL_DECIMATION, about, low=1, high=1_000_000)
-
-
-@dataclass(frozen=True)
-class GoalParameters:
-    """Tolerances and options of trajectories and goals, and rates of their feedback.
-
-    Attributes:
-        options: permitted exceptions from the checks.
-        tolerances: of trajectories, and of goals without tolerances of their own.
-        streaming: how streamed set-points are joined.
-        unused: parameters of joint_trajectory_controller that were given and have no counterpart here.
-        scaling: `speed_scaling.initial_scaling_factor`.
-    """
-
-    options: GoalOptions
-    tolerances: GoalTolerances
-    streaming: StreamOptions
-    unused: tuple[str, ...]
-    scaling: float
-    action_monitor_rate: float = option(20.0, f"rate of the action's feedback, {_SIMULATED_RATE}", 0.1, 20000.0)
-    state_publish_rate: float = option(50.0, f"rate of ~/controller_state, {_SIMULATED_RATE}", 0.1, 20000.0)
-    controller_manager: str = option(
-        "controller_manager",
-        "name of the controller_manager whose services this node answers; empty: none, where another one runs",
-    )
-
-
 COMMAND_INTERFACES: Final = ("position",)
 STATE_INTERFACES: Final = ("position", "velocity")
 """What the controller takes and measures of each joint, in the words of ros2_control."""
-_OF_THE_ARM: Final = {
-    "joints": "names of the joints, the arm's",
-    "command_interfaces": "what the controller takes for each joint; cannot be chosen",
-    "state_interfaces": "what the controller measures of each joint; cannot be chosen",
-}
+LAW_BLOCKS: Final = ("servo", "feed_forward", "supervision")
+"""Mappings of a controller file whose values may change while the loops run."""
+OF_ROBOT: Final = (*LAW_BLOCKS, "joints", "command_interfaces", "state_interfaces")
+"""Parameters of the arm and its law, which another robot has otherwise."""
+_rate = partial(quantity, "Hz", ge=0.1, le=20000.0)
 
 
-def is_unused(name: str) -> bool:
-    """Return whether a parameter of joint_trajectory_controller is accepted for its files' sake, and unused."""
-    return name in _OF_THE_ARM or _UNUSED_PARAMETERS.fullmatch(name) is not None
+class ControllerFiles(RobotParameters):
+    """The parameters of a node that has no robot yet."""
+
+    controller: Annotated[
+        str, Field(description=f"{DESCRIPTIONS['controller'].capitalize()}; the robot's or your own.")
+    ] = ""
+    max_seconds_ahead: Annotated[
+        float,
+        quantity("s", "How far ahead of the controller's own time the stamp of a trajectory may lie.", ge=0.0, le=1e6),
+    ] = 60.0
+    slow_topics_every_n_ticks: Annotated[
+        int,
+        Field(
+            ge=1,
+            le=1_000_000,
+            description=f"Position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}.",
+        ),
+    ] = DETAIL_DECIMATION
 
 
-def _take_out(node: Node, names: Sequence[str]) -> tuple[str, ...]:
-    """Remove unused parameters from those given to a node, and return them; refuse values that need another arm."""
-    given = node._parameter_overrides
-    found = {name: given.pop(name).value for name in sorted(given) if is_unused(name)}
-    for name, own in zip(_OF_THE_ARM, (names, COMMAND_INTERFACES, STATE_INTERFACES), strict=True):
-        value = found.pop(name, own)
-        if not (isinstance(value, Sequence) and sorted(map(str, value)) == sorted(own)):
+class SpeedScaling(Model):
+    """The speed at which trajectories are followed."""
+
+    initial_scaling_factor: Annotated[
+        float,
+        quantity(
+            "1",
+            "Share of their own speed at which trajectories are followed, until ~/speed_scaling_input says otherwise.",
+            ge=0.0,
+            le=1.0,
+        ),
+    ] = 1.0
+
+
+_Names: TypeAlias = Annotated[tuple[str, ...], Field(strict=False)]
+
+
+class ControllerParameters(ControllerFiles, GoalOptions):
+    """The node's parameters: those of joint_trajectory_controller by its names, and the law's as in its file."""
+
+    joints: Annotated[_Names, Field(description="Names of the joints, the arm's.")] = ()
+    command_interfaces: Annotated[
+        _Names, Field(description="What the controller takes for each joint; cannot be chosen.")
+    ] = COMMAND_INTERFACES
+    state_interfaces: Annotated[
+        _Names, Field(description="What the controller measures of each joint; cannot be chosen.")
+    ] = STATE_INTERFACES
+    constraints: Constraints = Constraints()
+    action_monitor_rate: Annotated[
+        float, _rate("Rate of the action's feedback, in simulated time; every whole number of position ticks.")
+    ] = 20.0
+    state_publish_rate: Annotated[
+        float, _rate("Rate of ~/controller_state, in simulated time; every whole number of position ticks.")
+    ] = 50.0
+    controller_manager: Annotated[
+        str,
+        Field(
+            description="Name of the controller_manager whose services this node answers; empty: none, where another "
+            "one runs."
+        ),
+    ] = "controller_manager"
+    speed_scaling: SpeedScaling = SpeedScaling()
+    stream: StreamOptions = StreamOptions()
+    servo: Servo
+    feed_forward: FeedForward
+    supervision: Supervision
+
+    def law(self, of_file: CS7BParameters) -> CS7BParameters:
+        """Return the law, with what the file of the controller says beside LAW_BLOCKS."""
+        return law_of(of_file, {block: dict(getattr(self, block)) for block in LAW_BLOCKS})
+
+    @property
+    def options(self) -> GoalOptions:
+        """Return the permitted exceptions from the checks."""
+        return GoalOptions(**{name: value for name, value in self if name in GoalOptions.model_fields})
+
+    @property
+    def tolerances(self) -> GoalTolerances:
+        """Return the tolerances of trajectories, and of goals without tolerances of their own."""
+        return GoalTolerances.of_parameters(self.joints, self.constraints)
+
+
+def unused_parameters(given: Iterable[str]) -> list[str]:
+    """Return the names that joint_trajectory_controller alone has: accepted for its files' sake, and unused."""
+    return sorted(name for name in given if _UNUSED_PARAMETERS.fullmatch(name))
+
+
+def controller_files(given: Mapping[str, Any]) -> ControllerFiles:
+    """Return what a node without a robot has of what it was given, by name."""
+    return checked(ControllerFiles, with_robot_files(ControllerFiles, given))
+
+
+def controller_content(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what the parameters come to, unchecked: what is given, and for the rest what the files say.
+
+    Args:
+        given: by name.
+
+    Raises:
+        ConfigError: for files that are none, and for joints and interfaces that are not the arm's.
+    """
+    unused = unused_parameters(given)
+    content = with_robot_files(
+        ControllerParameters, {name: value for name, value in given.items() if name not in unused}
+    )
+    files = checked(ControllerFiles, content).files()
+    names = load_robot(files.urdf).joint_names
+    law = load_controller(files.controller)
+    for block in LAW_BLOCKS:
+        values = {key: value for key, value in getattr(law, block) if key not in FileModel.about_keys}
+        content[block] = _merged(values, content.get(block, {}))
+    constraints = content.get("constraints", {})
+    content["constraints"] = _merged({name: {} for name in names}, constraints)
+    for place, arms in (
+        ("joints", names),
+        ("command_interfaces", COMMAND_INTERFACES),
+        ("state_interfaces", STATE_INTERFACES),
+    ):
+        value = content.setdefault(place, arms)
+        if isinstance(value, str) or not isinstance(value, Sequence) or sorted(map(str, value)) != sorted(arms):
             raise ConfigError(
-                f"parameter {name} is {quoted(value)}, {_difference(value, own)}; accepted: {', '.join(own)}, in any "
-                "order"
+                f"parameter {place} is {quoted(value)}, {_difference(value, arms)}; accepted: {', '.join(arms)}, in "
+                "any order"
             )
-    return tuple(found)
+        content[place] = arms
+    if isinstance(constraints, dict):
+        accepted = (*Constraints.model_fields, *names)
+        for name in constraints:
+            if name not in accepted:
+                near = question(nearest(name, accepted))
+                raise ConfigError(
+                    f"parameter constraints.{plain(name)} is unknown{near}; accepted: {', '.join(accepted)}"
+                )
+    return content
 
 
-def declare_joints(node: Node, names: Sequence[str]) -> None:
-    """Declare joints and interfaces, which are the arm's and read-only, until `forget_robot`."""
-    for name, own in zip(_OF_THE_ARM, (names, COMMAND_INTERFACES, STATE_INTERFACES), strict=True):
-        node.declare_parameter(name, list(own), ParameterDescriptor(description=_OF_THE_ARM[name]))
+def _merged(values: dict[str, Any], given: Any) -> Any:
+    return {**values, **given} if isinstance(given, dict) else given
 
 
-def _difference(value: Any, own: Sequence[str]) -> str:
+def controller_parameters(given: Mapping[str, Any]) -> ControllerParameters:
+    """Return the node's parameters for what it was given, by name."""
+    return checked(ControllerParameters, controller_content(given))
+
+
+def _difference(value: Any, arms: Sequence[str]) -> str:
     """Return the superfluous and the missing names of a list, in words."""
     if isinstance(value, str) or not isinstance(value, Sequence):
         return "no list"
     names = [str(each) for each in value]
-    more = [name for k, name in enumerate(names) if name not in own or name in names[:k]]
-    parts = [f"{what} {', '.join(which)}" for what, which in (
-        ("too much:", more), ("missing:", [name for name in own if name not in names])
-    ) if which]  # fmt: skip
+    more = [name for k, name in enumerate(names) if name not in arms or name in names[:k]]
+    missing = [name for name in arms if name not in names]
+    parts = []
+    if more:
+        parts.append(f"too much: {', '.join(more)}")
+    if missing:
+        parts.append(f"missing: {', '.join(missing)}")
     return "; ".join(parts)
 
 
-def declare_goal_parameters(node: Node, names: Sequence[str]) -> GoalParameters:
-    """Declare the parameters and return them; `names` are those of the joints.
+def law_of(law: CS7BParameters, values: Mapping[str, Any]) -> CS7BParameters:
+    """Return a law with other values of LAW_BLOCKS; the files of its model are read where it needs them.
 
-    Files for joint_trajectory_controller are accepted, too: parameters without a counterpart here are removed.
+    Args:
+        law: of the file.
+        values: by block, or by full name.
+
+    Raises:
+        ConfigError: naming the parameter, its value and what is accepted.
     """
-    tolerances = {
-        name: declare(node, name, default, about, low=0.0, high=_LARGEST)
-        for name, (default, about) in constraint_parameters(names).items()
-    }
-    options = GoalOptions(**declare_options(node, GoalOptions))
-    own = declare_options(node, GoalParameters)
-    about = "share of their own speed at which trajectories are followed, until ~/speed_scaling_input says otherwise"
-    scaling = declare(node, "speed_scaling.initial_scaling_factor", 1.0, about, low=0.0, high=1.0)
-    streaming = StreamOptions(**declare_options(node, StreamOptions, "stream."))
-    held_to = GoalTolerances.of_parameters(names, tolerances)
-    return GoalParameters(options, held_to, streaming, _take_out(node, names), scaling, **own)
+    try:
+        changed = law.replaced(**nested(values))
+        if changed.model is not None and changed.feed_forward.model_parts:
+            _ = changed.model.constants
+    except ConfigError as error:
+        raise ConfigError(f"parameter {error}") from None
+    return changed
 
 
 def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:
@@ -157,57 +233,17 @@ def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:
         return apply
 
     names = cs7b.joint_names
-    options = tuple(option.name for option in fields(GoalOptions))
-    node.changes.allow(options, lambda values: GoalOptions(**values), setter("options"))
-    tolerances = partial(GoalTolerances.of_parameters, names)
-    node.changes.allow(tuple(constraint_parameters(names)), tolerances, setter("tolerances"))
+
+    def tolerances(values: Mapping[str, Any]) -> GoalTolerances:
+        with refusals(Constraints):
+            constraints = Constraints.model_validate(nested(values)["constraints"])
+        return GoalTolerances.of_parameters(names, constraints)
+
+    node.changes.allow(tuple(GoalOptions.model_fields), lambda values: GoalOptions(**values), setter("options"))
+    of_constraints = [name for name in node.get_parameters_by_prefix("") if name.startswith("constraints.")]
+    node.changes.allow(of_constraints, tolerances, setter("tolerances"))
 
 
-LAW_ENTRIES: Final = tuple(
-    f"{section}.{key}"
-    for section, block in (("servo", Servo), ("feed_forward", FeedForward), ("supervision", Supervision))
-    for key in block.model_fields
-    if key not in FileModel.about_keys
-)
-"""Keys of a controller file whose values may change while the loops run, as `section.key`, with their ranges."""
-
-
-def forget_robot(node: Node) -> None:
-    """Undeclare the law's parameters and the arm's, if they are declared: another robot has others."""
-    for name in (*LAW_ENTRIES, *_OF_THE_ARM):
-        if node.has_parameter(name):
-            node.undeclare_parameter(name)
-
-
-def declare_law(node: Node, path: Path) -> tuple[CS7BParameters, Callable[[Mapping[str, Any]], CS7BParameters]]:
-    """Declare a controller file's values as parameters of a node, checked as the file is.
-
-    Returns:
-        The file's parameters, overridden by those given at the start, and a function that returns them
-        with other values of LAW_ENTRIES and raises ConfigError.
-    """
-    law = load_controller(path)
-
-    def read(values: Mapping[str, Any]) -> CS7BParameters:
-        changes: dict[str, dict[str, Any]] = {}
-        for name, value in values.items():
-            block, _, key = name.partition(".")
-            changes.setdefault(block, {})[key] = value if isinstance(value, bool | float) else list(value)
-        with located("parameter"):
-            changed = law.replaced(**changes)
-        return with_model(changed, changed.model or ModelFiles(), "parameter")
-
-    given: dict[str, Any] = {}
-    for name in LAW_ENTRIES:
-        block, _, key = name.partition(".")
-        holder = getattr(law, block)
-        value = getattr(holder, key)
-        unit = unit_of(type(holder), key)
-        about = str(type(holder).model_fields[key].description)[:-1]
-        if len(unit) > 1:
-            about += f", {unit}"
-        if isinstance(value, tuple):
-            value = list(value)
-            about += _OF_JOINTS
-        given[name] = declare(node, name, value, about)
-    return read(given), read
+def law_names(node: ManagedNode) -> list[str]:
+    """Return the names of the declared parameters of the law."""
+    return [name for name in node.get_parameters_by_prefix("") if name.partition(".")[0] in LAW_BLOCKS]

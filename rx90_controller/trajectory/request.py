@@ -8,16 +8,17 @@ rules are those of ros2_controllers' joint_trajectory_controller (docs/howto/act
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+from pydantic import ConfigDict, Field
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.declared import option
 from rx90_common.base.errors import TrajectoryError
+from rx90_common.base.models import Model, quantity
 from rx90_common.base.quoting import counted, quoted
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_controller.trajectory.generator import PastError, Schedule, TrajectoryGenerator
@@ -46,42 +47,73 @@ class ResultCode(IntEnum):
     GOAL_TOLERANCE_VIOLATED = -5
 
 
-@dataclass(frozen=True)
-class GoalOptions:
+class GoalOptions(Model):
     """What else is accepted, each option a parameter of the node; the first three are joint_trajectory_controller's.
 
     Joints that a request does not name brake to rest if they move, or with `allow_trajectory_replacement` go on along
     their trajectory. Behind a last point with a velocity each joint brakes, unless another trajectory follows.
     """
 
-    allow_partial_joints_goal: bool = option(False, "whether a trajectory may name some of the joints; the others hold")
-    allow_nonzero_velocity_at_trajectory_end: bool = option(
-        False, "whether the last point may have a velocity; then the arm brakes"
-    )
-    allow_trajectory_replacement: bool = option(
-        False,
-        "whether points may be left out that are not later than the start, which leads on from where the path is then",
-    )
-    velocities_from_positions: bool = option(
-        False,
-        "whether velocities between the first and the last point are computed from the positions; for points whose "
-        "velocities do not belong to these",
-    )
-
-
-def constraint_parameters(names: Sequence[str]) -> dict[str, tuple[float, str]]:
-    """Return joint_trajectory_controller's parameters of tolerances: default and meaning, by name; 0 is for none."""
-    parameters = {
-        "constraints.goal_time": (0.0, "how long after its end a motion may take to be at its goal, s; 0: for ever"),
-        "constraints.stopped_velocity_tolerance": (
-            0.01,
-            "velocity at the goal, rad/s; without effect, as in joint_trajectory_controller with commands of position",
+    allow_partial_joints_goal: Annotated[
+        bool, Field(description="Whether a trajectory may name some of the joints; the others hold.")
+    ] = False
+    allow_nonzero_velocity_at_trajectory_end: Annotated[
+        bool, Field(description="Whether the last point may have a velocity; then the arm brakes.")
+    ] = False
+    allow_trajectory_replacement: Annotated[
+        bool,
+        Field(
+            description="Whether points may be left out that are not later than the start, which leads on from where "
+            "the path is then."
         ),
-    }
-    for name in names:
-        parameters[f"constraints.{name}.trajectory"] = (0.0, f"how far {name} may be off the path, rad; 0: any")
-        parameters[f"constraints.{name}.goal"] = (0.0, f"how far {name} may be off at the goal, rad; 0: any")
-    return parameters
+    ] = False
+    velocities_from_positions: Annotated[
+        bool,
+        Field(
+            description="Whether velocities between the first and the last point are computed from the positions; for "
+            "points whose velocities do not belong to these."
+        ),
+    ] = False
+
+
+_LARGEST = 1e6  # rad, rad/s, s
+
+
+class JointConstraints(Model):
+    """Tolerances of a joint."""
+
+    trajectory: Annotated[
+        float, quantity("rad", "How far <joint> may be off the path; 0: any.", ge=0.0, le=_LARGEST)
+    ] = 0.0
+    goal: Annotated[float, quantity("rad", "How far <joint> may be off at the goal; 0: any.", ge=0.0, le=_LARGEST)] = (
+        0.0
+    )
+
+
+class Constraints(Model):
+    """joint_trajectory_controller's parameters of tolerances, and those of each joint by its name; 0 is for none."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, JointConstraints] = Field(init=False)
+
+    goal_time: Annotated[
+        float,
+        quantity("s", "How long after its end a motion may take to be at its goal; 0: for ever.", ge=0.0, le=_LARGEST),
+    ] = 0.0
+    stopped_velocity_tolerance: Annotated[
+        float,
+        quantity(
+            "rad/s",
+            "Velocity at the goal; without effect, as in joint_trajectory_controller with commands of position.",
+            ge=0.0,
+            le=_LARGEST,
+        ),
+    ] = 0.01
+
+    @property
+    def joints(self) -> dict[str, JointConstraints]:
+        """Return those of the joints."""
+        return self.__pydantic_extra__
 
 
 @dataclass(frozen=True)
@@ -101,16 +133,16 @@ class GoalTolerances:
     goal_time: float
 
     @classmethod
-    def of_parameters(cls, names: Sequence[str], values: Mapping[str, float] | None = None) -> GoalTolerances:
-        """Return the tolerances given by some of `constraint_parameters`, with the defaults of the others."""
-        known = {name: default for name, (default, _) in constraint_parameters(names).items()} | dict(values or {})
-        limits = {name.removeprefix("constraints."): value or math.inf for name, value in known.items()}
+    def of_parameters(cls, names: Sequence[str], constraints: Constraints | None = None) -> GoalTolerances:
+        """Return the tolerances of the node's parameters, by default those that it has if none are given."""
+        constraints = constraints or Constraints()
+        joints = [constraints.joints.get(name, JointConstraints()) for name in names]
         path = np.full((3, len(names)), np.inf)
         goal = np.full((3, len(names)), np.inf)
-        path[0] = [limits[f"{name}.trajectory"] for name in names]
-        goal[0] = [limits[f"{name}.goal"] for name in names]
-        goal[1] = limits["stopped_velocity_tolerance"]
-        return cls(tuple(names), path, goal, limits["goal_time"])
+        path[0] = [joint.trajectory or math.inf for joint in joints]
+        goal[0] = [joint.goal or math.inf for joint in joints]
+        goal[1] = constraints.stopped_velocity_tolerance or math.inf
+        return cls(tuple(names), path, goal, constraints.goal_time or math.inf)
 
     @property
     def end_motions(self) -> bool:
@@ -139,9 +171,9 @@ class GoalTolerances:
                     accepted = ", ".join(self.names)
                     raise TrajectoryError(f"{what}: joint {quoted(name)} is unknown; accepted: {accepted}")
                 joint = self.names.index(name)
-                for row, (quantity, unit) in enumerate(_QUANTITIES):
-                    value = float(getattr(tolerance, quantity))
-                    table[row, joint] = _resolved(f"{what}: {quantity} of {name}", unit, value, defaults[row, joint])
+                for row, (field, unit) in enumerate(_QUANTITIES):
+                    value = float(getattr(tolerance, field))
+                    table[row, joint] = _resolved(f"{what}: {field} of {name}", unit, value, defaults[row, joint])
             tables.append(table)
         most = _resolved("goal_time_tolerance", "s", goal_time, self.goal_time)
         return GoalTolerances(self.names, tables[0], tables[1], most)

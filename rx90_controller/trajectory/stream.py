@@ -14,14 +14,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from rx90_common.base.arrays import Array, Mask
-from rx90_common.base.declared import option
-from rx90_common.base.errors import ConfigError, TrajectoryError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.errors import TrajectoryError
+from rx90_common.base.models import Model, quantity
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_controller.trajectory.paths import JointLimits
@@ -37,36 +37,40 @@ _SLOW = 1e-7  # rad/s: velocity that is rounded to rest at the end of a motion
 _FAR = 1e6  # rad, rad/s, rad/s^2: beyond all limits; larger numbers are taken for it, so that none overflows
 
 
-@dataclass(frozen=True)
-class StreamOptions:
+class StreamOptions(Model):
     """How set-points become a stream; each a parameter of the node, `stream.` before its name."""
 
-    delay: float = option(
-        0.03,
-        "from the stamp of a streamed set-point, or its arrival where it has none, until it is due, s; two periods of "
-        "the sender or more",
-        1e-3,
-        1.0,
-    )
-    timeout: float = option(
-        0.1,
-        "time without set-points after which a stream has ended, and velocities are no longer held, s",
-        1e-3,
-        60.0,
-    )
-    window: float = option(
-        0.1,
-        "trajectories on ~/joint_trajectory that end no further ahead are set-points of a stream, s; 0: none are",
-        0.0,
-        10.0,
-    )
-    commands: str = option(POSITION, f"what ~/commands are: {', '.join(INTERFACES)}")
-
-    def __post_init__(self) -> None:
-        if self.commands not in INTERFACES:
-            raise ConfigError(
-                f"parameter stream.commands is {quoted(self.commands)}; accepted: {', '.join(INTERFACES)}"
-            )
+    delay: Annotated[
+        float,
+        quantity(
+            "s",
+            "From the stamp of a streamed set-point, or its arrival where it has none, until it is due; two periods of "
+            "the sender or more.",
+            ge=1e-3,
+            le=1.0,
+        ),
+    ] = 0.03
+    timeout: Annotated[
+        float,
+        quantity(
+            "s",
+            "Time without set-points after which a stream has ended, and velocities are no longer held.",
+            ge=1e-3,
+            le=60.0,
+        ),
+    ] = 0.1
+    window: Annotated[
+        float,
+        quantity(
+            "s",
+            "Trajectories on ~/joint_trajectory that end no further ahead are set-points of a stream; 0: none are.",
+            ge=0.0,
+            le=10.0,
+        ),
+    ] = 0.1
+    commands: Annotated[
+        Literal["position", "velocity"], Field(description=f"What ~/commands are: {', '.join(INTERFACES)}.")
+    ] = "position"
 
 
 class SetPoints(NamedTuple):

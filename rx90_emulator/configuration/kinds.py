@@ -12,11 +12,8 @@ from pydantic import ConfigDict, Field, ValidationError
 from friction_bench.rig.rig_file import RigFile, load_rig
 from rx90_common.bags.mapping import LogMapping, SignalMapFile
 from rx90_common.bags.tolerance import TolerancesFile, load_rules
-from rx90_common.base.config import Section
-from rx90_common.base.entries import JsonSchema
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import DEFINITIONS
-from rx90_common.base.models import FileModel, Model, Named, fault_lines, json_schema, quantity, read_model
+from rx90_common.base.models import FileModel, JsonSchema, Model, Named, fault_lines, json_schema, quantity, read_model
 from rx90_common.base.quoting import plain
 from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import Tool, load_tool
@@ -63,27 +60,16 @@ class FileKind:
 
     Attributes:
         name: of the kind and of its schema.
-        entry: what the file may hold: a Model, or an entry with `read(section)` that checks a whole file.
+        model: of its content.
         read: the reader of all who use the file; raises Rx90Error.
     """
 
     name: str
-    entry: Any
+    model: type[Model]
     read: Callable[[Path], Any]
-
-    @property
-    def model(self) -> type[Model] | None:
-        """Return the model of the file's content, None of a kind that has entries."""
-        if isinstance(self.entry, type) and issubclass(self.entry, Model):
-            return self.entry
-        return None
 
     def faults(self, path: Path, content: dict[str, Any]) -> list[ConfigError]:
         """Return what is wrong with single values of a file, and with values together where those are right."""
-        if self.model is None:
-            faults: list[ConfigError] = []
-            self.entry.read(Section(content, path, faults=faults))
-            return faults
         try:
             self.model.model_validate(content)
         except ValidationError as error:
@@ -92,15 +78,7 @@ class FileKind:
 
     def json_schema(self) -> JsonSchema:
         """Return the JSON schema, draft 2020-12, of a file."""
-        title = f"{self.name.replace('_', ' ')} file of rx90_emulator"
-        if self.model is not None:
-            return json_schema(self.model, title)
-        return {
-            "$schema": "https://json-schema.org/draft/2020-12/schema",
-            "title": title,
-            **self.entry.schema(),
-            "$defs": dict(DEFINITIONS),
-        }
+        return json_schema(self.model, f"{self.name.replace('_', ' ')} file of rx90_emulator")
 
 
 KINDS = (

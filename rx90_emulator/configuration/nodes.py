@@ -7,44 +7,33 @@ files take: `NODE: {ros__parameters: {…}}`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
-from friction_bench.node.bench_node import declare_bench_parameters
-from rx90_common.base.config import Section, load_yaml, yaml_lines, yaml_value
-from rx90_common.base.entries import PER_JOINT, Entry, Integer, JsonSchema, Number, Numbers, Switch, Text
+from pydantic import ValidationError
+
+from friction_bench.node.bench_node import BenchParameters, bench_content
+from rx90_common.base.config import read_yaml, yaml_lines, yaml_value
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.quoting import listed, nearest, plain, question, quoted
+from rx90_common.base.models import FileModel, JsonSchema, fault_lines, json_schema
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.exchange.endpoints import PREFIX
-from rx90_common.exchange.lifecycle import declare_autostart
-from rx90_common.exchange.parameters import OF_ROS, declare_rates, declare_robot_files
-from rx90_controller.law.parameters import FeedForward, Servo, Supervision
-from rx90_controller.node.parameters import FILE_PARAMETERS as CONTROLLER_FILES
-from rx90_controller.node.parameters import (
-    declare_goal_parameters,
-    declare_law,
-    declare_own,
-    is_unused,
-)
+from rx90_common.exchange.parameters import OF_ROS, NodeModel, flat, leaves, with_robot_files
+from rx90_controller.law.parameters import load_controller
+from rx90_controller.node.parameters import ControllerParameters, controller_content, unused_parameters
 from rx90_emulator.configuration.kinds import NODE_PARAMETERS, FileKind
 from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, ShownValue, rig_values, setup_values, steps_value
 from rx90_emulator.loop.recorded_run import OF_LAW
 from rx90_emulator.loop.setup import Setup
-from rx90_sim.node.parameters import FILE_PARAMETERS as SIMULATION_FILES
-from rx90_sim.node.parameters import declare_step_ticks, read_parameters
+from rx90_sim.node.parameters import SimulationParameters
 
 ARM_NODES = ("rx90_sim", "rx90_controller")
 RIG_NODE = "friction_bench"
 _PARAMETERS = "ros__parameters"
-_LARGEST_INTEGER = 2**63 - 1
-_DECIDING = ("robot", "urdf", "drives", "controller", "rig")
-"""Parameters that decide which other parameters a node has."""
 _CONSTRAINTS = "constraints"
 """Group of parameters named by the robot's joints."""
 _EVERY_NODE = "**"
@@ -53,175 +42,141 @@ _SECTION: JsonSchema = {"anyOf": [{"required": [_PARAMETERS]}, {"additionalPrope
 """A mapping is a node's section, or a namespace that holds sections."""
 
 
-class DeclaredParameters:
-    """Stands in for a node: keeps what is declared, with the values that are given.
-
-    Args:
-        given: values by name.
+class NodeKind(NamedTuple):
+    """Parameters of a node.
 
     Attributes:
-        entries: of the parameters by name, their defaults among them.
-        values: by name.
+        model: of them.
+        content: returns what they come to, unchecked, for those that are given by name; raises Rx90Error.
     """
 
-    def __init__(self, given: Mapping[str, Any]) -> None:
-        self.entries: dict[str, Entry] = {}
-        self.values: dict[str, Any] = {}
-        self._parameter_overrides = {
-            name: SimpleNamespace(name=name, value=value, type_=None) for name, value in given.items()
+    model: type[NodeModel]
+    content: Callable[[Mapping[str, Any]], dict[str, Any]]
+
+
+def _simulation_content(given: Mapping[str, Any]) -> dict[str, Any]:
+    return with_robot_files(SimulationParameters, given)
+
+
+NODES: dict[str, NodeKind] = {
+    "rx90_sim": NodeKind(SimulationParameters, _simulation_content),
+    "rx90_controller": NodeKind(ControllerParameters, controller_content),
+    RIG_NODE: NodeKind(BenchParameters, bench_content),
+}
+"""The parameters of each node once it is active."""
+
+
+def _of_project(node: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the given parameters that are not rclpy's, nor unused."""
+    others = {name for name in given if name in OF_ROS or name.startswith(PREFIX)}
+    if node == "rx90_controller":
+        others |= {*unused_parameters(given)}
+    return {name: value for name, value in given.items() if name not in others}
+
+
+def node_values(node: str, given: Mapping[str, Any]) -> NodeModel:
+    """Return the parameters of a node, one of NODES, for those that it is given by name.
+
+    Raises:
+        ConfigError: naming the parameter, its value and what is accepted.
+    """
+    kind = NODES[node]
+    content = kind.content(_of_project(node, given))
+    try:
+        values = kind.model.model_validate(content)
+    except ValidationError as error:
+        raise ConfigError(f"parameter {fault_lines(kind.model, error, '', content)[0]}") from None
+    if isinstance(values, SimulationParameters):
+        files = values.files()
+        values.start(load_robot(files.urdf, files.tool))
+    if isinstance(values, ControllerParameters):
+        values.law(load_controller(values.files().controller))
+    return values
+
+
+def _node_faults(node: str, path: Path, place: str, given: Mapping[str, Any]) -> list[ConfigError]:
+    """Return what is wrong with the parameters of a node in a file: single values, or if those are right, together."""
+    kind = NODES[node]
+    where = f"{plain(path)}: {place}"
+    used = _of_project(node, given)
+    try:
+        content = kind.content(used)
+        kind.model.model_validate(content)
+        node_values(node, given)
+    except ValidationError as error:
+        return [ConfigError(f"{where}.{line}") for line in fault_lines(kind.model, error, "", content)]
+    except Rx90Error as error:
+        return [ConfigError(f"{where}.{str(error).removeprefix('parameter ').removeprefix('parameter: ')}")]
+    return []
+
+
+def _sections_of(content: Mapping[str, Any], path: Path, above: str = "") -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield the name of each node, without its namespace, the place of its parameters, and these by name."""
+    for name, section in content.items():
+        place = f"{above}{plain(name)}"
+        parameters = section.get(_PARAMETERS) if isinstance(section, dict) else section
+        if not isinstance(section, dict) or not isinstance(parameters, dict | None):
+            key = f"{place}.{_PARAMETERS}" if isinstance(section, dict) else place
+            raise ConfigError(f"{plain(path)}: {key} is {quoted(parameters)}; accepted: a mapping")
+        if parameters is None:
+            yield from _sections_of(section, path, f"{place}.")
+        else:
+            yield name.rpartition("/")[2], f"{place}.{_PARAMETERS}", flat(parameters)
+
+
+class NodeFile(FileKind):
+    """The kind of parameter files: sections of this project's nodes are checked, those of others are left alone."""
+
+    def faults(self, path: Path, content: dict[str, Any]) -> list[ConfigError]:
+        """Return what is wrong in the sections."""
+        try:
+            sections = [*_sections_of(content, path)]
+        except ConfigError as error:
+            return [error]
+        return [
+            fault
+            for node, place, given in sections
+            if node in NODES
+            for fault in _node_faults(node, path, place, given)
+        ]
+
+    def json_schema(self) -> JsonSchema:
+        """Return the parameters of each node, in any namespace."""
+        nodes = {f"(^|/){node}$": _node_schema(node) for node in NODES}
+        other = {"type": "object", "properties": {_PARAMETERS: {"type": "object"}}, **_SECTION}
+        return {
+            "$schema": "https://json-schema.org/draft/2020-12/schema",
+            "title": f"{NODE_PARAMETERS.replace('_', ' ')} file of rx90_emulator",
+            "description": "Parameters of nodes: a section for each, NODE: {ros__parameters: {...}}, in any namespace.",
+            "type": "object",
+            "patternProperties": nodes,
+            "additionalProperties": other,
         }
 
-    def has_parameter(self, name: str) -> bool:
-        """Return whether a parameter is declared."""
-        return name in self.entries
 
-    def get_parameter(self, name: str) -> SimpleNamespace:
-        """Return a parameter."""
-        return SimpleNamespace(value=self.values[name])
+def _read(path: Path) -> None:
+    faults = NODE_FILE.faults(path, read_yaml(path))
+    if faults:
+        raise faults[0]
 
-    def declare_parameter(self, name: str, default: Any, descriptor: Any) -> SimpleNamespace:
-        """Declare a parameter; a given value that it cannot have is refused."""
-        about = f"{descriptor.description[:1].upper()}{descriptor.description[1:]}."
-        kind = type(default)
-        (span,) = (*descriptor.integer_range, *descriptor.floating_point_range)[:1] or (None,)
-        bounds = {} if span is None else {"low": span.from_value, "high": span.to_value}
-        if kind is list:
-            self.entries[name] = Numbers(about, count=PER_JOINT, default=tuple(default))
-        elif kind is int:
-            limits = {"low": -_LARGEST_INTEGER, "high": _LARGEST_INTEGER, **bounds}
-            self.entries[name] = Integer(about, **limits, default=default)
+
+def _leaf_schemas(schema: JsonSchema, root: JsonSchema, before: str = "") -> dict[str, JsonSchema]:
+    """Return the schemas of parameters by their names; those named by joints are left out."""
+    found: dict[str, JsonSchema] = {}
+    for name, inner in schema["properties"].items():
+        resolved = {**root["$defs"].get(inner.get("$ref", "").rpartition("/")[2], {}), **inner}
+        if name in FileModel.about_keys:
+            continue
+        if "properties" in resolved:
+            found |= _leaf_schemas(resolved, root, f"{before}{name}.")
         else:
-            self.entries[name] = {bool: Switch, float: Number, str: Text}[kind](about, **bounds, default=default)
-        value = default
-        if name in self._parameter_overrides:
-            section = Section({name: self._parameter_overrides[name].value}, Path("parameter"))
-            try:
-                value = self.entries[name].take(section, name)
-            except ConfigError as error:
-                raise ConfigError(str(error).replace("parameter: ", "parameter ", 1)) from error
-        self.values[name] = list(value) if isinstance(value, tuple) else value
-        return self.get_parameter(name)
-
-
-def _declare_simulation(node: Any) -> None:
-    declare_autostart(node)
-    parameters = read_parameters(node)
-    files = declare_robot_files(node, *SIMULATION_FILES)
-    declare_step_ticks(node)
-    parameters.start(load_robot(files.urdf, files.tool))
-
-
-def _declare_controller(node: Any) -> None:
-    declare_autostart(node)
-    declare_rates(node)
-    files = declare_robot_files(node, *CONTROLLER_FILES)
-    declare_own(node)
-    declare_law(node, files.controller)
-    declare_goal_parameters(node, load_robot(files.urdf).joint_names)
-
-
-NODES: dict[str, Callable[[Any], object]] = {
-    "rx90_sim": _declare_simulation,
-    "rx90_controller": _declare_controller,
-    RIG_NODE: declare_bench_parameters,
-}
-"""What each node declares until it is active."""
-
-
-def declared(node: str, given: Mapping[str, Any] | None = None) -> DeclaredParameters:
-    """Return the parameters of a node, one of NODES, with the values that they are given."""
-    parameters = DeclaredParameters(given or {})
-    NODES[node](parameters)
-    # What is still there: a node takes out what it has no use for.
-    for name in parameters._parameter_overrides:
-        if name not in parameters.entries and name not in OF_ROS and not name.startswith(PREFIX):
-            asked = question(nearest(name, parameters.entries))
-            accepted = listed(parameters.entries)
-            raise ConfigError(f"parameter {plain(name)} is unknown to {node}{asked}; accepted: {accepted}")
-    return parameters
-
-
-_declared_by_default = cache(declared)
-
-
-def _flat(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Return parameters by their full names, a dot for each nested mapping; an empty mapping is kept as a value."""
-    found: dict[str, Any] = {}
-    for key, value in content.items():
-        found |= _flat(value, f"{before}{key}.") if isinstance(value, dict) and value else {f"{before}{key}": value}
+            found[f"{before}{name}"] = resolved
     return found
 
 
-def _sections_of(root: Section) -> Iterator[tuple[str, Section]]:
-    """Yield the name of each node, its last part without a namespace, and its parameters."""
-    for name in root:
-        section = root.section(name)
-        if _PARAMETERS in section:
-            yield name.rpartition("/")[2], section.section(_PARAMETERS)
-        else:
-            yield from _sections_of(section)
-
-
-@dataclass(frozen=True)
-class NodeFile(Entry):
-    """A parameter file: sections of this project's nodes are checked, those of others are left alone."""
-
-    def read(self, root: Section) -> None:
-        """Check a file."""
-        nodes: list[tuple[str, Section]] = []
-        root.attempt(lambda: nodes.extend(_sections_of(root)))
-        for node, section in nodes:
-            if node in NODES:
-                _check_section(node, section)
-
-    def rules(self) -> JsonSchema:
-        """Return the parameters of each node, in any namespace."""
-        nodes: JsonSchema = {f"(^|/){node}$": _node_schema(node) for node in NODES}
-        other = {"type": "object", "properties": {_PARAMETERS: {"type": "object"}}, **_SECTION}
-        return {"type": "object", "patternProperties": nodes, "additionalProperties": other}
-
-
-def _check_section(node: str, section: Section) -> None:
-    """Check the parameters of a node one by one and, if there is nothing wrong with them, together."""
-    entries = dict(_declared_by_default(node).entries)
-    given = {name: value for name, value in _flat(section.content).items() if value != {} or name in entries}
-    chosen = {name: given[name] for name in _DECIDING if name in given and name in entries}
-    if chosen:
-        section.attempt(lambda: entries.update(declared(node, chosen).entries))
-    faults: list[ConfigError] = []
-    names = Section(given, section.file, section.path, faults)
-
-    def check(name: str) -> None:
-        if name not in entries:
-            asked = question(nearest(name, entries))
-            names.fault(name, f" is unknown to {node}{asked}; accepted: {listed(entries)}")
-        entries[name].take(names, name)
-
-    for name in given:
-        if not (name in OF_ROS or name.startswith(PREFIX) or (node == "rx90_controller" and is_unused(name))):
-            names.attempt(check, name)
-    if not faults:
-        try:
-            declared(node, given)
-        except Rx90Error as error:
-            text = str(error).removeprefix("parameter ").removeprefix("parameter: ")
-            faults.append(ConfigError(f"{section.file}: {section.path}.{text}"))
-    for fault in faults:
-        section.attempt(_refuse, fault)
-
-
-def _refuse(error: ConfigError) -> None:
-    raise error
-
-
 def _node_schema(node: str) -> JsonSchema:
-    entries = _declared_by_default(node).entries
-    schemas = {name: entry.schema() for name, entry in entries.items()}
-    for block, model in (("servo", Servo), ("feed_forward", FeedForward), ("supervision", Supervision)):
-        for key, schema in model.model_json_schema()["properties"].items():
-            if f"{block}.{key}" in entries:
-                schemas[f"{block}.{key}"] = schema
-    parameters = _names_schema(schemas)
+    root = {"$defs": {}, **json_schema(NODES[node].model, "")}
+    parameters = _names_schema(_leaf_schemas(root, root))
     parameters["properties"] |= {name: {"description": "Of every ROS node."} for name in OF_ROS}
     parameters["patternProperties"] = {f"^({PREFIX[:-1]}|{_CONSTRAINTS})(\\.|$)": {}}
     about = f"Parameters of the node {node}."
@@ -239,9 +194,14 @@ def _names_schema(schemas: Mapping[str, JsonSchema]) -> JsonSchema:
     return {"type": "object", "properties": dict(sorted(properties.items())), "additionalProperties": False}
 
 
-_ENTRY = NodeFile("Parameters of nodes: a section for each, NODE: {ros__parameters: {...}}, in any namespace.")
-NODE_FILE = FileKind(NODE_PARAMETERS, _ENTRY, lambda path: _ENTRY.read(load_yaml(path)))
+NODE_FILE = NodeFile(NODE_PARAMETERS, NodeModel, _read)
 """The kind of parameter files."""
+
+
+@cache
+def _default_names(node: str) -> frozenset[str]:
+    return frozenset(name for name, _, _ in leaves(node_values(node, {})))
+
 
 Given = dict[str, dict[str, tuple[Any, str]]]
 """By node and name: the value that a parameter is given, and where."""
@@ -260,18 +220,18 @@ def given_parameters(files: Iterable[Path], rules: Iterable[str]) -> Given:
     for path in files:
         NODE_FILE.read(path)
         lines = yaml_lines(path)
-        for node, section in _sections_of(load_yaml(path)):
+        for node, place, values in _sections_of(read_yaml(path), path):
             nodes = ARM_NODES if node == _EVERY_NODE else [node] if node in given else []
-            for name, value in _flat(section.content).items():
+            for name, value in values.items():
                 if value != {}:  # a name's beginning with nothing behind it
-                    give(nodes, name, value, f"{path}:{lines.get(f'{section.path}.{name}', 0)}")
+                    give(nodes, name, value, f"{path}:{lines.get(f'{place}.{name}', 0)}")
     for rule in rules:
         left, sign, text = rule.partition(":=")
         node, _, name = left.rpartition(":")
         if not sign or not name or (node and node not in NODES):
             accepted = f"[NODE:]NAME:=VALUE, NODE one of {', '.join(NODES)}"
             raise ConfigError(f"-p {quoted(rule)}; accepted: {accepted}")
-        nodes = [node] if node else [each for each in ARM_NODES if name in _declared_by_default(each).entries]
+        nodes = [node] if node else [each for each in ARM_NODES if name in _default_names(each)]
         if not nodes:
             raise ConfigError(
                 f"-p {quoted(rule)}: no parameter of {' or '.join(ARM_NODES)}; accepted: those in rx90_config show"
@@ -284,7 +244,8 @@ def node_setup(given: Given) -> list[ShownValue]:
     """Return what both nodes of the arm and the rig's come to, as they would read it."""
 
     def values_of(node: str) -> dict[str, tuple[Any, str]]:
-        values = declared(node, {name: value for name, (value, _) in given[node].items()}).values
+        parameters = node_values(node, {name: value for name, (value, _) in given[node].items()})
+        values = {name: list(value) if isinstance(value, tuple) else value for name, value, _ in leaves(parameters)}
         return {name: (value, given[node].get(name, (value, OF_CODE))[1]) for name, value in values.items()}
 
     found: list[ShownValue] = []

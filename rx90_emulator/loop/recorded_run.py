@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -115,7 +115,7 @@ def replay(setup: Setup, run: RecordedRun, *, substeps: int | None = None, recor
 def _is_other(name: str, value: Any, law: CS7BParameters) -> bool:
     """Return whether a parameter of the controller node had another value than the setup's law, or than its default."""
     if not name.startswith(OF_LAW):
-        return value is True and name in {field.name for field in fields(GoalOptions)}
+        return value is True and name in GoalOptions.model_fields
     block, _, key = name.partition(".")
     return not np.array_equal(value, getattr(getattr(law, block), key))
 

@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field, model_validator
 from rclpy.node import Node
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.declared import option
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import counted, one_line, quoted
-from rx90_common.base.rates import Rates, ticks_per
+from rx90_common.base.models import RowOf, quantity, refusal
+from rx90_common.base.quoting import counted, one_line
+from rx90_common.base.rates import ticks_per
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
-from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.parameters import declare, declare_options, declare_rates
-from rx90_common.exchange.topics import (
-    COMMAND_INTERFACES,
-    FREE_RUNNING,
-    JOINT_INTERFACE,
-    LOCK_STEP,
-    MOTOR_INTERFACE,
-    TIME_MODES,
-)
+from rx90_common.description.robot_files import DESCRIPTIONS, RobotFiles
+from rx90_common.exchange.parameters import RobotParameters, as_refusal, checked, with_robot_files
+from rx90_common.exchange.topics import FREE_RUNNING, JOINT_INTERFACE, MOTOR_INTERFACE
 from rx90_common.friction import load_friction
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_sim.plant import Plant
@@ -33,58 +28,86 @@ FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
 """Files of the robot that the node can be given."""
 
 
-@dataclass(frozen=True)
-class SimulationParameters:
-    """The node's parameters; fields other than the rates are declared here."""
+class SimulationParameters(RobotParameters):
+    """The node's parameters."""
 
-    rates: Rates
-    joint_state_rate: int = option(1000, "rate of joint_states and friction_states, Hz", 1, 20000)
-    clock_rate: int = option(50, "rate of /clock, Hz", 1, 20000)
-    tf_rate: int = option(
-        0, "rate of /tf, Hz; 0: neither /tf nor /tf_static, for robot_state_publisher has them", 0, 20000
+    tool: Annotated[str, Field(description=f"{DESCRIPTIONS['tool'].capitalize()}; the robot's or your own.")] = ""
+    friction: Annotated[
+        str, Field(description=f"{DESCRIPTIONS['friction'].capitalize()}; the robot's or your own.")
+    ] = ""
+    step_ticks: Annotated[int, Field(ge=1, le=100_000_000, description="Ticks of one call of ~/step.")] = 1
+    joint_state_rate: Annotated[int, quantity("Hz", "Rate of joint_states and friction_states.", ge=1, le=20000)] = 1000
+    clock_rate: Annotated[int, quantity("Hz", "Rate of /clock.", ge=1, le=20000)] = 50
+    tf_rate: Annotated[
+        int,
+        quantity(
+            "Hz", "Rate of /tf; 0: neither /tf nor /tf_static, for robot_state_publisher has them.", ge=0, le=20000
+        ),
+    ] = 0
+    time_mode: Annotated[
+        Literal["lock_step", "free_running"],
+        Field(description="lock_step: wait for the controller in every tick; free_running: wall clock."),
+    ] = "lock_step"
+    real_time_factor: Annotated[
+        float, quantity("1", "Pace in lock_step, 0 for as fast as it goes.", ge=0.0, le=1000.0)
+    ] = 1.0
+    command_timeout: Annotated[
+        float,
+        quantity("s", "free_running: wait for a late motor command before the brakes close.", ge=0.0, le=10.0),
+    ] = 0.5
+    command_interface: Annotated[
+        Literal["motor", "joint"],
+        Field(description="motor: motor_commands answer motor_states; joint: joint_commands, efforts, drive the arm."),
+    ] = "motor"
+    command_rate: Annotated[
+        int,
+        quantity("Hz", "Rate of joint_commands, which are held in between; 0: position_rate.", ge=0, le=20000),
+    ] = 0
+    command_age_limit: Annotated[
+        float,
+        quantity("s", "free_running: age of the newest joint command at which the brakes close.", ge=0.001, le=10.0),
+    ] = 0.1
+    initial_position: Annotated[
+        RowOf[float],
+        quantity(
+            "rad",
+            "Joint positions at the start and after a reset; a single number is for all joints, or the end of a "
+            "joint's range that is nearest to it.",
+        ),
+    ] = (0.0,)
+    duration: Annotated[float, quantity("s", "Simulated time after which the node ends; 0: never.", ge=0.0, le=1e9)] = (
+        0.0
     )
-    time_mode: str = option(LOCK_STEP, "lock_step: wait for the controller in every tick; free_running: wall clock")
-    real_time_factor: float = option(1.0, "pace in lock_step, 0 for as fast as it goes", 0.0, 1000.0)
-    command_timeout: float = option(
-        0.5, "free_running: wait for a late motor command before the brakes close, s", 0.0, 10.0
-    )
-    command_interface: str = option(
-        MOTOR_INTERFACE, "motor: motor_commands answer motor_states; joint: joint_commands, efforts, drive the arm"
-    )
-    command_rate: int = option(0, "rate of joint_commands, which are held in between, Hz; 0: position_rate", 0, 20000)
-    command_age_limit: float = option(
-        0.1, "free_running: age of the newest joint command at which the brakes close, s", 0.001, 10.0
-    )
-    initial_position: list[float] = option(  # noqa: RUF009 - it gives each a list of its own
-        [0.0],
-        "joint positions at the start and after a reset, rad; a single number is for all joints, or the end of a "
-        "joint's range that is nearest to it",
-    )
-    duration: float = option(0.0, "simulated time after which the node ends, s; 0: never", 0.0, 1e9)
-    paused: bool = option(False, "begin with time standing still")
-    substeps: int = option(0, "steps of the plant in a tick; 0: as many as friction, mass and gears need", 0, MAX_STEPS)
-    seed: int = option(
-        0,
-        "of all that is random in the arm, such as the scatter of its friction; a reset begins with it again",
-        0,
-        LARGEST_SEED,
-    )
+    paused: Annotated[bool, Field(description="Begin with time standing still.")] = False
+    substeps: Annotated[
+        int,
+        Field(
+            ge=0,
+            le=MAX_STEPS,
+            description="Steps of the plant in a tick; 0: as many as friction, mass and gears need.",
+        ),
+    ] = 0
+    seed: Annotated[
+        int,
+        Field(
+            ge=0,
+            le=LARGEST_SEED,
+            description="Of all that is random in the arm, such as the scatter of its friction; a reset begins with "
+            "it again.",
+        ),
+    ] = 0
 
-    def __post_init__(self) -> None:
-        if self.time_mode not in TIME_MODES:
-            raise ConfigError(f"parameter time_mode is {quoted(self.time_mode)}; accepted: {', '.join(TIME_MODES)}")
-        if self.command_interface not in COMMAND_INTERFACES:
-            raise ConfigError(
-                f"parameter command_interface is {quoted(self.command_interface)}; accepted: "
-                f"{', '.join(COMMAND_INTERFACES)}"
-            )
+    @model_validator(mode="after")
+    def _check_commands(self) -> SimulationParameters:
         if self.command_interface == MOTOR_INTERFACE and self.command_rate:
-            raise ConfigError(
-                f"parameter command_rate is {self.command_rate} with command_interface motor, whose rate is base_rate; "
-                f"accepted: 0, or command_interface {JOINT_INTERFACE}"
+            accepted = (
+                f"0 with command_interface motor, whose rate is base_rate, or command_interface {JOINT_INTERFACE}"
             )
-        ticks_per("command_rate", self.rates.base_hz, self.command_hz)
-        self.check_age_limit(self.command_age_limit)
+            raise refusal("command_rate", self.command_rate, accepted)
+        with as_refusal():
+            ticks_per("command_rate", self.base_rate, self.command_hz)
+            self.check_age_limit(self.command_age_limit)
+        return self
 
     def start(self, robot: RobotModel) -> Array:
         """Return the initial position, rad, shape (n,)."""
@@ -102,8 +125,7 @@ class SimulationParameters:
         least = 2.0 / self.command_hz
         if self.command_interface == JOINT_INTERFACE and self.time_mode == FREE_RUNNING and limit < least:
             raise ConfigError(
-                f"parameter command_age_limit is {limit:g} s; accepted: at least two periods of the commands, "
-                f"{least:g} s"
+                f"command_age_limit is {limit:g} s; accepted: at least two periods of the commands, {least:g} s"
             )
         return limit
 
@@ -111,23 +133,18 @@ class SimulationParameters:
     def command_hz(self) -> int:
         """Return the rate of commands, Hz."""
         if self.command_interface == MOTOR_INTERFACE:
-            return self.rates.base_hz
-        return self.command_rate or self.rates.position_hz
+            return self.base_rate
+        return self.command_rate or self.position_rate
 
     @property
     def last_tick(self) -> int | None:
         """Return the tick at which the run ends, None for a run without end."""
-        return round(self.duration * self.rates.base_hz) if self.duration > 0 else None
+        return round(self.duration * self.base_rate) if self.duration > 0 else None
 
 
-def read_parameters(node: Node) -> SimulationParameters:
-    """Declare the node's parameters, if they are not, and read them."""
-    return SimulationParameters(declare_rates(node), **declare_options(node, SimulationParameters))
-
-
-def declare_step_ticks(node: Node) -> int:
-    """Declare, unless it is, and return how many ticks a call of ~/step runs."""
-    return declare(node, "step_ticks", 1, "ticks of one call of ~/step", low=1, high=100_000_000)
+def simulation_parameters(given: Mapping[str, Any]) -> SimulationParameters:
+    """Return the node's parameters for what it was given, by name."""
+    return checked(SimulationParameters, with_robot_files(SimulationParameters, given))
 
 
 def build_plant(node: Node, files: RobotFiles, parameters: SimulationParameters) -> tuple[RobotModel, Plant]:

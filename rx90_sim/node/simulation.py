@@ -32,8 +32,7 @@ from rx90_sim.node.parameters import (
     FILE_PARAMETERS,
     SimulationParameters,
     build_plant,
-    declare_step_ticks,
-    read_parameters,
+    simulation_parameters,
 )
 from rx90_sim.node.ticks import Ticks
 
@@ -60,9 +59,8 @@ class Simulation:
         self._arm: SimulatedArm | None = None
         self._follow: Callable[[TimeMode | None], None] = lambda _: None
         self._also_listening: Callable[[], Sequence[Publisher]] = tuple
-        read_parameters(self.node)
-        self.node.declare_robot_files(*FILE_PARAMETERS)
-        declare_step_ticks(self.node)
+        self.node.parameters.declare(simulation_parameters(self.node.parameters.values))
+        self.node.changes.follow_robot(*FILE_PARAMETERS)
 
     def lead(self, follow: Callable[[TimeMode | None], None], publishers: Callable[[], Sequence[Publisher]]) -> None:
         """Let a controller in this process follow the time mode.
@@ -78,8 +76,8 @@ class Simulation:
 
     def configure(self) -> None:
         """Load the robot; time stands still."""
-        parameters = read_parameters(self.node)
-        files = self.node.declare_robot_files(*FILE_PARAMETERS)
+        parameters = simulation_parameters(self.node.parameters.values)
+        files = parameters.files()
         self._arm = arm = SimulatedArm(self.node, files, parameters)
         arm.ticks.listeners.others = self._also_listening
         self._allow("real_time_factor", arm.check_pace, arm.ticks.pacer.change)
@@ -202,7 +200,7 @@ class SimulatedArm:
         if self.ticks.control.held:
             response.message = "the node is inactive; accepted: in state active"
             return response
-        ticks = declare_step_ticks(self._node)
+        ticks: int = self._node.get_parameter("step_ticks").value
         return self._answer(response, self.ticks.control.step(ticks, _REQUEST_TIMEOUT), counted(ticks, "tick"))
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -188,7 +188,7 @@ def test_published_rates_and_rig_figures_are_the_shipped_ones() -> None:
     """1 and 4 kHz; 31:1, 504 pulses of 0.714286 degrees, 20 ms; no code of the firmware asks for more than 0.18 Nm."""
     assert (Rates().position_hz, Rates().base_hz) == (1000, 4000)
     rig = load_rig(ROOT / "config/rig/gm8224.yaml")
-    assert (rig.gear_ratio, rig.counts_per_revolution, rig.tick) == (31.0, 504, 0.02)
+    assert (rig.gear.ratio, rig.counts_per_revolution, rig.tick) == (31.0, 504, 0.02)
     assert math.degrees(rig.angle_step) == pytest.approx(0.714286, abs=5e-7)
     text = (ROOT / "firmware/core/rig_config.h").read_text(encoding="utf-8")
     figures = {name: int(value) for name, value in re.findall(r"#define (\w+) (\d+)u", text)}

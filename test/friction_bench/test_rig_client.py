@@ -177,7 +177,7 @@ WARM = "{reference: 30, lowest: 0, highest: 90, start: 25, ambient: 25, capacity
         ("gm8224_lugre", "\nemulation:\n", "\nemulation:\n  joint_spread: 0.05\n",
          "emulation.joint_spread is 0.05; accepted: 0"),
         ("gm8224_lugre", "omega_d: 1.0}", f"omega_d: 1.0, temperature: {WARM}}}",
-         "joint_friction.lugre.temperature: the emulated rig cannot hold this"),
+         "joint_friction: lugre.temperature: the emulated rig cannot hold this"),
         ("gm8224_lugre", "omega_d: 1.0}", "omega_d: 1.0, bristles: {kind: elasto_plastic, break_away: 0.7}}", ""),
     ],
 )  # fmt: skip

@@ -12,7 +12,7 @@ from refusals import refusal_by
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.law.parameters import load_controller
-from rx90_emulator.configuration.nodes import declared
+from rx90_emulator.configuration.nodes import node_values
 from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
@@ -80,12 +80,12 @@ def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: 
 def test_a_file_for_another_controller_is_refused_with_the_difference(name: str, value: Any, said: str) -> None:
     """Joints and interfaces of a file for joint_trajectory_controller are the arm's, or what differs is named."""
     with pytest.raises(ConfigError, match=f"^parameter {name} is .*{said}"):
-        declared("rx90_controller", {name: value})
+        node_values("rx90_controller", {name: value})
 
 
 def test_a_file_for_this_arm_is_taken(shipped: Setup) -> None:
     """The same keys with the arm's values, in any order, are taken; of streams what cannot be is refused."""
     mine = {"joints": list(reversed(shipped.robot.joint_names)), "state_interfaces": ["velocity", "position"]}
-    assert declared("rx90_controller", {**mine, "command_interfaces": ["position"], "update_rate": 100}).values
-    with pytest.raises(ConfigError, match=r"stream\.commands is 'effort'; accepted: position, velocity"):
-        declared("rx90_controller", {"stream.commands": "effort"})
+    assert node_values("rx90_controller", {**mine, "command_interfaces": ["position"], "update_rate": 100})
+    with pytest.raises(ConfigError, match=r"stream\.commands is 'effort'; accepted: one of position, velocity"):
+        node_values("rx90_controller", {"stream.commands": "effort"})

@@ -84,7 +84,7 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
     active: TrajectoryRequest | None = None
     now, handed_over, reasons, path = 1000, 0, [], []
     for _ in range(GOALS):
-        options = GoalOptions(*(bool(flag) for flag in generator.integers(0, 2, 4)))
+        options = GoalOptions(**{name: bool(generator.integers(0, 2)) for name in GoalOptions.model_fields})
         try:
             message = random_goal(generator, now * PERIOD, options)
             goal = check_request(message.trajectory, tolerances, options, 1000, message)

@@ -6,6 +6,7 @@ Where the motors of the rig stand still, the error of a joint is its set-point: 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,14 @@ from joint_moves import trajectory
 from servo_rig import Rig
 from unchecked import unchecked
 
-from rx90_controller.trajectory.request import Feedback, GoalTolerances, JoinedAhead, State, TrajectoryRequest
+from rx90_controller.trajectory.request import (
+    Constraints,
+    Feedback,
+    GoalTolerances,
+    JoinedAhead,
+    State,
+    TrajectoryRequest,
+)
 from rx90_emulator.loop.setup import Setup
 
 RATIO = 4  # ticks for each of the position loop, which come every millisecond
@@ -230,8 +238,9 @@ def ticks_to(error: float, target: float = 0.1) -> int:
 def held(rig: Rig) -> Callable[..., Rig]:
     """Return what gives the rig, at rest, with these constraints."""
 
-    def make(constraints: dict[str, float] | None = None) -> Rig:
-        rig.loop.tolerances = GoalTolerances.of_parameters(rig.names, constraints)
+    def make(constraints: dict[str, Any] | None = None) -> Rig:
+        given = Constraints.model_validate(constraints or {})
+        rig.loop.tolerances = GoalTolerances.of_parameters(rig.names, given)
         rig.loop.hold(rig.states(0))
         rig.around.lines.clear()
         return rig
@@ -246,7 +255,7 @@ def aborted(rig: Rig) -> list[str]:
 
 def test_a_joint_off_the_path_is_told_once_and_the_arm_stops_and_holds(held: Callable[..., Rig]) -> None:
     """At the first set-point beyond: one line with joint, error, tolerance and time; rest within the accelerations."""
-    rig = held({"constraints.joint_3.trajectory": 0.02, "constraints.joint_4.trajectory": 0.09})
+    rig = held({"joint_3": {"trajectory": 0.02}, "joint_4": {"trajectory": 0.09}})
     tick = ticks_to(0.02)
     rig.loop.receive(rig.trajectory(0.1))
     rig.run(0, RATIO * tick)
@@ -269,7 +278,7 @@ def test_a_joint_off_the_path_is_told_once_and_the_arm_stops_and_holds(held: Cal
 
 def test_a_goal_that_is_not_reached_in_time_is_told_once(held: Callable[..., Rig]) -> None:
     """`goal` and `goal_time`: a tick beyond the time after the last point; within the tolerance nothing is said."""
-    rig = held({"constraints.joint_2.goal": 0.05, "constraints.goal_time": 0.2})
+    rig = held({"joint_2": {"goal": 0.05}, "goal_time": 0.2})
     rig.loop.receive(rig.trajectory(0.1))
     rig.run(0, RATIO * 1201)
     assert aborted(rig) == []
@@ -286,7 +295,7 @@ def test_a_goal_that_is_not_reached_in_time_is_told_once(held: Callable[..., Rig
 @pytest.mark.parametrize("stops", [False, True])
 def test_what_runs_is_held_to_the_path_while_the_next_one_waits(held: Callable[..., Rig], stops: bool) -> None:
     """Also before the start of what came last, a trajectory or a stop, which is dropped then."""
-    rig = held({"constraints.joint_1.trajectory": 0.02})
+    rig = held({"joint_1": {"trajectory": 0.02}})
     rig.loop.receive(rig.trajectory(0.1))
     rig.run(0, RATIO)
     rig.loop.receive(trajectory([], [], start=1.5) if stops else rig.trajectory(0.0, start=1.5))
@@ -298,10 +307,12 @@ def test_what_runs_is_held_to_the_path_while_the_next_one_waits(held: Callable[.
 
 def test_what_is_held_to_constraints(held: Callable[..., Rig]) -> None:
     """The newest trajectory to those of its time; a refused one changes nothing; a goal has its own; off: none."""
-    rig = held({"constraints.joint_1.trajectory": 0.02})
+    rig = held({"joint_1": {"trajectory": 0.02}})
     rig.loop.receive(rig.trajectory(0.1))
     rig.loop.receive(rig.trajectory(9.0))
-    rig.loop.tolerances = GoalTolerances.of_parameters(rig.names, {"constraints.joint_1.trajectory": 0.05})
+    rig.loop.tolerances = GoalTolerances.of_parameters(
+        rig.names, Constraints.model_validate({"joint_1": {"trajectory": 0.05}})
+    )
     rig.run(0, RATIO * 500)
     assert "accepted up to 0.02 rad" in aborted(rig)[0]
     rig.loop.hold(rig.states(0))

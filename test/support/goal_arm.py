@@ -16,6 +16,7 @@ from rx90_common.base.rates import Rates
 from rx90_controller.node.servo_loop import MotorStates, ServoLoop
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 from rx90_controller.trajectory.request import (
+    Constraints,
     Feedback,
     GoalOptions,
     GoalTolerances,
@@ -28,12 +29,14 @@ from rx90_controller.trajectory.request import (
 LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), np.full(6, 20.0), 1e-3)
 DEFAULTS = GoalTolerances.of_parameters(
     NAMES,
-    {
-        "constraints.goal_time": 0.5,
-        "constraints.stopped_velocity_tolerance": 0.02,
-        "constraints.joint_2.trajectory": 0.05,
-        "constraints.joint_3.goal": 0.01,
-    },
+    Constraints.model_validate(
+        {
+            "goal_time": 0.5,
+            "stopped_velocity_tolerance": 0.02,
+            "joint_2": {"trajectory": 0.05},
+            "joint_3": {"goal": 0.01},
+        }
+    ),
 )
 
 

@@ -129,12 +129,12 @@ def _between(coulomb: float, static: float, share: float) -> float:
     return max(coulomb, static + (share - 1.0) * (static - coulomb))
 
 
+_PLAIN = ("reference", "highest", "start", "ambient", "resistance", "speed_slope", "static_slope")
+
+
 def temperature_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants; a slope, or the share that fades, is 0 where the part is off."""
-    lanes = (
-        "reference", "highest", "start", "ambient", "resistance", "speed_slope", "static_slope", "inverse_scale",
-        "fading", "gain", "motor",
-    )  # fmt: skip
+    lanes = (*_PLAIN, "inverse_scale", "fading", "gain", "motor")
     return np.dtype([("used", np.int64), *((name, np.float64, (width,)) for name in lanes)], align=True)
 
 
@@ -157,13 +157,9 @@ def fill_temperature(record: Any, parts: Sequence[TemperaturePart | None], surro
     for i, part in enumerate(parts):
         if part is not None:
             record["used"] = 1
-            record["reference"][i] = part.reference
-            record["highest"][i] = part.highest
-            record["start"][i] = part.start
-            record["ambient"][i] = part.ambient
-            record["resistance"][i] = part.resistance
-            record["speed_slope"][i] = part.speed_slope
-            record["static_slope"][i] = part.static_slope
+            values = part.numbers()
+            for name in _PLAIN:
+                record[name][i] = values[name]
             record["inverse_scale"][i] = 1.0 / part.viscous_scale
             record["fading"][i] = 1.0 - part.viscous_floor
             record["gain"][i] = -exponential_less_one_of(-surroundings.period / (part.capacity * part.resistance))

@@ -20,8 +20,9 @@ import numpy as np
 import pinocchio as pin
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import ABOUT, check_numbers, read_yaml, without_schema_line, yaml_text
+from rx90_common.base.config import check_numbers, read_yaml, without_schema_line, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
+from rx90_common.base.models import FileModel
 from rx90_common.base.quoting import listed, plain
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import load_drives
@@ -54,7 +55,7 @@ def marked(block: Mapping[str, Any], new: Mapping[str, Identified]) -> dict[str,
 
     The most frequent entry of several keys is written under `others`, which applies to all keys that are not named.
     """
-    content = {key: value for key, value in block.items() if key not in ABOUT}
+    content = {key: value for key, value in block.items() if key not in FileModel.about_keys}
     content |= {key: one.value for key, one in new.items()}
     about: dict[str, Any] = {}
     for word in ("provenance", "source"):

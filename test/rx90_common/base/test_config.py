@@ -10,9 +10,15 @@ from typing import Any
 import pytest
 
 from rx90_common.base import share
-from rx90_common.base.config import PROVENANCE, Section, load_yaml, yaml_text
-from rx90_common.base.entries import Number, Text
+from rx90_common.base.config import read_yaml, yaml_text
 from rx90_common.base.errors import ConfigError, Rx90Error
+from rx90_common.base.models import FileModel, read_model
+
+
+class Measured(FileModel):
+    """A file with a number."""
+
+    x: float
 
 
 @pytest.fixture
@@ -81,7 +87,6 @@ BROKEN: list[tuple[str | bytes, str]] = [
     ("a:\n" + "- 1\n" * 190_000, "has 190,001 commas and line ends; accepted: up to 150,000"),
     ("a: !" + "x" * 100_000 + " 1", "could not determine a constructor for the tag '!xxx"),
     ("a" * (3 << 20) + "b", "larger than 3 MiB"),
-    ("provenance: guessed", "provenance is 'guessed'; accepted: one of published, derived"),
 ]
 
 
@@ -89,13 +94,13 @@ BROKEN: list[tuple[str | bytes, str]] = [
 def test_a_file_that_is_no_mapping_is_refused(write: Write, text: str | bytes, words: str) -> None:
     """What is not UTF-8, not YAML, not one mapping or says a key twice is refused in one line."""
     path = write(text)
-    assert words in refusal(lambda: load_yaml(path), path)
+    assert words in refusal(lambda: read_yaml(path), path)
 
 
 def test_a_file_that_cannot_be_opened_is_refused(tmp_path: Path) -> None:
     """A missing file and a folder are refused by path."""
     for path in (tmp_path / "none.yaml", tmp_path):
-        assert "cannot be read" in refusal(lambda p=path: load_yaml(p), path)
+        assert "cannot be read" in refusal(lambda p=path: read_yaml(p), path)
 
 
 @pytest.mark.parametrize(
@@ -105,27 +110,27 @@ def test_a_file_that_cannot_be_opened_is_refused(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_numbers_are_what_they_look_like(write: Write, text: str, number: float) -> None:
     """Every usual way to write a number is one, with or without point and sign of the exponent."""
-    assert Number("").take(load_yaml(write(f"x: {text}")), "x") == number
+    assert read_yaml(write(f"x: {text}"))["x"] == number
 
 
 @pytest.mark.parametrize("text", ["1:30", "2001-13-45", "2001-01-01", "0x", "0b_", "1_0", "1e", "1" * 400, "1e999"])
 def test_what_only_resembles_a_number_is_refused(write: Write, text: str) -> None:
     """Times, dates and numbers beyond the range of a double are refused, not turned into other numbers."""
     path = write(f"x: {text}")
-    assert "x is " in refusal(lambda: Number("").take(load_yaml(path), "x"), path)
+    assert "x is " in refusal(lambda: read_model(Measured, path), path)
 
 
 @pytest.mark.parametrize("text", ["yes", "no", "on", "off", "y", "1:30", "2001-01-01", "1_0", "="])
 def test_words_of_yaml_1_1_are_texts(write: Write, text: str) -> None:
     """What YAML 1.1 takes for switches, times, dates and grouped digits is a text, as in YAML 1.2."""
-    assert Text("").take(load_yaml(write(f"{text}: {text}")), text) == text
+    assert read_yaml(write(f"{text}: {text}")) == {text: text}
 
 
 def test_the_first_of_several_documents(write: Write) -> None:
     """Where a stream of documents is expected the first one counts, and it has to be a mapping."""
-    assert load_yaml(write("a: 1\n---\nb: 2\n---\n"), first=True).content == {"a": 1}
+    assert read_yaml(write("a: 1\n---\nb: 2\n---\n"), first=True) == {"a": 1}
     path = write("")
-    assert refusal(lambda: load_yaml(path, "a trajectory", first=True), path).endswith(
+    assert refusal(lambda: read_yaml(path, "a trajectory", first=True), path).endswith(
         "holds nothing; accepted: a trajectory"
     )
 
@@ -135,30 +140,7 @@ def test_a_list_that_is_used_twice_is_written_twice(write: Write) -> None:
     both = [1.0, 2.0]
     text = yaml_text({"a": both, "b": both})
     assert "&" not in text
-    assert load_yaml(write(text)).content == {"a": both, "b": both}
-
-
-def test_keys_that_nobody_asked_for_are_refused(write: Write) -> None:
-    """A misspelt key is refused with the known ones; provenance and source are free."""
-    path = write("x: 1\nomega: 2\nprovenance: derived\nsource: a book\nnote: so")
-    root = load_yaml(path)
-    Number("").take(root, "x")
-    said = refusal(lambda: root.refuse_unknown(()), path)
-    assert said.endswith("omega is not a known key; accepted: x")
-    assert root.provenance == "derived"
-    assert root.source == "a book"
-    Number("").take(root, "omega")
-    root.refuse_unknown(())
-
-
-def test_provenance_has_four_words(tmp_path: Path) -> None:
-    """Only published, derived, assumed and identified say where a value comes from."""
-    for word in PROVENANCE:
-        assert Section({"provenance": word}, tmp_path).provenance == word
-        assert Section({"provenance": {"x": word}}, tmp_path)
-    for wrong in (3, {"x": 3}):
-        with pytest.raises(ConfigError, match="provenance is 3; accepted: one of"):
-            Section({"provenance": wrong}, tmp_path)
+    assert read_yaml(write(text)) == {"a": both, "b": both}
 
 
 def test_the_source_tree_is_its_own_share_folder() -> None:

@@ -52,6 +52,10 @@ FAULTS: list[tuple[dict[str, Any], list[str]]] = [
     ({"stiffness": 1, "kind": {}}, ["kind.kind is missing; accepted: one of slip, plastic"]),
     ({"stiffness": 1, "kind": 3}, ["kind is 3; accepted: a mapping"]),
     (
+        {"stiffness": 1, "kind": {"knd": "slip"}},
+        ["kind.knd is not a known key (did you mean kind?); accepted: kind, share"],
+    ),
+    (
         {"stiffness": 1, "kind": {"kind": "plastic", "break_awy": 0.1}},
         ["kind.break_awy is not a known key (did you mean break_away?); accepted: kind, break_away"],
     ),

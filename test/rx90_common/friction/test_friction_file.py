@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import pickle
 import re
 import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 import yaml
@@ -18,9 +19,9 @@ from pydantic import ValidationError
 from refusals import refusal_by
 from schema_faults import validator
 
-from rx90_common.base.config import PROVENANCE, read_yaml
+from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import FileModel, unit_of
+from rx90_common.base.models import FileModel, Provenance, unit_of
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, FrictionSet, load_friction
@@ -170,7 +171,7 @@ NAMES_OF_ELEMENTS = WORDS.filter(lambda name: name not in {"source", "provenance
 @pytest.mark.slow
 @given(
     st.dictionaries(NAMES_OF_ELEMENTS, elements(), min_size=1, max_size=3),
-    st.sampled_from([None, *PROVENANCE]),
+    st.sampled_from([None, *get_args(Provenance)]),
     st.none() | WORDS,
     st.none() | st.dictionaries(WORDS.filter(lambda name: name != "provenance"), REMARKS),
 )
@@ -289,3 +290,10 @@ def test_velocities_that_can_hardly_be_divided_by() -> None:
         assert least.steady_torque([-6.0, 0.0, 6.0]).tolist() == [-109.0, 0.0, 109.0]
         assert element_arrays([least])["inverse_omega_s"][0] == pytest.approx([1e9])
         assert math.isinf(least.passivity_limit(6.0))
+
+
+def test_elements_and_files_go_to_other_processes(shipped: Setup, shipped_files: RobotFiles) -> None:
+    """What a sweep sends to its workers comes back equal."""
+    file = FrictionFile.read(shipped_files.friction)
+    assert pickle.loads(pickle.dumps(file)) == file
+    assert pickle.loads(pickle.dumps(shipped)).friction == shipped.friction

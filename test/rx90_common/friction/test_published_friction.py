@@ -287,7 +287,7 @@ def test_the_rig_takes_a_line_of_a_friction_file(tmp_path: Path) -> None:
     content["emulation"]["joint_friction"]["lugre"] = read_yaml(published)["elements"]["joint_1"]
     path = tmp_path / "rig.yaml"
     path.write_text(yaml_text(content), encoding="utf-8")
-    assert load_rig(path).plant.joint == FrictionFile.read(published).elements["joint_1"]
+    assert load_rig(path).emulation.joint == FrictionFile.read(published).elements["joint_1"]
 
 
 MEASURED = Path(__file__).parents[3] / "docs" / "explanation" / "measured.md"

@@ -23,12 +23,17 @@ import rclpy
 from rclpy.node import Node
 from rx90_common.base.errors import ConfigError
 from rx90_common.exchange import lifecycle
-from rx90_common.exchange.parameters import declare
+from rx90_common.exchange.parameters import NodeModel, NodeParameters, checked
+from rx90_common.base.models import quantity
+from typing import Annotated
+
+class Parameters(NodeModel):
+    value: Annotated[float, quantity("1", "A number.", ge=0.0, le=2.0)] = 1.0
 
 class Stub:
     def __init__(self):
-        self.node = Node("stub")
-        self.value = declare(self.node, "value", 1.0, "a number", low=0.0, high=2.0)
+        self.node = Node("stub", automatically_declare_parameters_from_overrides=True)
+        self.value = checked(Parameters, NodeParameters(self.node).values).value
         if self.value == 2.0:
             raise ConfigError("value is 2; accepted: less")
         self.running = True
@@ -98,8 +103,8 @@ def test_a_signal_ends_in_order_and_silently(
     [
         (("--ros-args", "-p", "value:=2.0"), "value is 2; accepted: less"),
         (("--ros-args", "-p", "value:=0.5"), "the ticks have ended"),
-        (("--ros-args", "-p", "value:=5.0"), "parameter value is 5.0; accepted: float in [0, 2]"),
-        (("--ros-args", "-p", "value:=high"), "parameter value is 'high'; accepted: float in [0, 2]"),
+        (("--ros-args", "-p", "value:=5.0"), "parameter value is 5.0; accepted: a number in [0, 2]"),
+        (("--ros-args", "-p", "value:=high"), "parameter value is 'high'; accepted: a number in [0, 2]"),
         (("--ros-args", "-p", "value"), "ROS arguments --ros-args -p value: refused ("),
     ],
 )

@@ -20,8 +20,9 @@ from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
+from rx90_common.exchange.parameters import leaves
 from rx90_emulator.configuration.check import kind_named
-from rx90_emulator.configuration.nodes import NODES, declared
+from rx90_emulator.configuration.nodes import NODES, node_values
 from tools import schemas
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -127,26 +128,28 @@ def test_declared_parameters_are_those_of_running_nodes(node: str) -> None:
     rows = re.findall(r"^\| `([^`]+)` \| `([^`]*)` \| ([^|]*) \|", table[1], re.MULTILINE)
     joints = [f"joint_{k}" for k in range(1, 7)]
     every = [(name.replace("<joint>", joint), *rest) for name, *rest in rows for joint in joints]
-    parameters = declared(node)
+    parameters = {name: (value, field) for name, value, field in leaves(node_values(node, {}))}
     # What the robot says, and nobody chooses, is compared with it instead: see the next test.
-    every = [row for row in every if row[0] not in ("joints", "command_interfaces", "state_interfaces")]
-    assert {name for name, *_ in every} == set(parameters.entries)
+    arms = ("joints", "command_interfaces", "state_interfaces")
+    every = [row for row in every if row[0] not in arms]
+    assert {name for name, *_ in every} == parameters.keys() - {*arms}
     for name, default, accepted in every:
-        assert parameters.values[name] == yaml.safe_load(default), name
-        rules = parameters.entries[name].rules()
+        value, field = parameters[name]
+        assert value == tuple(found) if isinstance(found := yaml.safe_load(default), list) else value == found, name
         ends = re.fullmatch(r"([\d.,e-]+) to ([\d.,e+]+)", accepted.strip())
         if ends is not None:
-            assert (rules["minimum"], rules["maximum"]) == tuple(float(end.replace(",", "")) for end in ends.groups())
+            bounds = [rule.ge if hasattr(rule, "ge") else rule.le for rule in field.metadata]
+            assert bounds == [float(end.replace(",", "")) for end in ends.groups()]
 
 
 def test_what_joint_trajectory_controller_alone_has_is_taken_out() -> None:
     """Its parameters without a counterpart are no parameters of the node, nor unknown."""
     joints = [f"joint_{k}" for k in (6, 1, 2, 3, 4, 5)]
-    parameters = declared("rx90_controller", {"joints": joints, "gains.joint_1.p": 1.0, "cmd_timeout": 0.0})
-    assert parameters.values == declared("rx90_controller").values
-    for name in ("gain.joint_1.p", "interpolation_methods", "joint"):
-        with pytest.raises(ConfigError, match=f"parameter {name} is unknown to rx90_controller"):
-            declared("rx90_controller", {name: 1.0})
+    given = {"joints": joints, "gains.joint_1.p": 1.0, "cmd_timeout": 0.0}
+    assert node_values("rx90_controller", given) == node_values("rx90_controller", {})
+    for name in ("gain", "interpolation_methods", "joint"):
+        with pytest.raises(ConfigError, match=f"parameter {name} is not a known key"):
+            node_values("rx90_controller", {name: 1.0})
 
 
 def test_the_shipped_values_say_that_they_are_assumed(shipped_files: RobotFiles) -> None:

@@ -176,7 +176,7 @@ def test_a_viscous_exponent_is_found_where_there_is_one(
     file = tmp_path / "friction.yaml"
     file.write_text(friction_text(result), encoding="utf-8")
     read = FrictionFile.read(file)
-    assert [element.alpha != 1.0 for element in read.elements.values()] == [e == joint for e in range(7)]
+    assert [element.alpha != 1.0 for element in read.elements.entries.values()] == [e == joint for e in range(7)]
     assert read.elements[f"joint_{joint + 1}"].alpha == pytest.approx(found["alpha"].value, rel=1e-5)
     assert read.identification is not None
     assert read.identification["parameters"][f"joint_{joint + 1}"]["alpha"]["provenance"] == "identified"

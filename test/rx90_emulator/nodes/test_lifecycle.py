@@ -59,7 +59,7 @@ def test_a_pair_goes_through_its_states(processes: Processes, client: Client) ->
     # A configuration that is refused leaves the node as it was.
     assert client.set_parameters(CONTROLLER, controller="robots/tx40/drives.yaml") == [""]
     assert not client.transition(CONTROLLER, "configure")
-    controller.wait_for("cannot configure: .*drives.yaml: brake is not a known key; accepted: .*servo")
+    controller.wait_for("cannot configure: .*drives.yaml: transmission is not a known key; accepted: .*servo")
     assert client.state(CONTROLLER) == "unconfigured"
     (reason,) = client.set_parameters(CONTROLLER, robot="nowhere")
     assert reason.startswith("robot 'nowhere': no such folder; accepted: panda, rx90b, rx90b/paper, tx40")
