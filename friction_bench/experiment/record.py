@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import IdentificationError, Rx90Error
+from rx90_common.base.errors import ConfigError, IdentificationError, Rx90Error
 from rx90_common.base.quoting import counted, quoted
+from rx90_common.base.text_lines import read_lines
 from rx90_common.process.files import atomic_files
 
 CSV_COLUMNS = ("time", "counts", "torque", "measured_torque")
@@ -152,10 +153,11 @@ class RampRecord:
 def _rows(path: Path, split: Callable[[str], list[str]]) -> list[tuple[int, list[str]]]:
     """Return number and fields of each line that holds some; lines that start with # or % are comments."""
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()  # a byte order mark is Excel's
-        rows = [(number, split(line)) for number, line in enumerate(lines, 1)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        rows = [(number, split(line)) for number, line in enumerate(read_lines(path), 1)]
+    except csv.Error as error:
         raise RecordError(f"{path}: cannot be read ({error})") from error
+    except ConfigError as error:
+        raise RecordError(str(error)) from error
     return [(number, row) for number, row in rows if any(row) and not row[0].startswith(("#", "%"))]
 
 

@@ -13,7 +13,7 @@ from rx90_common.bags.topics import FIELDS
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
-from rx90_common.exchange.cdr import ENCAPSULATION, HEAD, LITTLE_ENDIAN, cdr_stamps_ns
+from rx90_common.exchange.cdr_stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN, cdr_stamps_ns
 
 Deserialize = Callable[[bytes], Any]
 

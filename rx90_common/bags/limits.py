@@ -55,9 +55,9 @@ def check_length(noun: str, length: int, most: int) -> None:
         raise DamagedError(f"{noun}: {length:,} bytes unpacked; accepted: up to {most:,}")
 
 
-def check_arrays(path: Path, length: int) -> None:
-    """Refuse a file whose arrays would unpack to far more than its size."""
-    check_length("its arrays together", length, max(_MAX_ARRAYS_BYTES, _MAX_ARRAYS_FACTOR * path.stat().st_size))
+def check_whole(path: Path, noun: str, length: int) -> None:
+    """Refuse a file whose parts together would unpack to far more than its size."""
+    check_length(f"its {noun} together", length, max(_MAX_ARRAYS_BYTES, _MAX_ARRAYS_FACTOR * path.stat().st_size))
 
 
 def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
@@ -68,7 +68,7 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     """
     with library_errors():
         with zipfile.ZipFile(path) as archive:
-            check_arrays(path, sum(member.file_size for member in archive.infolist()))
+            check_whole(path, "arrays", sum(member.file_size for member in archive.infolist()))
         with np.load(path, allow_pickle=False) as arrays:
             return dict(arrays)
 
@@ -102,6 +102,7 @@ def check_ros1_chunks(path: Path) -> None:
     """
     data = np.memmap(path, np.uint8, "r").data
     at = len(ROS1_MAGIC)
+    whole = 0
     while at + _LENGTH.size <= len(data):
         fields, begin = _ros1_part(data, at)
         content, at = _ros1_part(data, begin)
@@ -110,7 +111,8 @@ def check_ros1_chunks(path: Path) -> None:
             return
         if values.get("op") == _ROS1_CHUNK:
             with library_errors(f"the chunk at byte {begin}: "):
-                _check_ros1_chunk(values, content)
+                whole += _ros1_chunk_size(values, content)
+            check_whole(path, "chunks", whole)
 
 
 def _ros1_part(data: memoryview, at: int) -> tuple[memoryview, int]:
@@ -130,12 +132,13 @@ def _ros1_fields(part: memoryview) -> dict[str, bytes]:
     return values
 
 
-def _check_ros1_chunk(values: dict[str, bytes], content: memoryview) -> None:
+def _ros1_chunk_size(values: dict[str, bytes], content: memoryview) -> int:
     size = int.from_bytes(values.get("size", b""), "little")
     check_length("its content", max(size, len(content)), MAX_CHUNK_BYTES)
     kind: Any = _ROS1_COMPRESSIONS.get(values.get("compression", b""))
     if len(content if kind is None else kind().decompress(content.tobytes(), size + 1)) != size:
         raise DamagedError(f"unpacks to another length than {size:,} bytes, which its head says")
+    return size
 
 
 def unpack_chunk(chunk: Chunk) -> bytes:

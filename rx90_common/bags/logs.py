@@ -27,7 +27,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
-from rx90_common.bags.limits import DamagedError, check_arrays, library_errors, load_arrays
+from rx90_common.bags.limits import DamagedError, check_whole, library_errors, load_arrays
 from rx90_common.bags.mapping import ARRAYS, DELIMITERS, SECONDS, UNITS, Column, LogMapping, mapping_of
 from rx90_common.bags.topics import absolute
 from rx90_common.bags.writing import write_joint_states
@@ -288,6 +288,9 @@ def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tu
     return time, used
 
 
+_NUMBERS = (pa.types.is_floating, pa.types.is_integer, pa.types.is_timestamp)
+
+
 def _open_arrays(path: Path, more: Callable[[int], object]) -> _Source:
     """Open a log of arrays: columns of Parquet; of NPZ those of shape (n,), and each column of (n, k), as `q[0]`."""
     arrays: dict[str, NDArray[Any]] = {}
@@ -296,13 +299,15 @@ def _open_arrays(path: Path, more: Callable[[int], object]) -> _Source:
         with library_errors():
             if parquet:
                 about = pq.read_metadata(path)
-                check_arrays(path, 8 * about.num_rows * about.num_columns)
-                table = pq.read_table(path, page_checksum_verification=True)
+                check_whole(path, "arrays", 8 * about.num_rows * about.num_columns)
+                # Not the texts beside the numbers, which may unpack to any length.
+                numbers = [
+                    field.name for field in pq.read_schema(path) if any(is_kind(field.type) for is_kind in _NUMBERS)
+                ]
+                table = pq.read_table(path, columns=numbers, page_checksum_verification=True)
                 for name, column in zip(table.column_names, table.columns, strict=True):
-                    if pa.types.is_floating(column.type) or pa.types.is_integer(column.type):
-                        arrays[name] = column.to_numpy()
-                    elif pa.types.is_timestamp(column.type):
-                        arrays[name] = column.cast(pa.timestamp("ns")).to_numpy()
+                    stamps = pa.types.is_timestamp(column.type)
+                    arrays[name] = (column.cast(pa.timestamp("ns")) if stamps else column).to_numpy()
             else:
                 for name, values in load_arrays(path).items():
                     if values.dtype.kind in "fiuM" and values.ndim == 1:

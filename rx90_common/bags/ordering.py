@@ -17,7 +17,7 @@ import numpy as np
 
 from rx90_common.bags.joint_series import Int64Array
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr import ENCAPSULATION, HEAD, cdr_stamp_ns
+from rx90_common.exchange.cdr_stamps import ENCAPSULATION, HEAD, cdr_stamp_ns
 
 _HOLD_NS = 500_000_000  # of simulated time; far above the differences between topics
 _RESEND_NS = 1_000_000_000  # of the wall clock; a lost message delays its topic by several heartbeats

@@ -36,6 +36,7 @@ from rx90_common.bags.limits import (
     DamagedError,
     check_length,
     check_ros1_chunks,
+    check_whole,
     library_errors,
     unpack_chunk,
     unpack_file,
@@ -187,6 +188,7 @@ class _McapFile(StorageFile):
         self._chunks = sorted(summary.chunk_indexes, key=attrgetter("message_start_time"))
         if sum(index.chunk_length for index in self._chunks) > size:
             raise DamagedError("its index has more chunks than it can hold")
+        check_whole(path, "chunks", sum(index.uncompressed_size for index in self._chunks))
         counts: dict[int, int] = Counter()
         if summary.statistics is not None and summary.channels:
             counts = summary.statistics.channel_message_counts
@@ -240,6 +242,8 @@ class _McapFile(StorageFile):
                         raise DamagedError("its index leads to no chunk")
                     check_length("a chunk", length, MAX_CHUNK_BYTES)
                     chunk = Chunk.read(ReadDataStream(stream))
+                    if chunk.uncompressed_size != index.uncompressed_size:
+                        raise DamagedError("its index states another length")
                     part = _messages_in(self._content(chunk), keys)
                     if not all(chunk.message_start_time <= log_ns <= chunk.message_end_time for _, log_ns, _ in part):
                         raise DamagedError("its messages have other times than its head says")
@@ -254,8 +258,11 @@ class _McapFile(StorageFile):
         """Yield the records of the file, and those in its chunks, as they stand in it."""
         with self._path.open("rb") as stream:
             reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_CHUNK_BYTES)
+            whole = 0
             for record in reader.records:
                 if isinstance(record, Chunk):
+                    whole += record.uncompressed_size
+                    check_whole(self._path, "chunks", whole)
                     yield from breakup_chunk(replace(record, data=self._content(record), compression=""))
                 else:
                     yield record

@@ -19,7 +19,7 @@ from rx90_common.bags.writing import typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
-from rx90_common.exchange.cdr import cdr_stamp_ns
+from rx90_common.exchange.cdr_stamps import cdr_stamp_ns
 
 _GAP = 1.5  # times the median interval between two messages
 _ENOUGH_FOR_GAPS = 3

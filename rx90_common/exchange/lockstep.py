@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr import cdr_stamp_ns
+from rx90_common.exchange.cdr_stamps import cdr_stamp_ns
 from rx90_common.exchange.channel import TickChannel
 
 _SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at

@@ -26,7 +26,8 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
-from rx90_common.exchange.cdr import ENCAPSULATION, CdrBody
+from rx90_common.exchange.cdr import CdrBody
+from rx90_common.exchange.cdr_stamps import ENCAPSULATION
 from rx90_common.exchange.channel import TickChannel
 from rx90_common.exchange.endpoints import LATCHED_QOS, REQUEST_QOS, STATE_QOS, publish, ros_time, subscribe
 from rx90_common.exchange.pacing import error_log

@@ -101,7 +101,13 @@ class Constraints(Model):
         quantity("s", "How long after its end a motion may take to be at its goal; 0: for ever.", ge=0.0, le=_LARGEST),
     ] = 0.0
     stopped_velocity_tolerance: Annotated[
-        float, quantity("rad/s", "Velocity that a joint may have at the goal; 0: any.", ge=0.0, le=_LARGEST)
+        float,
+        quantity(
+            "rad/s",
+            "Velocity at the goal; without effect, as in joint_trajectory_controller with commands of position.",
+            ge=0.0,
+            le=_LARGEST,
+        ),
     ] = 0.01
 
     @property
@@ -173,17 +179,21 @@ class GoalTolerances:
         return GoalTolerances(self.names, tables[0], tables[1], most)
 
     def worst(self, error: Array, limit: Array) -> str | None:
-        """Return the relatively largest violation of a tolerance, in words; None without one; shape (3, j) each."""
-        beyond = ~(np.abs(error) <= limit) & np.isfinite(limit)
+        """Return the relatively largest violation of a tolerance of position, in words; None without one.
+
+        joint_trajectory_controller leaves the errors of velocity and acceleration at 0 where it commands positions.
+
+        Args:
+            error: of position, rad, shape (j,).
+            limit: one of `path` and `goal`.
+        """
+        accepted = limit[0]
+        beyond = ~(np.abs(error) <= accepted) & np.isfinite(accepted)
         if not beyond.any():
             return None
-        share = np.where(beyond, np.nan_to_num(np.abs(error) / limit, nan=np.inf), -1.0)
-        row, joint = divmod(int(np.argmax(share)), error.shape[1])
-        field, unit = _QUANTITIES[row]
-        return (
-            f"{self.names[joint]}: {field} error {error[row, joint]:.4g} {unit}, accepted up to "
-            f"{limit[row, joint]:.4g} {unit}"
-        )
+        share = np.where(beyond, np.nan_to_num(np.abs(error) / accepted, nan=np.inf), -1.0)
+        joint = int(np.argmax(share))
+        return f"{self.names[joint]}: position error {error[joint]:.4g} rad, accepted up to {accepted[joint]:.4g} rad"
 
 
 def _resolved(what: str, unit: str, value: float, default: float) -> float:
@@ -310,7 +320,7 @@ class TrajectoryRequest:
         if first:
             self.state = State.FOLLOWED
             self._began = tick
-        error = desired - actual
+        error = desired[0] - actual[0]
         self.feedback = Feedback(tick, desired, actual, time, (tick - self._began) * period)
         reached = time >= last
         now = f"{tick * period:.6g} s"

@@ -16,8 +16,10 @@ from rx90_common.base.models import FileModel, JsonSchema, Place, read_model, sc
 from rx90_common.base.quoting import listed, one_line, plain, quoted
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
+from rx90_controller.lines.task import load_task
 from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind, MoveItLimits
 from rx90_emulator.identification.experiments.plan import INDEX, Poses
+from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.setup import Setup
 
 _LINE = re.compile(r"\bline (\d+)")
@@ -142,7 +144,7 @@ def _with_line(path: Path, error: Rx90Error, lines: Mapping[str, int]) -> str:
 def _check_robot(folder: Path) -> list[CheckedFile]:
     """Check the files of a robot folder one by one and, if there is nothing wrong in them, together.
 
-    Together: names of joints in all files, poses and limits, missing files.
+    Together: names of joints in all files, poses, limits, whether the arm can travel the task's line, missing files.
     """
     files = RobotFiles.named(str(folder))
     limits = folder / "moveit/joint_limits.yaml"
@@ -161,7 +163,12 @@ def _check_robot(folder: Path) -> list[CheckedFile]:
         return found
     faults = _faults_of(lambda: Setup.load(files).plant())
     if not faults:
-        robot = load_robot(files.urdf, files.tool)
+        setup = Setup.load(files)
+        robot = setup.robot
+        task = files.task
+        if task is not None:
+            refused = _faults_of(lambda: plan_path(setup, load_task(task)))
+            faults += [ConfigError(f"{plain(task)}: {error}") for error in refused]
         poses = files.poses
         if poses is not None:
             refused = _faults_of(lambda: Poses.load(poses).check(robot))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -20,6 +20,7 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, warn_caller
 from rx90_common.base.quoting import counted, plain, quoted
+from rx90_common.base.text_lines import read_bytes, read_lines
 from rx90_common.description.rotations import length, rpy_rotation
 from rx90_controller.paths.curve import KINK
 from rx90_controller.paths.path import Segment
@@ -27,8 +28,8 @@ from rx90_controller.paths.path import Segment
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 25.4e-3}
 """Units of drawings, m."""
 _DXF_UNITS = {1: "in", 4: "mm", 5: "cm", 6: "m"}
-_MOST_BYTES = 16 << 20
 _MOST_POINTS = 50_000  # what a spline through them needs is some 200 MB
+_MOST_DXF_LINES = 2_000_000  # two a tag; an entity takes a few, and some 400 bytes
 _JOIN_TOLERANCE = 1e-4  # of the drawing's unit: ends closer than this are one
 SPLINE_TOLERANCE = 1e-5
 """How far a path may be off a drawing's spline, m."""
@@ -42,13 +43,11 @@ _SECANT = 1e-3
 _HEAD = re.compile(r"\s*(\w+)\s*(?:\[\s*(\w+)\s*\])?\s*")
 
 
-def _lines_of(file: Path) -> list[str]:
+def _cells(file: Path, delimiter: str, lines: Sequence[str], asked: str) -> Iterator[list[str]]:
     try:
-        if file.stat().st_size > _MOST_BYTES:
-            raise ConfigError(f"{plain(file)}: holds more than {_MOST_BYTES:,} bytes; accepted: up to that")
-        return file.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{plain(file)}: cannot be read ({error}); accepted: a text file") from error
+        yield from csv.reader(lines, delimiter=delimiter, skipinitialspace=True)
+    except csv.Error as error:
+        raise ConfigError(f"{plain(file)}: {error}; accepted: lines of {asked}") from error
 
 
 def read_columns(file: Path, names: Sequence[str]) -> tuple[Array, list[str | None]]:
@@ -61,18 +60,14 @@ def read_columns(file: Path, names: Sequence[str]) -> tuple[Array, list[str | No
     Returns:
         The numbers, (n, columns), and the unit that each title has.
     """
-    lines = _lines_of(file)
+    lines = read_lines(file)
     asked = ", ".join(names)
     first = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
     delimiter = next((each for each in ",;\t" if each in first), " ")
     rows: list[list[float]] = []
     columns = list(range(len(names)))
     units = list[str | None]()
-    try:
-        table = list(csv.reader(lines, delimiter=delimiter, skipinitialspace=True))
-    except csv.Error as error:
-        raise ConfigError(f"{plain(file)}: {error}; accepted: lines of {asked}") from error
-    for number, row in enumerate(table, 1):
+    for number, row in enumerate(_cells(file, delimiter, lines, asked), 1):
         cells = [cell for cell in row if cell.strip()] if delimiter == " " else row
         if not any(cell.strip() for cell in cells) or cells[0].lstrip().startswith("#"):
             continue
@@ -131,8 +126,6 @@ class Drawing:
         unit, start, segments = self._dxf() if kind == ".dxf" else self._csv()
         if not segments:
             self._refuse("holds no path; accepted: two different points or more")
-        if (count := sum(len(one.points) for one in segments)) > _MOST_POINTS:
-            self._refuse(f"holds {count:,} points; accepted: up to {_MOST_POINTS:,}")
         turn = rpy_rotation(self.rpy)
         origin = np.array(self.origin)
 
@@ -168,8 +161,13 @@ class Drawing:
     def _refuse(self, text: str) -> NoReturn:
         raise ConfigError(f"{plain(self.file)}: {text}")
 
+    def _check_count(self, count: int) -> None:
+        if count > _MOST_POINTS:
+            self._refuse(f"holds {count:,} points; accepted: up to {_MOST_POINTS:,}")
+
     def _csv(self) -> tuple[str, Any, list[Segment]]:
         table, units = read_columns(self.file, "xyz")
+        self._check_count(len(table))
         if len(set(units)) > 1 or units[0] not in (None, *UNITS):
             named = ", ".join(str(unit) for unit in units)
             self._refuse(f"units {named}; accepted: one of {', '.join(UNITS)} for all")
@@ -196,10 +194,14 @@ class Drawing:
         from ezdxf.filemanagement import readfile  # here, because only drawings need it
         from ezdxf.lldxf.const import DXFError
 
+        content = read_bytes(self.file)
+        lines = sum(content.count(end) for end in (b"\n", b"\r", b"\0")) - content.count(b"\r\n")
+        if lines > _MOST_DXF_LINES:
+            self._refuse(f"holds {lines:,} lines; accepted: up to {_MOST_DXF_LINES:,}")
         try:
             document = readfile(self.file)
             space = document.modelspace()
-            unit = self._dxf_unit(document)
+            unit = self._dxf_unit(document, named=b"$INSUNITS" in content)
             drawn = [
                 one
                 for entity in space
@@ -212,16 +214,15 @@ class Drawing:
             known = sorted({entity.dxf.layer for entity in space})
             where = "" if self.layer is None else f" on the layer {quoted(self.layer)} (there are {', '.join(known)})"
             self._refuse(f"holds no path{where}; accepted: lines, arcs and splines")
+        self._check_count(sum(len(segment.points) for _, segment in drawn))
         return unit, *self._chained(drawn)
 
-    def _dxf_unit(self, document: Any) -> str:
+    def _dxf_unit(self, document: Any, *, named: bool) -> str:
         """Return the user's unit, else that of the drawing; ezdxf has one also for a drawing without header."""
-        named = None
-        if b"$INSUNITS" in self.file.read_bytes():
-            named = _DXF_UNITS.get(document.header.get("$INSUNITS", 0))
-        if self.unit is None or self.unit == named:
-            return self._unit(named)
-        said = "names no unit" if named is None else f"is in {named}"
+        unit = _DXF_UNITS.get(document.header.get("$INSUNITS", 0)) if named else None
+        if self.unit is None or self.unit == unit:
+            return self._unit(unit)
+        said = "names no unit" if unit is None else f"is in {unit}"
         warn_caller([f"{plain(self.file)}: {said}; read in {self.unit}, as its unit in the path says"])
         return self.unit
 

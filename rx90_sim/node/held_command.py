@@ -13,7 +13,8 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr import JointStateCodec, cdr_stamp_ns
+from rx90_common.exchange.cdr import JointStateCodec
+from rx90_common.exchange.cdr_stamps import cdr_stamp_ns
 from rx90_common.exchange.channel import TickChannel
 from rx90_common.exchange.endpoints import TICK_QOS
 from rx90_common.exchange.lockstep import stamped

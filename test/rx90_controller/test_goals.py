@@ -223,42 +223,39 @@ def test_what_ends_the_following_ends_the_goal() -> None:
     assert np.all(arm.setpoints[-1][0] != HOME)
 
 
-@pytest.mark.parametrize(
-    ("goal", "row", "amount", "said"),
-    [
-        ({"path_tolerance": [tolerance("joint_4", 0.02)]}, 0, 0.03, "position error 0.03 rad, accepted up to 0.02 rad"),
-        ({"path_tolerance": [tolerance("joint_4", 0.0, 0.3)]}, 1, -0.4, "velocity error -0.4 rad/s, accepted up to 0.3 "
-         "rad/s"),
-    ],
-)  # fmt: skip
 @pytest.mark.parametrize("at", [0, 250])
-def test_a_path_tolerance_holds_from_the_first_sample_on(
-    goal: dict[str, Any], row: int, amount: float, said: str, at: int
-) -> None:
+def test_a_path_tolerance_holds_from_the_first_sample_on(at: int) -> None:
     """Beyond it in any sample: code -4 with joint, amount, limit and time, and a stop along the path."""
     arm = Arm()
-    arm.offer("a", message(**goal))
+    arm.offer("a", message(path_tolerance=[tolerance("joint_4", 0.02)]))
     assert arm.run(at) == []
-    (arm.off, arm.off_speed)[row][3] = amount
+    arm.off[3] = 0.03
     event = arm.run(1)[0]
     assert event[1:3] == (State.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED)
     time = f"{at * PERIOD:g} s"
+    said = "position error 0.03 rad, accepted up to 0.02 rad"
     assert event.text == f"joint_4: {said} along the path, at {time}, {time} on the trajectory"
     assert arm.run(300) == []
     assert arm.stopped_smoothly()
     assert np.abs(arm.setpoints[-1][0] - HOME).max() < 0.15
 
 
-def test_the_first_sample_is_held_to_the_path_and_has_no_acceleration_of_its_own() -> None:
-    """Also where it is the last point; the difference to a velocity of before nobody measured is no acceleration."""
+def test_the_first_sample_is_held_to_the_path() -> None:
+    """Also where it is the last point."""
     arm = Arm()
     arm.off[0] = 0.02
     arm.offer("there", message(to=HOME, seconds=0.0, path_tolerance=[tolerance("joint_1", 0.01)]))
     assert arm.run(1)[0].code is ResultCode.PATH_TOLERANCE_VIOLATED
-    arm.off[0], arm.off_speed[0] = 0.0, 0.5
-    arm.run(10)
-    arm.offer("a", message(path_tolerance=[tolerance("joint_1", 0.0, 0.0, 8.0)]))
-    assert arm.run(10) == []
+
+
+def test_tolerances_of_velocity_and_acceleration_end_nothing() -> None:
+    """As in joint_trajectory_controller with commands of position, along the path as at the goal."""
+    arm = Arm()
+    narrow = [tolerance("joint_1", 0.0, 0.01, 0.01)]
+    arm.offer("a", message(path_tolerance=narrow, goal_tolerance=narrow, goal_time_tolerance=stamp(0.1)))
+    arm.off_speed[0] = 0.5
+    (event,) = arm.run(700)
+    assert event[1:3] == (State.SUCCEEDED, ResultCode.SUCCESSFUL)
 
 
 def test_a_goal_is_reached_once_its_tolerances_hold() -> None:

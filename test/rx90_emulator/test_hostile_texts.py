@@ -8,23 +8,26 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import yaml
 from foreign_arms import drive_torque, write
 from hostile_texts import TEXTS, check_harmless, hostile, hostile_robot
 from report_pages import ReportCheck
-from rx90_common.report.plot import Curve, Heat, Panel, Plot
 from two_joints import CURVES, NAMES, RATE, Bench, fourier
 
 import rx90_emulator as rx
 from rx90_common.bags.comparison import compare_bags
 from rx90_common.base.share import SOURCE_RIG, config_path
+from rx90_common.report.charts import chart
 from rx90_common.report.page import render_page
 from rx90_controller.lines.task import load_task
 from rx90_emulator.cli.frame import run
 from rx90_emulator.conformance.battery import Nominal, run_cs7b, step
 from rx90_emulator.conformance.check import CaseResult, CheckResult
 from rx90_emulator.demo.demonstration import RunReport
+from rx90_emulator.identification.output.plots import correlation
 from rx90_emulator.loop.setup import Setup
 
 _NOTE_CANVAS = """() => {
@@ -108,15 +111,23 @@ def _ramped(_arm: Arm, page: Path) -> None:
     (out / "report.html").rename(page)
 
 
+def _mapped(_arm: Arm, page: Path) -> None:
+    table = page.parent / "<img src=x onerror=window.ran=1>.parquet"
+    signals = page.with_suffix(".yaml")
+    times = np.arange(0.0, 1.0, 0.01)
+    pq.write_table(pa.table({"time": times, **dict.fromkeys(TEXTS, times)}), table)
+    places = {"time": {"column": "time", "unit": "s"}, "position": {"columns": list(TEXTS), "unit": "rad"}}
+    signals.write_text(yaml.safe_dump({"names": list(TEXTS), **places}), encoding="utf-8")
+    assert run("rx90_bag", ["plot", str(table), "--signals", str(signals), "-o", str(page)]) == 0
+
+
 def _drawn(_arm: Arm, page: Path) -> None:
-    x = np.linspace(0.0, 1.0, 9)
-    plots = [Plot([Panel([Curve(x, x, text)], text, text, text)]) for text in TEXTS]
-    plots.append(Plot([Heat(TEXTS, 0.5 * np.eye(len(TEXTS)), TEXTS[0])]))
-    rows = [
-        {"topic": text, "messages": [text], "differences": [], "plot": plot}
-        for text, plot in zip((*TEXTS, "heat"), plots, strict=True)
-    ]
-    named = {"names": TEXTS, "paths": TEXTS, "plots": rows, "robots": TEXTS[0]}
+    figures = [chart(text, text, text) for text in TEXTS]
+    for shown, text in zip(figures, TEXTS, strict=True):
+        shown.line([0.0, 1.0], [0.0, 1.0], name=text)
+    plots = [{"topic": text, "messages": [text], "differences": []} for text in (*TEXTS, "heat")]
+    drawn = [*([shown] for shown in figures), [correlation(TEXTS, np.eye(len(TEXTS)), TEXTS[0])]]
+    named = {"names": TEXTS, "paths": TEXTS, "plots": plots, "figures": drawn, "robots": TEXTS[0]}
     page.write_text(render_page("rx90_common.bags", "bag.html.j2", **named), encoding="utf-8")
 
 
@@ -130,6 +141,7 @@ def _drawn(_arm: Arm, page: Path) -> None:
         (_checked, 6),
         (_identified, 2),
         (_ramped, 0),
+        (_mapped, 6),
         (_drawn, 6),
     ],
 )
@@ -141,8 +153,9 @@ def test_a_report_shows_texts_as_texts(
     make(arm, page)
     report = check_report.open(page)
     report.page.evaluate(_NOTE_CANVAS)
-    for number in range(report.page.locator("figure.plot").count()):
-        report.plot(number)
+    report.page.set_viewport_size({"width": 900, "height": 900})  # so that plots are drawn again
+    for place in report.page.locator("figure.plot").all():
+        place.hover()
     check_harmless(report, *TEXTS[:visible])
     assert report.faults == []
     if make is _drawn:

@@ -15,7 +15,7 @@ from processes import TIMEOUT, wait_until
 from benchmarks.any_arm import write_arm
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
-from rx90_common.exchange.cdr import cdr_stamp_ns
+from rx90_common.exchange.cdr_stamps import cdr_stamp_ns
 from rx90_emulator.loop.own_controller import run_controller
 from rx90_emulator.loop.setup import Setup, load_setup
 from rx90_sim.node import publications

@@ -23,14 +23,20 @@ TEXTS = (
 """One for each joint of an arm."""
 JOINTS = {f"joint_{k}": text for k, text in enumerate(TEXTS, 1)}
 _KEPT = {"base_link", "tool0"}  # which the tool is attached to
-_FOUND = """() => {
+_ROOTS = """() => {
     const roots = [document];
     for (const root of roots)
         for (const part of root.querySelectorAll('*')) if (part.shadowRoot) roots.push(part.shadowRoot);
+"""
+_SHOWN = f"{_ROOTS} return roots.flatMap(root => [...root.children].map(part => part.innerText)).join('\\n'); }}"
+_FOUND = (
+    _ROOTS
+    + """
     const bad = 'img:not([src^="data:"]), iframe, object, embed, [href^="javascript"], [onerror], [onmouseover]';
     const made = roots.flatMap(root => [...root.querySelectorAll(bad)].map(part => part.outerHTML));
     return window.ran ? [...made, 'a script ran'] : made;
 }"""
+)
 
 
 def hostile(content: Any) -> Any:
@@ -66,6 +72,6 @@ def check_harmless(shown: BrowserPage | ReportPage, *visible: str) -> None:
     """Fail if a page runs or builds anything out of a text, asks for anything elsewhere, or does not show a text."""
     made = shown.page.evaluate(_FOUND)
     assert made == [], made
-    text = shown.page.inner_text("body")
+    text = shown.page.evaluate(_SHOWN)
     hidden = [part for part in visible if part not in text]
     assert hidden == [], text

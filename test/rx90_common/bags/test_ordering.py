@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rx90_common.bags.ordering import Arrived, Dated, LogOrder, TimeSource, head_stamps_ns
-from rx90_common.exchange.cdr import cdr_stamp_ns
+from rx90_common.exchange.cdr_stamps import cdr_stamp_ns
 
 MS = 1_000_000
 LIST_OF_ONE = b"\x00\x01\x00\x00\x01\x00\x00\x00"  # encapsulation and length

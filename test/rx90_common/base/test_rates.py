@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import NANOSECONDS, Rates, message_time_ns, ticks_per
-from rx90_common.exchange.cdr import LITTLE_ENDIAN, cdr_stamp_ns, cdr_stamps_ns
+from rx90_common.exchange.cdr_stamps import LITTLE_ENDIAN, cdr_stamp_ns, cdr_stamps_ns
 
 
 @pytest.mark.parametrize(("base", "position"), [(4000, 1000), (8000, 500), (1, 1), (10000, 10000)])

@@ -118,6 +118,8 @@ def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captu
         ("moveit/joint_limits.yaml", ("joint_2:", "elbow:"), r"joint_limits.joint_2 is missing; accepted: joint_1, jo"),
         ("tool.yaml", ("inertia: [0.010", "inertia: [0.001"), r"tool.yaml:\d+: inertial.inertia is \[0.001, 0.01, "),
         ("robot.urdf", ("<robot", "<robott"), r"robot.urdf:(\d+:)? "),
+        ("robot.urdf", ('"tool0"', '"mount"'), r"robot.urdf:? link 'tool0' is None; accepted: a link of that name"),
+        ("task.yaml", ("start: [0.6,", "start: [2.6,"), r"task.yaml:? the line cannot be travelled at 0.000 m "),
     ],
 )
 def test_a_robot_folder_is_checked_as_a_whole(

@@ -298,3 +298,19 @@ def test_dxf_that_is_none_is_one_line(tmp_path: File, text: str) -> None:
     with pytest.raises(ConfigError, match="cannot be read") as refusal:
         _read(tmp_path, "part.dxf", text)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "part", "count"),
+    [
+        ("a.csv", "0,0,0\n", 500_001),
+        ("a.csv", "1", 70_000),
+        ("a.dxf", "0\n", 2_000_001),
+        ("a.dxf", "x", 1 + (16 << 20)),
+    ],
+)
+def test_a_file_that_would_take_the_memory_is_refused_unread(tmp_path: File, name: str, part: str, count: int) -> None:
+    """By its bytes, its lines, and the characters of one."""
+    (tmp_path / name).write_text(part * count)
+    with pytest.raises(Rx90Error, match=r"holds .*; accepted: up to"):
+        Drawing(tmp_path / name, unit="mm").read()

@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr import cdr_stamp_ns
+from rx90_common.exchange.cdr_stamps import cdr_stamp_ns
 
 ROS_ARGS = ("--ros-args", "-r", "__ns:=/cell_1")
 SLOW_RATES = ("-p", "base_rate:=1000", "-p", "position_rate:=250")  # for time by the clock: fewer ticks to compute

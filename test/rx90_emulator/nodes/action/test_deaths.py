@@ -15,7 +15,7 @@ from ros_client import JOINTS, Client
 from sensor_msgs.msg import JointState
 
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.cdr import cdr_stamp_ns
+from rx90_common.exchange.cdr_stamps import cdr_stamp_ns
 
 pytestmark = pytest.mark.ros
 
