@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias, TypeVar
 
@@ -309,6 +310,11 @@ def path_of(model: type[BaseModel], field: str) -> str:
     return str(extra.get("path", "")) if isinstance(extra, dict) else ""
 
 
+@cache
+def _schema_of(model: type[BaseModel]) -> JsonSchema:
+    return model.model_json_schema()
+
+
 @contextmanager
 def refusals(model: type[BaseModel], where: str = "", content: Any = None) -> Iterator[None]:
     """Turn the ValidationError of a block into a ConfigError with the first fault.
@@ -333,7 +339,7 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
         where: what contains the values, such as a file.
         content: that was validated, if it came from a file.
     """
-    schema = model.model_json_schema()
+    schema = _schema_of(model)
     faults = [(fault, _place_of(fault, schema, content)) for fault in error.errors(include_url=False)]
     places = [place for _, place in faults]
     lines: list[str] = []

@@ -86,16 +86,18 @@ def beyond(node: dict[str, Any]) -> list[Any]:
     return [value.item() if isinstance(value, np.generic) else value for value in values]
 
 
-def changes(schema: dict[str, Any], content: Any) -> Iterator[tuple[Any, str, Any]]:
-    """Yield a content that the schema excludes, what the line must name, and the wrong value, if there is one."""
+def changes(schema: dict[str, Any], content: Any, tried: set[str]) -> Iterator[tuple[Any, str, Any]]:
+    """Yield a content that the schema excludes, what the line must name, and the wrong value, if there is one.
+
+    A field whose schema was tried already, of this or another content, is left out.
+    """
     is_valid = Draft202012Validator(schema).is_valid
-    seen: set[str] = set()
     for place in ((), *places(content)):
         node = schema_at(schema, place, content)
         mark = json.dumps([node, place[-1:] if "properties" not in node else ""], sort_keys=True)
-        if mark in seen:
+        if mark in tried:
             continue
-        seen.add(mark)
+        tried.add(mark)
         name = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in place).removeprefix(".")
         if place:
             for value in (*WRONG, *beyond(node)):
@@ -125,6 +127,7 @@ def test_what_the_schema_excludes_is_refused_in_a_line_that_names_the_place(
     optional = BLOCKS.get(kind.name, {})
     refused = 0
     seen: set[str] = set()
+    tried: set[str] = set()
     files = [read_yaml(path, first=True) for name, path in samples if name == kind.name]
     wider = [
         {**content, **json.loads(json.dumps({name: block}))} for content in files for name, block in optional.items()
@@ -132,7 +135,7 @@ def test_what_the_schema_excludes_is_refused_in_a_line_that_names_the_place(
     fitting = [content for content in wider if not kind.faults(Path("f.yaml"), content)]  # blocks are for six joints
     assert len(fitting) >= len(optional)
     for content in [*files, *fitting]:
-        for wrong, said, value in changes(schema, content):
+        for wrong, said, value in changes(schema, content, tried):
             lines = [str(fault) for fault in kind.faults(Path("f.yaml"), wrong)]
             assert lines, (said, value)
             line = lines[0]
