@@ -12,6 +12,7 @@ from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.topics import FIELDS
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.cdr_stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN, cdr_stamps_ns
 
@@ -179,7 +180,9 @@ class SeriesBuilder:
             raise BagError(f"{where}: joint names are {list(names)}; accepted: one or more, each once")
         for field, array in arrays.items():
             if len(array) not in (0, len(names)):
-                raise BagError(f"{where}: {len(array)} numbers in {field} for {len(names)} joints")
+                raise BagError(
+                    f"{where}: {counted(len(array), 'number')} in {field} for {counted(len(names), 'joint')}"
+                )
         content = _Content(names, tuple(field for field, array in arrays.items() if len(array)))
         values = np.array([array for array in arrays.values() if len(array)]).reshape(1, -1, len(names))
         self._keep(content, place, np.array([stamp_ns], dtype=np.int64), values)

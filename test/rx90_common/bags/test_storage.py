@@ -86,8 +86,8 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
         metadata(lambda c: [one.update(message_count=31) for one in (c, topic_of(c))]),
         "metadata.yaml says 31 messages of /joint_states",
     ),
-    "with 1e20": (metadata(lambda c: topic_of(c).update(message_count=1e20)), "is 1e+20; accepted: an integer in [0, "),
-    "with -1": (metadata(lambda c: c.update(message_count=-1)), "message_count is -1; accepted: an integer in [0, "),
+    "with 1e20": (metadata(lambda c: topic_of(c).update(message_count=1e20)), "is 1e+20; accepted: an integer >= 0"),
+    "with -1": (metadata(lambda c: c.update(message_count=-1)), "message_count is -1; accepted: an integer >= 0"),
     "with other sum": (metadata(lambda c: c.update(message_count=7)), "metadata.yaml says 7 messages in all"),
     "with other type": (
         metadata(lambda c: topic_of(c)["topic_metadata"].update(type="a/msg/B")), "metadata.yaml says",

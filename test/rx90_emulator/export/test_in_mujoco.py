@@ -173,8 +173,8 @@ def test_cogging_and_windings_are_the_engine_s(shipped: Setup) -> None:
     data.ctrl[:] = 0.5
     mujoco.mj_forward(model, data)
     angle = setup.drives.gear * [*START[:5], START[4] + START[5]]
-    waves = cogging.harmonic[:, None] * angle + cogging.phase
-    motor = 0.5 + np.sum(cogging.amplitude * np.cos(waves), axis=0)
+    waves = np.array(cogging.harmonic)[:, None] * angle + np.array(cogging.phase)
+    motor = 0.5 + np.sum(np.array(cogging.amplitude) * np.cos(waves), axis=0)
     joint = setup.drives.gear * motor
     joint[4] += joint[5]
     assert data.qfrc_actuator == pytest.approx(joint, rel=1e-9)

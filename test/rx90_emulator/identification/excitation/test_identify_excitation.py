@@ -253,7 +253,7 @@ def test_a_joint_that_is_not_identified_follows_the_bag(tmp_path: Path) -> None:
     assert "not identified, along their recorded motion: wrist" in rx.excitation_summary(result)
     for one, curve in zip(result.elements, CURVES, strict=True):
         estimate = one.estimates["tau_c_positive"]
-        assert abs(estimate.value - curve.tau_c.positive) < 4.0 * estimate.deviation
+        assert abs(estimate.value - curve.tau_c_positive) < 4.0 * estimate.deviation
     rx.write_excitation(result, tmp_path / "identified")
     written = replace(robot, urdf=tmp_path / "identified" / "robot.urdf")
     (again,) = rx.check_friction(tmp_path / "identified" / "friction.yaml", [tmp_path / "unseen"], written)
