@@ -11,6 +11,7 @@ import pytest
 
 from rx90_common.arm_dynamics import mass_and_bias
 from rx90_common.base.errors import IdentificationError
+from rx90_common.friction.friction_file import JointTorques
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.loop.setup import Setup
 
@@ -54,7 +55,7 @@ def test_the_regressor_is_the_derivative_by_the_inertial_parameters(arm: RigidAr
     parameters = np.concatenate([body.toDynamicParameters() for body in list(arm.model.inertias)[1:]])
     rest = a @ arm.rotor.T + arm.spring * np.sin(q)
     assert np.abs(arm.regressor(q, v, a) @ parameters + rest - arm.torque(q, v, a)).max() < 1e-9
-    shifted, offset = arm.with_joints({"joint_2": {"offset": 3.0}}), np.array([0.0, 3.0, 0.0, 0.0, 0.0, 0.0])
+    shifted, offset = arm.with_joints({"joint_2": JointTorques(offset=3.0)}), np.array([0.0, 3.0, 0.0, 0.0, 0.0, 0.0])
     assert np.abs(shifted.torque(q, v, a) - offset - arm.torque(q, v, a)).max() < 1e-9
 
 
