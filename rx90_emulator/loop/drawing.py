@@ -21,7 +21,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, warn_caller
 from rx90_common.base.quoting import counted, plain, quoted
 from rx90_common.description.rotations import length, rpy_rotation
-from rx90_controller.paths.curve import KINK
+from rx90_controller.paths.curve import KINK, spline_through
 from rx90_controller.paths.path import Segment
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 25.4e-3}
@@ -257,14 +257,15 @@ class Drawing:
         corners = [
             knot
             for before, knot, after in zip(knots, knots[1:], knots[2:], strict=False)
-            if _turns(curve, before, knot, after)
+            if _turns(curve, before, knot, knot, after)
         ]
         drawn = []
         for begin, end in pairwise([knots[0], *corners, knots[-1]]):
             inner = [knot for knot in knots if begin <= knot <= end]
             shares = np.linspace(0.0, 1.0, _POINTS_PER_SPAN, endpoint=False)
             at = np.append(np.concatenate([a + shares * (b - a) for a, b in pairwise(inner)]), end)
-            points, within = _points(curve, at, unit)
+            corner = _turns(curve, inner[-2], end, begin, inner[1])
+            points, within = _points(curve, at, unit, corner)
             if not within:
                 self._refuse(
                     f"{len(points)} points on a spline do not keep the curve within {SPLINE_TOLERANCE:g} m of it; "
@@ -274,7 +275,7 @@ class Drawing:
             if _off_chord(points) <= _STRAIGHT * np.ptp(points, axis=0).max():
                 drawn.append((rows[0], Segment((rows[-1],))))
             else:
-                drawn.append((rows[0], Segment(tuple(rows[1:]), "spline")))
+                drawn.append((rows[0], Segment(tuple(rows[1:]), "spline", corner=corner)))
         return drawn
 
     def _chained(self, drawn: list[_Drawn]) -> tuple[tuple[float, ...], list[Segment]]:
@@ -306,26 +307,29 @@ _Drawn: TypeAlias = tuple[tuple[float, ...], Segment]
 """A start and a segment from there."""
 
 
-def _turns(curve: Any, before: float, knot: float, after: float) -> bool:
-    """Return whether a drawing's spline has a corner at a knot."""
-    place = curve.point(knot)
-    last = np.array(place - curve.point(knot - _SECANT * (knot - before)))
-    first = np.array(curve.point(knot + _SECANT * (after - knot)) - place)
+def _turns(curve: Any, before: float, end: float, begin: float, after: float) -> bool:
+    """Return whether a drawing's spline has a corner where its span up to `end` meets the one from `begin`."""
+    last = np.array(curve.point(end) - curve.point(end - _SECANT * (end - before)))
+    first = np.array(curve.point(begin + _SECANT * (after - begin)) - curve.point(begin))
     return math.atan2(float(np.linalg.norm(np.cross(last, first))), float(last @ first)) > _CORNER
 
 
-def _points(curve: Any, at: Array, unit: float) -> tuple[Array, bool]:
+def _points(curve: Any, at: Array, unit: float, corner: bool) -> tuple[Array, bool]:
     """Return points (n, 3) of a drawing's spline, and whether the curve through them is within SPLINE_TOLERANCE of it.
 
-    Where it is not, there are more of them: in the middle of the parameters `at` on both sides.
+    Where it is not, there are more of them: in the middle of the parameters `at` on both sides. A spline that comes
+    back to its start has a corner there, or goes over into itself.
     """
     for _ in range(_ROUNDS):
         points = _places(curve, at)
+        if np.abs(points[-1] - points[0]).max() <= _STRAIGHT * np.ptp(points, axis=0).max():
+            points[-1] = points[0]
         moves = np.append(True, np.any(np.diff(points, axis=0), axis=1))  # a spline may rest on equal control points
         points = points[moves]
         at = at[moves]
         between = at[:-1, None] + np.diff(at)[:, None] * _BETWEEN
-        far = _off(unit * points, unit * _places(curve, between.ravel()).reshape(*between.shape, 3)) > SPLINE_TOLERANCE
+        places = _places(curve, between.ravel()).reshape(*between.shape, 3)
+        far = _off(unit * points, unit * places, corner) > SPLINE_TOLERANCE
         if not far.any():
             return points, True
         if len(at) > _MOST_POINTS:
@@ -338,11 +342,9 @@ def _places(curve: Any, at: Array) -> Array:
     return np.array([tuple(point) for point in curve.points(at.tolist())])
 
 
-def _off(points: Array, places: Array) -> Array:
-    """Return how far places (n - 1, k, 3) between points (n, 3) are off the spline through the points, (n - 1,)."""
-    from scipy.interpolate import CubicSpline  # takes a while, which paths without a drawing do without
-
-    through = CubicSpline(np.append(0.0, np.cumsum(length(np.diff(points, axis=0)))), points, bc_type="natural")
+def _off(points: Array, places: Array, corner: bool) -> Array:
+    """Return how far places (n - 1, k, 3) between points (n, 3) are off the path through the points, (n - 1,)."""
+    through = spline_through(points, corner)
     begin = through.x[:-1, None]
     samples = through(begin + np.diff(through.x)[:, None] * np.linspace(0.0, 1.0, _SAMPLES))
     start = samples[:, None, :-1]
