@@ -243,7 +243,7 @@ def spline_through(points: Array, corner: bool) -> CubicSpline:
 
 def _blend(before: Piece, after: Piece, zone: float) -> Polynomial:
     """Return the polynomial from the last `zone` m of a piece to the first ones of the next."""
-    from scipy.interpolate import CubicSpline, PPoly
+    from scipy.interpolate import PPoly
 
     ends = (before, np.array([before.length - zone])), (after, np.array([zone]))
     (p0, t0, k0), (p1, t1, k1) = ([piece.at(at, order)[0] for order in range(3)] for piece, at in ends)

@@ -253,7 +253,8 @@ class Drawing:
 
     def _spline(self, curve: Any, unit: float) -> list[_Drawn]:
         """Return the parts of a drawing's spline from corner to corner, each through as many points as it takes."""
-        knots = sorted(set(curve.knots()))
+        known = curve.knots()
+        knots = sorted({*known[curve.degree : curve.count + 1]})  # before and behind these it is not defined
         corners = [
             knot
             for before, knot, after in zip(knots, knots[1:], knots[2:], strict=False)

@@ -176,6 +176,17 @@ SPLINES = {
         [(0, 0, 0), (0, 20, 0), (40, 40, 0), (60, 0, 0), (40, -40, 0), (0, -20, 0), (0, 0, 0)],
         3, [0, 0, 0, 0, 1, 2, 3, 4, 4, 4, 4], None, 0,
     ),
+    "knots before its begin and behind its end": (
+        [(0, 0, 0), (20, 40, 0), (60, -20, 0), (100, 10, 0), (120, 0, 0)], 3, [0, 1, 2, 3, 4, 5, 6, 7, 8], None, 0,
+    ),
+    "a uniform one that is closed": (
+        [(0, 0, 0), (50, 0, 0), (50, 50, 0), (0, 50, 0), (0, 0, 0), (50, 0, 0), (50, 50, 0)],
+        3, [-3, -2, -1, 0, 1, 2, 3, 4, 5, 6, 7], None, 0,
+    ),
+    "weights, and knots before its begin": (
+        [(0, 0, 0), (20, 40, 0), (60, -20, 0), (100, 10, 0), (120, 0, 0)],
+        3, [0, 1, 2, 3, 4, 5, 5, 5, 5], [1, 5, 1, 3, 1], 0,
+    ),
     "a polygon": ([(0, 0, 0), (50, 0, 0), (50, 50, 0), (90, 70, 0)], 1, [0, 0, 1, 5, 6, 6], None, 2),
 }  # fmt: skip
 
@@ -195,7 +206,7 @@ def test_dxf_splines_are_kept_within_the_tolerance(tmp_path: File, drawing: Any,
     share = np.ones(len(control)) if weights is None else np.array(weights, dtype=np.float64)
     homogeneous = np.column_stack([np.array(control) * share[:, None], share])
     curve = BSpline(np.array(knots, dtype=np.float64), homogeneous, degree)
-    spans = np.unique(knots)
+    spans = np.unique(knots[degree : len(control) + 1])
     at = np.concatenate([np.linspace(a, b, 4001)[:-1] for a, b in pairwise(spans)])
     values = curve(np.append(at, np.nextafter(spans[-1], 0.0)))
     places = 1e-3 * values[:, :3] / values[:, 3:]
