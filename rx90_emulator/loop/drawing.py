@@ -7,9 +7,10 @@ to the next, such that the curve through these points stays within SPLINE_TOLERA
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -186,8 +187,9 @@ class Drawing:
 
     def _unit(self, named: str | None) -> str:
         """Return the unit of the file's numbers, which the file or the user names."""
-        if named is None and self.unit is None:
-            self._refuse(f"names no unit; accepted: with unit, one of {', '.join(UNITS)}")
+        if self.unit is None and named not in UNITS:
+            said = "names no unit" if named is None else f"is in {named}"
+            self._refuse(f"{said}; accepted: with unit, one of {', '.join(UNITS)}")
         if None not in (named, self.unit) and named != self.unit:
             self._refuse(f"is in {named}, unit is {self.unit}; accepted: the same")
         return str(named or self.unit)
@@ -216,14 +218,26 @@ class Drawing:
 
     def _dxf_unit(self, document: Any) -> str:
         """Return the user's unit, else that of the drawing; ezdxf has one also for a drawing without header."""
+        from ezdxf.units import unit_name
+
         named = None
-        if b"$INSUNITS" in self.file.read_bytes():
-            named = _DXF_UNITS.get(document.header.get("$INSUNITS", 0))
+        code = document.header.get("$INSUNITS", 0)
+        if unit_name(code) != unit_name(0) and (9, "$INSUNITS") in self._tags():
+            named = _DXF_UNITS.get(code, unit_name(code))
         if self.unit is None or self.unit == named:
             return self._unit(named)
         said = "names no unit" if named is None else f"is in {named}"
         warn_caller([f"{plain(self.file)}: {said}; read in {self.unit}, as its unit in the path says"])
         return self.unit
+
+    def _tags(self) -> Iterator[Any]:
+        """Return the group codes and values of a DXF file, without its comments."""
+        from ezdxf.lldxf.tagger import ascii_tags_loader, binary_tags_loader
+        from ezdxf.lldxf.validator import is_binary_dxf_file
+
+        if is_binary_dxf_file(str(self.file)):
+            return binary_tags_loader(self.file.read_bytes())
+        return ascii_tags_loader(io.StringIO(self.file.read_text(encoding="utf-8", errors="replace")))
 
     def _entity(self, entity: Any, unit: float) -> list[_Drawn]:
         """Return what an entity draws, in its order; the drawing's unit is in m."""

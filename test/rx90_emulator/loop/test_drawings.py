@@ -233,6 +233,8 @@ UNITS_OF_DRAWINGS = {
         "  0\nSECTION\n  2\nHEADER\n  9\n$ACADVER\n  1\nAC1009\n  0\nENDSEC\n",
         "names no unit",
     ),
+    "no header, but a comment": ("999\n$INSUNITS\n", "names no unit; read in mm"),
+    "feet": ("  0\nSECTION\n  2\nHEADER\n  9\n$INSUNITS\n 70\n     2\n  0\nENDSEC\n", "is in Feet; read in mm"),
     "centimetres": ("  0\nSECTION\n  2\nHEADER\n  9\n$INSUNITS\n 70\n     5\n  0\nENDSEC\n", "is in cm; read in mm"),
 }
 
@@ -242,15 +244,17 @@ def test_the_unit_of_the_path_goes_before_that_of_a_drawing(tmp_path: File, name
     """A unit that is missing or wrong in the drawing is the path's, in a line; without any the drawing is refused."""
     pytest.importorskip("ezdxf")
     head, said = UNITS_OF_DRAWINGS[name]
-    line = "  0\nSECTION\n  2\nENTITIES\n  0\nLINE\n  8\n0\n 10\n0\n 20\n0\n 11\n40\n 21\n0\n  0\nENDSEC\n  0\nEOF\n"
+    text = "  0\nTEXT\n  8\n0\n 10\n0\n 20\n0\n 40\n1\n  1\n$INSUNITS\n"
+    line = "  0\nLINE\n  8\n0\n 10\n0\n 20\n0\n 11\n40\n 21\n0\n  0\nENDSEC\n  0\nEOF\n"
+    line = f"  0\nSECTION\n  2\nENTITIES\n{text}{line}"
     with pytest.warns(Rx90Warning, match=rf"part\.dxf: {said}"):
         path = _read(tmp_path, "part.dxf", head + line, unit="mm")
     assert path.length == pytest.approx(0.04)
-    if "INSUNITS" in head:
+    if name == "centimetres":
         assert _read(tmp_path, "part.dxf", head + line, unit="cm").length == pytest.approx(0.4)
         assert _read(tmp_path, "part.dxf", head + line).length == pytest.approx(0.4)
     else:
-        with pytest.raises(ConfigError, match="names no unit; accepted: with unit, one of m, mm"):
+        with pytest.raises(ConfigError, match=rf"{said.partition(';')[0]}; accepted: with unit, one of m, mm"):
             _read(tmp_path, "part.dxf", head + line)
 
 
