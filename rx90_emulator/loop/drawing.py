@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError, warn_caller
 from rx90_common.base.quoting import counted, plain, quoted
 from rx90_common.description.rotations import length, rpy_rotation
@@ -35,8 +35,11 @@ SPLINE_TOLERANCE = 1e-5
 """How far a path may be off a drawing's spline, m."""
 _POINTS_PER_SPAN = 12  # least number of points on each span of a drawing's spline
 _ROUNDS = 40  # in which an interval between points may be halved
-_BETWEEN = np.array([0.25, 0.5, 0.75])  # where a spline is compared between two points, and on how many samples
-_SAMPLES = 33
+_BETWEEN = np.linspace(0.0, 1.0, 9)[1:-1]  # where a spline is compared between two points
+_KEPT = 0.9  # of the tolerance there: in between it may be a little farther off
+_UNEVEN = 0.25  # of the way between two points
+_NEWTON = 3  # steps to the nearest place
+_SLOWEST = 1e-6  # square of the speed by the parameter, which is that along the chords
 _STRAIGHT = 1e-9  # of the length of a spline: how far a straight one may be off its chord
 _CORNER = 0.02  # rad, between secants of a spline before and behind a knot, each over _SECANT of its span
 _SECANT = 1e-3
@@ -344,7 +347,7 @@ def _points(curve: Any, at: Array, unit: float, corner: bool) -> tuple[Array, bo
         at = at[moves]
         between = at[:-1, None] + np.diff(at)[:, None] * _BETWEEN
         places = _places(curve, between.ravel()).reshape(*between.shape, 3)
-        far = _off(unit * points, unit * places, corner) > SPLINE_TOLERANCE
+        far = _far(unit * points, unit * places, corner)
         if not far.any():
             return points, True
         if len(at) > _MOST_POINTS:
@@ -357,16 +360,24 @@ def _places(curve: Any, at: Array) -> Array:
     return np.array([tuple(point) for point in curve.points(at.tolist())])
 
 
-def _off(points: Array, places: Array, corner: bool) -> Array:
-    """Return how far places (n - 1, k, 3) between points (n, 3) are off the path through the points, (n - 1,)."""
+def _far(points: Array, places: Array, corner: bool) -> Mask:
+    """Return whether the path between two of the points (n, 3), m, is too far off places (n - 1, k, 3) there, (n - 1,).
+
+    Where places are unevenly far from each other they do not show it, which counts as too far.
+    """
     through = spline_through(points, corner)
     begin = through.x[:-1, None]
-    samples = through(begin + np.diff(through.x)[:, None] * np.linspace(0.0, 1.0, _SAMPLES))
-    start = samples[:, None, :-1]
-    way = np.diff(samples, axis=1)[:, None]
-    share = np.sum((places[:, :, None] - start) * way, axis=3) / np.sum(way * way, axis=3)
-    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * way
-    return np.asarray(length(places[:, :, None] - nearest).min(axis=2).max(axis=1))
+    end = through.x[1:, None]
+    ways = length(np.diff(np.concatenate([points[:-1, None], places, points[1:, None]], axis=1), axis=1))
+    whole = ways.sum(axis=1, keepdims=True)
+    at = begin + (end - begin) * np.cumsum(ways[:, :-1], axis=1) / whole
+    for _ in range(_NEWTON):
+        slope = through(at, 1)
+        nearer = np.sum((places - through(at)) * slope, axis=2) / np.maximum(np.sum(slope * slope, axis=2), _SLOWEST)
+        at = np.clip(at + nearer, begin, end)
+    off = length(places - through(at)).max(axis=1)
+    uneven = ways.max(axis=1) > np.maximum(_UNEVEN * whole[:, 0], SPLINE_TOLERANCE)
+    return np.asarray((off > _KEPT * SPLINE_TOLERANCE) | uneven)
 
 
 def _off_chord(points: Array) -> float:
