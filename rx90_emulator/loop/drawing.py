@@ -211,6 +211,8 @@ class Drawing:
                 if self.layer is None or entity.dxf.layer == self.layer
                 for one in self._entity(entity, UNITS[unit])
             ]
+        except StopIteration as error:
+            raise ConfigError(f"{plain(self.file)}: ends within its header; accepted: a whole DXF file") from error
         except (OSError, ValueError, LookupError, ArithmeticError, TypeError, AttributeError, DXFError) as error:
             raise ConfigError(f"{plain(self.file)}: cannot be read ({error}); accepted: a DXF file") from error
         if not drawn:
@@ -271,6 +273,14 @@ class Drawing:
     def _spline(self, curve: Any, unit: float) -> list[_Drawn]:
         """Return the parts of a drawing's spline from corner to corner, each through as many points as it takes."""
         known = curve.knots()
+        if not (np.isfinite(known).all() and np.diff(known).min() >= 0.0 < known[curve.count] - known[curve.degree]):
+            self._refuse(
+                f"a spline with the knots {quoted(known)}; accepted: finite numbers, none below the one before it"
+            )
+        if curve.is_rational and not (np.isfinite(curve.weights()).all() and min(curve.weights()) > 0.0):
+            self._refuse(f"a spline with the weights {quoted(curve.weights())}; accepted: finite numbers > 0")
+        if not np.isfinite(np.array([tuple(point) for point in curve.control_points])).all():
+            self._refuse("a spline with a point that is no place; accepted: finite coordinates")
         knots = sorted({*known[curve.degree : curve.count + 1]})  # before and behind these it is not defined
         corners = [
             knot
@@ -290,6 +300,8 @@ class Drawing:
                     f"accepted: a spline that takes up to {_MOST_POINTS:,}"
                 )
             rows = [tuple(point) for point in points.tolist()]
+            if len(rows) < 2:  # it rests
+                continue
             if _off_chord(points) <= _STRAIGHT * np.ptp(points, axis=0).max():
                 drawn.append((rows[0], Segment((rows[-1],))))
             else:
@@ -345,6 +357,8 @@ def _points(curve: Any, at: Array, unit: float, corner: bool) -> tuple[Array, bo
         moves = np.append(True, np.any(np.diff(points, axis=0), axis=1))  # a spline may rest on equal control points
         points = points[moves]
         at = at[moves]
+        if len(at) < 2:
+            return points, True
         between = at[:-1, None] + np.diff(at)[:, None] * _BETWEEN
         places = _places(curve, between.ravel()).reshape(*between.shape, 3)
         far = _far(unit * points, unit * places, corner)

@@ -314,12 +314,57 @@ def test_dxf_loops_begin_where_the_first_entity_does(tmp_path: File, drawing: An
         "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n9\n$INSUNITS\n70\n1e400\n0\nENDSEC\n0\nEOF\n",
         "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1015\n9\n$INSUNITS\n70\n4\n0\nENDSEC\n0\nSECTION\n2\nENTITIES\n0\n"
         "SPLINE\n5\n1F\n100\nAcDbEntity\n8\n0\n100\nAcDbSpline\n71\n3\n0\nENDSEC\n0\nEOF\n",
+        "",
+        "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n9\n$INSBASE\n10\n0\n",
+        "AutoCAD Binary DXF\r\n\x1a\0",
     ],
-    ids=["text", "an unknown table", "a number without end", "a spline without points"],
+    ids=[
+        "text",
+        "an unknown table",
+        "a number without end",
+        "a spline without points",
+        "empty",
+        "cut",
+        "binary and cut",
+    ],
 )
 def test_dxf_that_is_none_is_one_line(tmp_path: File, text: str) -> None:
     """Text that is no drawing, and drawings that ezdxf stumbles over, are refused in one line."""
     pytest.importorskip("ezdxf")
-    with pytest.raises(ConfigError, match="cannot be read") as refusal:
+    with pytest.raises(ConfigError, match="cannot be read|ends within its header") as refusal:
         _read(tmp_path, "part.dxf", text)
+    assert "\n" not in str(refusal.value)
+
+
+NO_SPLINES = {
+    "knots fall": (
+        [0, 0, 0, 0, 1, 1, 1, 0.5],
+        [1, 1, 1, 1],
+        1.0,
+        "with the knots .* accepted: finite numbers, none below",
+    ),
+    "no knot": ([0, 0, 0, 0, math.nan, 1, 1, 1], [1, 1, 1, 1], 1.0, "with the knots .* accepted: finite numbers"),
+    "equal knots": ([0] * 8, [1, 1, 1, 1], 1.0, "with the knots .* accepted: finite numbers"),
+    "a weight below 0": (
+        [0, 0, 0, 0, 1, 1, 1, 1],
+        [1, -1, 1, 1],
+        1.0,
+        "with the weights .* accepted: finite numbers > 0",
+    ),
+    "no place": ([0, 0, 0, 0, 1, 1, 1, 1], [1, 1, 1, 1], math.inf, "with a point that is no place"),
+    "no length": ([0, 0, 0, 0, 1, 1, 1, 1], [1, 1, 1, 1], 0.0, "holds no path"),
+}
+
+
+@pytest.mark.parametrize("name", NO_SPLINES)
+def test_dxf_spline_that_is_none_is_one_line(tmp_path: File, drawing: Any, name: str) -> None:
+    """Knots, weights and points that make no curve are refused with them, not drawn as another curve."""
+    knots, weights, size, said = NO_SPLINES[name]
+    control = [(0, 0, 0), (20 * size, 40 * size, 0), (60 * size, 0, 0), (90 * size, 0, 0)]
+    drawing.modelspace().add_rational_spline([(0, 0, 0)] * 4, weights, 3)
+    spline = drawing.modelspace()[0]
+    spline.control_points = control
+    spline.knots = knots
+    with pytest.raises(ConfigError, match=said) as refusal:
+        _dxf(tmp_path, drawing)
     assert "\n" not in str(refusal.value)
