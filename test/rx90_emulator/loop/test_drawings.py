@@ -331,7 +331,7 @@ def test_dxf_loops_begin_where_the_first_entity_does(tmp_path: File, drawing: An
 def test_dxf_that_is_none_is_one_line(tmp_path: File, text: str) -> None:
     """Text that is no drawing, and drawings that ezdxf stumbles over, are refused in one line."""
     pytest.importorskip("ezdxf")
-    with pytest.raises(ConfigError, match="cannot be read|ends within its header") as refusal:
+    with pytest.raises(ConfigError, match=r"cannot be read|ends within its header") as refusal:
         _read(tmp_path, "part.dxf", text)
     assert "\n" not in str(refusal.value)
 
