@@ -22,7 +22,7 @@ from rx90_common.description.kinematics import PathError, decompose, nearest_cor
 from rx90_common.description.rotations import length
 
 if TYPE_CHECKING:
-    from scipy.interpolate import PPoly
+    from scipy.interpolate import CubicSpline, PPoly
 
 _CELLS = 16  # of a polynomial's length, in each of its intervals
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -216,8 +216,17 @@ def _arc(start: Array, center: Array, end: Array, normal: Array) -> Circular:
     return Circular(center, outward, onward, radius, radius * angle)
 
 
-def spline(points: Array) -> Polynomial:
-    """Return the natural cubic spline through points (n, 3) m, over its chords; closed if it comes back to its start.
+def spline(points: Array, corner: bool = False) -> Polynomial:
+    """Return the curve of `spline_through` by its length."""
+    return Polynomial(spline_through(points, corner))
+
+
+def spline_through(points: Array, corner: bool) -> CubicSpline:
+    """Return the natural cubic spline through points (n, 3) m, over its chords.
+
+    Args:
+        points: if the last is the first one, the spline is closed.
+        corner: whether it has a corner there, and so is not.
 
     Raises:
         LineError: for equal points next to each other.
@@ -227,9 +236,9 @@ def spline(points: Array) -> Polynomial:
         raise LineError(f"a spline with the point {_point(points[int(np.argmin(chords))])} m twice; accepted: once")
     from scipy.interpolate import CubicSpline  # takes a while
 
-    closed = len(points) > 3 and not np.any(points[-1] - points[0])
+    closed = len(points) > 3 and not corner and not np.any(points[-1] - points[0])
     over = np.append(0.0, np.cumsum(chords))
-    return Polynomial(CubicSpline(over, points, bc_type="periodic" if closed else "natural"))
+    return CubicSpline(over, points, bc_type="periodic" if closed else "natural")
 
 
 def _blend(before: Piece, after: Piece, zone: float) -> Polynomial:

@@ -63,6 +63,7 @@ class Segment:
         speed: m/s; None for that of the path.
         zone: m before and behind the end that a blend to the next segment replaces; 0: the tool stops at a corner.
         end_rpy: roll, pitch and yaw of the tool at the end, rad; None: as at its start.
+        corner: whether a spline that comes back to its start has a corner there; else it goes over into itself.
     """
 
     points: tuple[tuple[float, ...], ...]
@@ -72,6 +73,7 @@ class Segment:
     speed: float | None = None
     zone: float = 0.0
     end_rpy: tuple[float, ...] | None = None
+    corner: bool = False
 
     def piece(self, start: tuple[float, ...]) -> Piece:
         """Return the curve from a place, m.
@@ -85,7 +87,7 @@ class Segment:
         if self.kind == "line" and len(points) == 2:
             return line(*points)
         if self.kind == "spline":
-            return spline(points)
+            return spline(points, self.corner)
         if self.kind == "arc" and self.center is not None and len(points) == 2:
             return arc_about(points[0], np.array(self.center), points[1], np.array(self.normal))
         if self.kind == "arc" and self.center is None and len(points) == 3:

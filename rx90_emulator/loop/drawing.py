@@ -7,6 +7,7 @@ to the next, such that the curve through these points stays within SPLINE_TOLERA
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -17,12 +18,12 @@ from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import ConfigError, warn_caller
 from rx90_common.base.quoting import counted, plain, quoted
 from rx90_common.base.text_lines import read_bytes, read_lines
 from rx90_common.description.rotations import length, rpy_rotation
-from rx90_controller.paths.curve import KINK
+from rx90_controller.paths.curve import KINK, spline_through
 from rx90_controller.paths.path import Segment
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 25.4e-3}
@@ -35,8 +36,11 @@ SPLINE_TOLERANCE = 1e-5
 """How far a path may be off a drawing's spline, m."""
 _POINTS_PER_SPAN = 12  # least number of points on each span of a drawing's spline
 _ROUNDS = 40  # in which an interval between points may be halved
-_BETWEEN = np.array([0.25, 0.5, 0.75])  # where a spline is compared between two points, and on how many samples
-_SAMPLES = 33
+_BETWEEN = np.linspace(0.0, 1.0, 9)[1:-1]  # where a spline is compared between two points
+_KEPT = 0.9  # of the tolerance there: in between it may be a little farther off
+_UNEVEN = 0.25  # of the way between two points
+_NEWTON = 3  # steps to the nearest place
+_SLOWEST = 1e-6  # square of the speed by the parameter, which is that along the chords
 _STRAIGHT = 1e-9  # of the length of a spline: how far a straight one may be off its chord
 _CORNER = 0.02  # rad, between secants of a spline before and behind a knot, each over _SECANT of its span
 _SECANT = 1e-3
@@ -184,8 +188,9 @@ class Drawing:
 
     def _unit(self, named: str | None) -> str:
         """Return the unit of the file's numbers, which the file or the user names."""
-        if named is None and self.unit is None:
-            self._refuse(f"names no unit; accepted: with unit, one of {', '.join(UNITS)}")
+        if self.unit is None and named not in UNITS:
+            said = "names no unit" if named is None else f"is in {named}"
+            self._refuse(f"{said}; accepted: with unit, one of {', '.join(UNITS)}")
         if None not in (named, self.unit) and named != self.unit:
             self._refuse(f"is in {named}, unit is {self.unit}; accepted: the same")
         return str(named or self.unit)
@@ -201,13 +206,15 @@ class Drawing:
         try:
             document = readfile(self.file)
             space = document.modelspace()
-            unit = self._dxf_unit(document, named=b"$INSUNITS" in content)
+            unit = self._dxf_unit(document)
             drawn = [
                 one
                 for entity in space
                 if self.layer is None or entity.dxf.layer == self.layer
                 for one in self._entity(entity, UNITS[unit])
             ]
+        except StopIteration as error:
+            raise ConfigError(f"{plain(self.file)}: ends within its header; accepted: a whole DXF file") from error
         except (OSError, ValueError, LookupError, ArithmeticError, TypeError, AttributeError, DXFError) as error:
             raise ConfigError(f"{plain(self.file)}: cannot be read ({error}); accepted: a DXF file") from error
         if not drawn:
@@ -217,14 +224,28 @@ class Drawing:
         self._check_count(sum(len(segment.points) for _, segment in drawn))
         return unit, *self._chained(drawn)
 
-    def _dxf_unit(self, document: Any, *, named: bool) -> str:
+    def _dxf_unit(self, document: Any) -> str:
         """Return the user's unit, else that of the drawing; ezdxf has one also for a drawing without header."""
-        unit = _DXF_UNITS.get(document.header.get("$INSUNITS", 0)) if named else None
-        if self.unit is None or self.unit == unit:
-            return self._unit(unit)
-        said = "names no unit" if unit is None else f"is in {unit}"
+        from ezdxf.units import unit_name
+
+        named = None
+        code = document.header.get("$INSUNITS", 0)
+        if unit_name(code) != unit_name(0) and (9, "$INSUNITS") in self._tags():
+            named = _DXF_UNITS.get(code, unit_name(code))
+        if self.unit is None or self.unit == named:
+            return self._unit(named)
+        said = "names no unit" if named is None else f"is in {named}"
         warn_caller([f"{plain(self.file)}: {said}; read in {self.unit}, as its unit in the path says"])
         return self.unit
+
+    def _tags(self) -> Iterator[Any]:
+        """Return the group codes and values of a DXF file, without its comments."""
+        from ezdxf.lldxf.tagger import ascii_tags_loader, binary_tags_loader
+        from ezdxf.lldxf.validator import is_binary_dxf_file
+
+        if is_binary_dxf_file(str(self.file)):
+            return binary_tags_loader(self.file.read_bytes())
+        return ascii_tags_loader(io.StringIO(self.file.read_text(encoding="utf-8", errors="replace")))
 
     def _entity(self, entity: Any, unit: float) -> list[_Drawn]:
         """Return what an entity draws, in its order; the drawing's unit is in m."""
@@ -254,28 +275,40 @@ class Drawing:
 
     def _spline(self, curve: Any, unit: float) -> list[_Drawn]:
         """Return the parts of a drawing's spline from corner to corner, each through as many points as it takes."""
-        knots = sorted(set(curve.knots()))
+        known = curve.knots()
+        if not (np.isfinite(known).all() and np.diff(known).min() >= 0.0 < known[curve.count] - known[curve.degree]):
+            self._refuse(
+                f"a spline with the knots {quoted(known)}; accepted: finite numbers, none below the one before it"
+            )
+        if curve.is_rational and not (np.isfinite(curve.weights()).all() and min(curve.weights()) > 0.0):
+            self._refuse(f"a spline with the weights {quoted(curve.weights())}; accepted: finite numbers > 0")
+        if not np.isfinite(np.array([tuple(point) for point in curve.control_points])).all():
+            self._refuse("a spline with a point that is no place; accepted: finite coordinates")
+        knots = sorted({*known[curve.degree : curve.count + 1]})  # before and behind these it is not defined
         corners = [
             knot
             for before, knot, after in zip(knots, knots[1:], knots[2:], strict=False)
-            if _turns(curve, before, knot, after)
+            if _turns(curve, before, knot, knot, after)
         ]
         drawn = []
         for begin, end in pairwise([knots[0], *corners, knots[-1]]):
             inner = [knot for knot in knots if begin <= knot <= end]
             shares = np.linspace(0.0, 1.0, _POINTS_PER_SPAN, endpoint=False)
             at = np.append(np.concatenate([a + shares * (b - a) for a, b in pairwise(inner)]), end)
-            points, within = _points(curve, at, unit)
+            corner = _turns(curve, inner[-2], end, begin, inner[1])
+            points, within = _points(curve, at, unit, corner)
             if not within:
                 self._refuse(
                     f"{len(points)} points on a spline do not keep the curve within {SPLINE_TOLERANCE:g} m of it; "
                     f"accepted: a spline that takes up to {_MOST_POINTS:,}"
                 )
             rows = [tuple(point) for point in points.tolist()]
+            if len(rows) < 2:  # it rests
+                continue
             if _off_chord(points) <= _STRAIGHT * np.ptp(points, axis=0).max():
                 drawn.append((rows[0], Segment((rows[-1],))))
             else:
-                drawn.append((rows[0], Segment(tuple(rows[1:]), "spline")))
+                drawn.append((rows[0], Segment(tuple(rows[1:]), "spline", corner=corner)))
         return drawn
 
     def _chained(self, drawn: list[_Drawn]) -> tuple[tuple[float, ...], list[Segment]]:
@@ -307,26 +340,31 @@ _Drawn: TypeAlias = tuple[tuple[float, ...], Segment]
 """A start and a segment from there."""
 
 
-def _turns(curve: Any, before: float, knot: float, after: float) -> bool:
-    """Return whether a drawing's spline has a corner at a knot."""
-    place = curve.point(knot)
-    last = np.array(place - curve.point(knot - _SECANT * (knot - before)))
-    first = np.array(curve.point(knot + _SECANT * (after - knot)) - place)
+def _turns(curve: Any, before: float, end: float, begin: float, after: float) -> bool:
+    """Return whether a drawing's spline has a corner where its span up to `end` meets the one from `begin`."""
+    last = np.array(curve.point(end) - curve.point(end - _SECANT * (end - before)))
+    first = np.array(curve.point(begin + _SECANT * (after - begin)) - curve.point(begin))
     return math.atan2(float(np.linalg.norm(np.cross(last, first))), float(last @ first)) > _CORNER
 
 
-def _points(curve: Any, at: Array, unit: float) -> tuple[Array, bool]:
+def _points(curve: Any, at: Array, unit: float, corner: bool) -> tuple[Array, bool]:
     """Return points (n, 3) of a drawing's spline, and whether the curve through them is within SPLINE_TOLERANCE of it.
 
-    Where it is not, there are more of them: in the middle of the parameters `at` on both sides.
+    Where it is not, there are more of them: in the middle of the parameters `at` on both sides. A spline that comes
+    back to its start has a corner there, or goes over into itself.
     """
     for _ in range(_ROUNDS):
         points = _places(curve, at)
+        if np.abs(points[-1] - points[0]).max() <= _STRAIGHT * np.ptp(points, axis=0).max():
+            points[-1] = points[0]
         moves = np.append(True, np.any(np.diff(points, axis=0), axis=1))  # a spline may rest on equal control points
         points = points[moves]
         at = at[moves]
+        if len(at) < 2:
+            return points, True
         between = at[:-1, None] + np.diff(at)[:, None] * _BETWEEN
-        far = _off(unit * points, unit * _places(curve, between.ravel()).reshape(*between.shape, 3)) > SPLINE_TOLERANCE
+        places = _places(curve, between.ravel()).reshape(*between.shape, 3)
+        far = _far(unit * points, unit * places, corner)
         if not far.any():
             return points, True
         if len(at) > _MOST_POINTS:
@@ -339,18 +377,24 @@ def _places(curve: Any, at: Array) -> Array:
     return np.array([tuple(point) for point in curve.points(at.tolist())])
 
 
-def _off(points: Array, places: Array) -> Array:
-    """Return how far places (n - 1, k, 3) between points (n, 3) are off the spline through the points, (n - 1,)."""
-    from scipy.interpolate import CubicSpline  # takes a while, which paths without a drawing do without
+def _far(points: Array, places: Array, corner: bool) -> Mask:
+    """Return whether the path between two of the points (n, 3), m, is too far off places (n - 1, k, 3) there, (n - 1,).
 
-    through = CubicSpline(np.append(0.0, np.cumsum(length(np.diff(points, axis=0)))), points, bc_type="natural")
+    Where places are unevenly far from each other they do not show it, which counts as too far.
+    """
+    through = spline_through(points, corner)
     begin = through.x[:-1, None]
-    samples = through(begin + np.diff(through.x)[:, None] * np.linspace(0.0, 1.0, _SAMPLES))
-    start = samples[:, None, :-1]
-    way = np.diff(samples, axis=1)[:, None]
-    share = np.sum((places[:, :, None] - start) * way, axis=3) / np.sum(way * way, axis=3)
-    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * way
-    return np.asarray(length(places[:, :, None] - nearest).min(axis=2).max(axis=1))
+    end = through.x[1:, None]
+    ways = length(np.diff(np.concatenate([points[:-1, None], places, points[1:, None]], axis=1), axis=1))
+    whole = ways.sum(axis=1, keepdims=True)
+    at = begin + (end - begin) * np.cumsum(ways[:, :-1], axis=1) / whole
+    for _ in range(_NEWTON):
+        slope = through(at, 1)
+        nearer = np.sum((places - through(at)) * slope, axis=2) / np.maximum(np.sum(slope * slope, axis=2), _SLOWEST)
+        at = np.clip(at + nearer, begin, end)
+    off = length(places - through(at)).max(axis=1)
+    uneven = ways.max(axis=1) > np.maximum(_UNEVEN * whole[:, 0], SPLINE_TOLERANCE)
+    return np.asarray((off > _KEPT * SPLINE_TOLERANCE) | uneven)
 
 
 def _off_chord(points: Array) -> float:

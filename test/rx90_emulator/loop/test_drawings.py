@@ -168,7 +168,28 @@ SPLINES = {
         3, [0, 0, 0, 0, 0.01, 0.02, 50, 50.5, 50.5, 50.5, 50.5][:11], None, 0,
     ),
     "weights": ([(0, 0, 0), (50, 0, 0), (50, 50, 0), (100, 50, 0)], 3, [0, 0, 0, 0, 1, 1, 1, 1], [1, 40, 40, 1], 0),
+    "far weights": (
+        [(0, 0, 0), (20, 40, 0), (60, -20, 0), (100, 10, 0)], 3, [0, 0, 0, 0, 1, 1, 1, 1], [1, 50, 0.02, 1], 0,
+    ),
     "a cusp": ([(0, 0, 0), (100, 100, 0), (0, 100, 0), (100, 0, 0)], 3, [0, 0, 0, 0, 1, 1, 1, 1], None, 0),
+    "a closed one with a corner where it begins": (
+        [(0, 0, 0), (60, 50, 0), (60, -50, 0), (0, 0, 0)], 3, [0, 0, 0, 0, 1, 1, 1, 1], None, 0,
+    ),
+    "a closed one, and smooth": (
+        [(0, 0, 0), (0, 20, 0), (40, 40, 0), (60, 0, 0), (40, -40, 0), (0, -20, 0), (0, 0, 0)],
+        3, [0, 0, 0, 0, 1, 2, 3, 4, 4, 4, 4], None, 0,
+    ),
+    "knots before its begin and behind its end": (
+        [(0, 0, 0), (20, 40, 0), (60, -20, 0), (100, 10, 0), (120, 0, 0)], 3, [0, 1, 2, 3, 4, 5, 6, 7, 8], None, 0,
+    ),
+    "a uniform one that is closed": (
+        [(0, 0, 0), (50, 0, 0), (50, 50, 0), (0, 50, 0), (0, 0, 0), (50, 0, 0), (50, 50, 0)],
+        3, [-3, -2, -1, 0, 1, 2, 3, 4, 5, 6, 7], None, 0,
+    ),
+    "weights, and knots before its begin": (
+        [(0, 0, 0), (20, 40, 0), (60, -20, 0), (100, 10, 0), (120, 0, 0)],
+        3, [0, 1, 2, 3, 4, 5, 5, 5, 5], [1, 5, 1, 3, 1], 0,
+    ),
     "a polygon": ([(0, 0, 0), (50, 0, 0), (50, 50, 0), (90, 70, 0)], 1, [0, 0, 1, 5, 6, 6], None, 2),
 }  # fmt: skip
 
@@ -188,7 +209,7 @@ def test_dxf_splines_are_kept_within_the_tolerance(tmp_path: File, drawing: Any,
     share = np.ones(len(control)) if weights is None else np.array(weights, dtype=np.float64)
     homogeneous = np.column_stack([np.array(control) * share[:, None], share])
     curve = BSpline(np.array(knots, dtype=np.float64), homogeneous, degree)
-    spans = np.unique(knots)
+    spans = np.unique(knots[degree : len(control) + 1])
     at = np.concatenate([np.linspace(a, b, 4001)[:-1] for a, b in pairwise(spans)])
     values = curve(np.append(at, np.nextafter(spans[-1], 0.0)))
     places = 1e-3 * values[:, :3] / values[:, 3:]
@@ -215,6 +236,8 @@ UNITS_OF_DRAWINGS = {
         "  0\nSECTION\n  2\nHEADER\n  9\n$ACADVER\n  1\nAC1009\n  0\nENDSEC\n",
         "names no unit",
     ),
+    "no header, but a comment": ("999\n$INSUNITS\n", "names no unit; read in mm"),
+    "feet": ("  0\nSECTION\n  2\nHEADER\n  9\n$INSUNITS\n 70\n     2\n  0\nENDSEC\n", "is in Feet; read in mm"),
     "centimetres": ("  0\nSECTION\n  2\nHEADER\n  9\n$INSUNITS\n 70\n     5\n  0\nENDSEC\n", "is in cm; read in mm"),
 }
 
@@ -224,15 +247,17 @@ def test_the_unit_of_the_path_goes_before_that_of_a_drawing(tmp_path: File, name
     """A unit that is missing or wrong in the drawing is the path's, in a line; without any the drawing is refused."""
     pytest.importorskip("ezdxf")
     head, said = UNITS_OF_DRAWINGS[name]
-    line = "  0\nSECTION\n  2\nENTITIES\n  0\nLINE\n  8\n0\n 10\n0\n 20\n0\n 11\n40\n 21\n0\n  0\nENDSEC\n  0\nEOF\n"
+    text = "  0\nTEXT\n  8\n0\n 10\n0\n 20\n0\n 40\n1\n  1\n$INSUNITS\n"
+    line = "  0\nLINE\n  8\n0\n 10\n0\n 20\n0\n 11\n40\n 21\n0\n  0\nENDSEC\n  0\nEOF\n"
+    line = f"  0\nSECTION\n  2\nENTITIES\n{text}{line}"
     with pytest.warns(Rx90Warning, match=rf"part\.dxf: {said}"):
         path = _read(tmp_path, "part.dxf", head + line, unit="mm")
     assert path.length == pytest.approx(0.04)
-    if "INSUNITS" in head:
+    if name == "centimetres":
         assert _read(tmp_path, "part.dxf", head + line, unit="cm").length == pytest.approx(0.4)
         assert _read(tmp_path, "part.dxf", head + line).length == pytest.approx(0.4)
     else:
-        with pytest.raises(ConfigError, match="names no unit; accepted: with unit, one of m, mm"):
+        with pytest.raises(ConfigError, match=rf"{said.partition(';')[0]}; accepted: with unit, one of m, mm"):
             _read(tmp_path, "part.dxf", head + line)
 
 
@@ -289,13 +314,24 @@ def test_dxf_loops_begin_where_the_first_entity_does(tmp_path: File, drawing: An
         "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n9\n$INSUNITS\n70\n1e400\n0\nENDSEC\n0\nEOF\n",
         "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1015\n9\n$INSUNITS\n70\n4\n0\nENDSEC\n0\nSECTION\n2\nENTITIES\n0\n"
         "SPLINE\n5\n1F\n100\nAcDbEntity\n8\n0\n100\nAcDbSpline\n71\n3\n0\nENDSEC\n0\nEOF\n",
+        "",
+        "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n9\n$INSBASE\n10\n0\n",
+        "AutoCAD Binary DXF\r\n\x1a\0",
     ],
-    ids=["text", "an unknown table", "a number without end", "a spline without points"],
+    ids=[
+        "text",
+        "an unknown table",
+        "a number without end",
+        "a spline without points",
+        "empty",
+        "cut",
+        "binary and cut",
+    ],
 )
 def test_dxf_that_is_none_is_one_line(tmp_path: File, text: str) -> None:
     """Text that is no drawing, and drawings that ezdxf stumbles over, are refused in one line."""
     pytest.importorskip("ezdxf")
-    with pytest.raises(ConfigError, match="cannot be read") as refusal:
+    with pytest.raises(ConfigError, match=r"cannot be read|ends within its header") as refusal:
         _read(tmp_path, "part.dxf", text)
     assert "\n" not in str(refusal.value)
 
@@ -314,3 +350,37 @@ def test_a_file_that_would_take_the_memory_is_refused_unread(tmp_path: File, nam
     (tmp_path / name).write_text(part * count)
     with pytest.raises(Rx90Error, match=r"holds .*; accepted: up to"):
         Drawing(tmp_path / name, unit="mm").read()
+
+
+NO_SPLINES = {
+    "knots fall": (
+        [0, 0, 0, 0, 1, 1, 1, 0.5],
+        [1, 1, 1, 1],
+        1.0,
+        "with the knots .* accepted: finite numbers, none below",
+    ),
+    "no knot": ([0, 0, 0, 0, math.nan, 1, 1, 1], [1, 1, 1, 1], 1.0, "with the knots .* accepted: finite numbers"),
+    "equal knots": ([0] * 8, [1, 1, 1, 1], 1.0, "with the knots .* accepted: finite numbers"),
+    "a weight below 0": (
+        [0, 0, 0, 0, 1, 1, 1, 1],
+        [1, -1, 1, 1],
+        1.0,
+        "with the weights .* accepted: finite numbers > 0",
+    ),
+    "no place": ([0, 0, 0, 0, 1, 1, 1, 1], [1, 1, 1, 1], math.inf, "with a point that is no place"),
+    "no length": ([0, 0, 0, 0, 1, 1, 1, 1], [1, 1, 1, 1], 0.0, "holds no path"),
+}
+
+
+@pytest.mark.parametrize("name", NO_SPLINES)
+def test_dxf_spline_that_is_none_is_one_line(tmp_path: File, drawing: Any, name: str) -> None:
+    """Knots, weights and points that make no curve are refused with them, not drawn as another curve."""
+    knots, weights, size, said = NO_SPLINES[name]
+    control = [(0, 0, 0), (20 * size, 40 * size, 0), (60 * size, 0, 0), (90 * size, 0, 0)]
+    drawing.modelspace().add_rational_spline([(0, 0, 0)] * 4, weights, 3)
+    spline = drawing.modelspace()[0]
+    spline.control_points = control
+    spline.knots = knots
+    with pytest.raises(ConfigError, match=said) as refusal:
+        _dxf(tmp_path, drawing)
+    assert "\n" not in str(refusal.value)
