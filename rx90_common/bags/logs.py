@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -42,10 +43,17 @@ _LARGEST: Final = 1e9  # rad, rad/s, Nm or A: beyond any joint, while a damaged 
 _MOST: Final = np.finfo(np.float64).max
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 _LONGEST = 1 << 20  # characters of a line; a file that is no text may have no end of line at all
+_BASIC_DATE = re.compile(r"^(\d{4})(\d\d)(\d\d)[T ](\d\d)(\d\d)(\d\d)")
+_LEAP_SECOND = re.compile(r"[T ]\d\d:?[0-5]\d:?60([.,]\d+)?(Z|[+-][\d:]+)?$")
+_THOUSANDS = {
+    ".": re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?"),
+    ",": re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"),
+}
+_ALMOST = 0.9  # of a number: what would be one without the signs of thousands
 _COMMENTS = ("#", "%", "//")
 _LOOKED_AT = 200  # lines, by which delimiter and decimal sign are found out
 _DIALECTS = ((",", "."), (";", "."), ("tab", "."), ("|", "."), ("space", "."), (";", ","), ("tab", ","), ("|", ","),
-             ("space", ","), (",", ","))  # fmt: skip
+             (",", ","), ("space", ","))  # fmt: skip
 _NOT_FINITE = {"nan", "inf", "infinity"}
 _MAX_RANGES = 40  # of corrupt lines that are named
 
@@ -230,12 +238,17 @@ def _read_log(path: Path, mapping: LogMapping, number: int, more: Callable[[int]
         for row in np.flatnonzero(absurd).tolist():
             # In an exact log the text for a NaN or an infinity is a number.
             if not mapping.exact or str(texts[row]).strip("' ").lower().lstrip("+-") not in _NOT_FINITE:
-                faults.setdefault(row, f"column {plain(column)} is {_cell(texts[row])}")
+                about = f"column {plain(column)} is {_cell(texts[row])}"
+                if _likeness(str(texts[row]), source.decimal) == _ALMOST:
+                    about += f"; accepted: decimal {source.decimal!r}, no signs of thousands"
+                faults.setdefault(row, about)
     stamps = np.zeros(len(lines), dtype=np.int64)
     if time is not None:
         stamps = _stamps_ns(columns[time], source.decimal, int(mapping.seconds * NANOSECONDS))
         for row in np.flatnonzero(stamps < 0).tolist():
             accepted = f"0 to {_LAST_NS // NANOSECONDS} s, or ISO 8601"
+            if _LEAP_SECOND.search(str(columns[time][row]).strip()):
+                accepted = "seconds below 60, no leap second"
             faults.setdefault(row, f"time {_cell(columns[time][row])}; accepted: {accepted}")
     return _Log(source.dialect, lines, stamps, values, faults)
 
@@ -345,6 +358,9 @@ def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], object]) -
     if not widths:
         raise BagError(f"{plain(path)}: holds no row of numbers; accepted: one or more behind the header")
     width = widths.most_common(1)[0][0]
+    wider = Counter(len(_fields_of(line, delimiter, width + 1)) for _, line in beginning[head:]).most_common(1)[0][0]
+    if any(len(names) == wider for names in split[:head]):  # the last column is empty, and has a name
+        width = wider
     # NumPy and Matlab write the names into a comment.
     texts = split[:head] + [_fields_of(line.lstrip("#%/ "), delimiter) for line in comments]
     header = next(([name.strip() for name in texts] for texts in texts if len(texts) == width), [])
@@ -464,6 +480,7 @@ def _stamps_ns(column: Any, decimal: str, unit_ns: int) -> Int64Array:
 
 def _iso_ns(text: str) -> int:
     """Return an ISO 8601 time in ns since 1970, UTC without a zone of its own; -1 for another text."""
+    text = _BASIC_DATE.sub(r"\1-\2-\3T\4:\5:\6", text.replace(",", "."))
     for kind in (pa.timestamp("ns"), pa.timestamp("ns", "UTC")):
         with suppress(pa.ArrowInvalid):
             return int(pa.scalar(text).cast(kind).value)
@@ -483,11 +500,22 @@ def _dialect(lines: Sequence[str], mapping: LogMapping) -> tuple[str, str]:
         pair for pair in _DIALECTS if mapping.delimiter in (None, pair[0]) and mapping.decimal in (None, pair[1])
     ] or [(mapping.delimiter or ",", mapping.decimal or ".")]
 
-    def score(pair: tuple[str, str]) -> int:
-        texts = [text for line in lines for text in _fields_of(line, pair[0])]
-        return 2 * sum(not math.isnan(_number(text, pair[1])) for text in texts) - len(texts)
+    def score(pair: tuple[str, str]) -> float:
+        total = 0.0
+        for line in lines:
+            texts = [text for text in _fields_of(line, pair[0]) if text.strip()]
+            numbers = sum(_likeness(text, pair[1]) for text in texts)
+            total += 2.0 * numbers - len(texts) if numbers else -1.0  # a header tells nothing
+        return total
 
     return max(choice, key=score)
+
+
+def _likeness(text: str, decimal: str) -> float:
+    """Return how much a field is like a number, 0 to 1."""
+    if not math.isnan(_number(text, decimal)):
+        return 1.0
+    return _ALMOST if _THOUSANDS[decimal].fullmatch(text.strip()) else 0.0
 
 
 def exported_logs(folder: Path) -> list[tuple[list[Path], LogMapping]]:

@@ -96,6 +96,9 @@ class LineMotion(TipMotion):
     end_tool_rpy_degrees: Annotated[
         Angles | None, quantity("deg", "tool_rpy_degrees at the end, where the tool turns on the way.")
     ] = None
+    speed_policy: Annotated[
+        Literal["hold"], Field(description="A line holds its speed or is refused; a path may lower it.")
+    ] = "hold"
 
 
 class TaskFile(FileModel):

@@ -143,13 +143,12 @@ def _trials(learner: Learner, options: argparse.Namespace) -> LearnedCorrection:
 
 def _path(name: str, setup: Setup) -> CorrectablePath:
     """Return the path of a file: a path file, a task of a line, or a trajectory."""
-    from rx90_common.base.config import read_yaml
     from rx90_emulator.correction.path import TrajectoryPath
     from rx90_emulator.loop.line import plan_path
-    from rx90_emulator.loop.path_file import load_motion, load_trajectory
+    from rx90_emulator.loop.path_file import is_trajectory, load_motion, load_trajectory
 
     file = Path(name)
-    if file.is_file() and "joint_names" in read_yaml(file, first=True):
+    if file.is_file() and is_trajectory(file):
         return TrajectoryPath.of(setup, load_trajectory(file, setup.robot.joint_names))
     return plan_path(setup, load_motion(name))
 

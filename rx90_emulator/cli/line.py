@@ -73,7 +73,10 @@ def _add_sending(parser: argparse.ArgumentParser) -> None:
     send.add_argument("--approach", action="store_true", help="first move to the start, straight in the joints")
     send.add_argument("--correction", metavar="FILE", help="correction file of this path, as rx90_correct learns it")
     send.add_argument("--dry-run", action="store_true", help="plan and print, send nothing")
-    about = "write the trajectory as a YAML message, or in FILE.csv set-points: s, joints in deg, tool in mm and deg"
+    about = (
+        "write the trajectory as a YAML message, or in FILE.csv set-points, with --correction corrected ones: s, "
+        "joints in deg, tool in mm and deg"
+    )
     send.add_argument("--output", type=place, metavar="FILE", help=about)
 
 
@@ -124,8 +127,10 @@ def _plan_and_send(
     if options.output is not None:
         from rx90_emulator.loop.trajectory_file import write_trajectory
 
-        write_trajectory(options.output, robot, plan.points, period)
-        _say(f"written to {options.output}")
+        table = options.output.suffix.lower() == ".csv"
+        write_trajectory(options.output, robot, replace(plan.points, correction=correction), period)
+        without = "" if table or correction is None else ", without the correction; set-points with it: FILE.csv"
+        _say(f"written to {options.output}{without}")
     if not options.dry_run:
         _send(plan, limits, correction, options)
 

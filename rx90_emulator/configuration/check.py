@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from rx90_common.base.config import read_yaml, yaml_lines
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.models import FileModel, JsonSchema, Place, read_model, schema_at, value_at
-from rx90_common.base.quoting import listed, one_line, plain, quoted
+from rx90_common.base.models import FileModel, JsonSchema, read_model, schema_at
+from rx90_common.base.quoting import listed, nearest, one_line, plain, quoted
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_controller.lines.task import load_task
@@ -25,6 +25,9 @@ from rx90_emulator.loop.setup import Setup
 _LINE = re.compile(r"\bline (\d+)")
 _LEAST_KNOWN_SHARE = 0.5
 """Share of a file's keys that must be known to a kind for the file to be of it."""
+
+_MISSPELT = 0.75
+"""How much of a known key one counts that is like it."""
 
 _NAMES = (*(kind.name for kind in KINDS), NODE_PARAMETERS)
 
@@ -56,7 +59,7 @@ def kind_named(name: str) -> FileKind:
 
 
 def kind_of(path: Path, content: Mapping[str, Any]) -> FileKind:
-    """Return the kind that knows the most keys of a file."""
+    """Return the kind that knows the most keys of a file, misspelt ones with it."""
     if _has_node_parameters(content):
         return kind_named(NODE_PARAMETERS)
     counts = [(kind, *_count_keys(kind.json_schema(), content)) for kind in KINDS]
@@ -80,20 +83,28 @@ def _has_node_parameters(content: Any) -> bool:
     )
 
 
-def _count_keys(schema: JsonSchema, content: Mapping[str, Any], place: Place = ()) -> tuple[int, int]:
-    """Return how many keys of a file a kind knows and how many there are; of free names only what is in them counts."""
-    known = 0
+def _count_keys(schema: JsonSchema, content: Mapping[str, Any]) -> tuple[float, int]:
+    """Return how many keys of a file a kind knows and how many there are; of free names only what is in them counts.
+
+    A misspelt key counts as a share of one.
+    """
+    known = 0.0
     total = 0
-    around = schema_at(schema, place, content)
+    around = schema_at(schema, (), content)
+    properties = around.get("properties", {})
     free_names = isinstance(around.get("additionalProperties"), dict)
-    for key, value in value_at(content, place).items():
+    for key, value in content.items():
         if key in FileModel.about_keys:
             continue
-        is_known = key in around.get("properties", {})
-        known += is_known
-        total += is_known or not free_names
-        if isinstance(value, dict) and (is_known or free_names):
-            inner = _count_keys(schema, content, (*place, key))
+        meant = key
+        if key not in properties:
+            meant = nearest(str(key), properties.keys() - content.keys())
+        if meant:
+            known += 1.0 if meant == key else _MISSPELT
+        total += bool(meant) or not free_names
+        if isinstance(value, dict) and (meant or free_names):
+            inside = schema_at(schema, (meant or key,), {meant or key: value})
+            inner = _count_keys({**inside, "$defs": schema.get("$defs", {})}, value)
             known += inner[0]
             total += inner[1]
     return known, total

@@ -29,6 +29,7 @@ REPORT = "export.yaml"
 
 _FEWEST = 20  # least number of samples of a bag that determine the speeds of a joint
 _GRID = 1_000_000  # most combinations of the speeds of joints that move at once
+_BESIDE = 1e-9  # rad/s beside rest: above the rounding of sums of speeds, far below the Stribeck velocities
 _ROUNDING = 1e-9  # Nm: a smaller difference is rounding
 _OTHER_SHAPE = (TypeError, ValueError, KeyError, IndexError, AttributeError)
 
@@ -204,7 +205,8 @@ def _identified_ranges(arm: Arm) -> dict[str, tuple[float, float]]:
 def _with_coupling(fit: FrictionFit, arm: Arm, joint: int, used: Sequence[Array]) -> FrictionFit:
     """Return the fit of a joint with its errors where its friction depends on other joints' motion, too.
 
-    The joint's friction and the target's law are compared over the grid of all their speeds in use, of either sign.
+    The joint's friction and the target's law are compared over the grid of all their speeds in use, of either sign, and
+    where these cancel in an element.
     """
     rows = arm.drives.turning.element_matrix
     felt: list[int] = np.flatnonzero(rows[:, joint]).tolist()
@@ -219,25 +221,50 @@ def _with_coupling(fit: FrictionFit, arm: Arm, joint: int, used: Sequence[Array]
         if len(speeds) > count:
             speeds = speeds[np.linspace(0, len(speeds) - 1, count).astype(int)]
         signed.append(np.concatenate([-speeds, speeds]))
-    grid = np.meshgrid(*signed, indexing="ij", sparse=True)
-    alone = grid[0]
-    difference = -np.sign(alone) * fit.law.torque(np.abs(alone))
+    grid = [*np.meshgrid(*signed, indexing="ij", sparse=True)]
+    combinations = [grid]
+    for e in felt:
+        combinations += _near_rest(rows[e, joints], grid)
+    worst = fit.largest
+    more = dict.fromkeys(felt, 0.0)
+    for speeds in combinations:
+        alone = speeds[0]
+        difference = -np.sign(alone) * fit.law.torque(np.abs(alone))
+        for e in felt:
+            element = arm.friction.elements[e]
+            turn = rows[e, joint]
+            inputs = sum(rows[e, k] * speed for k, speed in zip(joints, speeds, strict=True))
+            torque = turn * element.steady_torque(inputs)
+            difference = difference + torque
+            more[e] = max(more[e], float(np.abs(torque - turn * element.steady_torque(turn * alone)).max()))
+        worst = max(worst, float(np.abs(difference).max()))
     lost = list(fit.lost)
     coupled = 0.0
     for e in felt:
-        element = arm.friction.elements[e]
-        turn = rows[e, joint]
-        inputs = sum(rows[e, k] * speeds for k, speeds in zip(joints, grid, strict=True))
-        torque = turn * element.steady_torque(inputs)
-        difference = difference + torque
         others = [arm.robot.joint_names[k] for k in joints[1:] if rows[e, k]]
         if others:
-            most = float(np.abs(torque - turn * element.steady_torque(turn * alone)).max())
             name = arm.friction.names[e]
-            lost.append(f"coupling: while {' and '.join(others)} moves, {name} differs by up to {most:.3g} Nm more")
-            coupled += most
-    worst = max(fit.largest, float(np.abs(difference).max()))
+            lost.append(f"coupling: while {' and '.join(others)} moves, {name} differs by up to {more[e]:.3g} Nm more")
+            coupled += more[e]
     return replace(fit, lost=tuple(lost), coupled=coupled, worst=worst)
+
+
+def _near_rest(turns: Array, grid: Sequence[Array]) -> list[list[Array]]:
+    """Return the grid with the speed of one joint such that an element all but rests, where it breaks away.
+
+    Args:
+        turns: how much the element turns with each joint of the grid, shape (joints,).
+        grid: speeds of each joint, rad/s, sparse.
+    """
+    combinations: list[list[Array]] = []
+    if not turns[1:].any():
+        return combinations
+    for place in np.flatnonzero(turns).tolist():
+        rest = sum(-turns[k] / turns[place] * grid[k] for k in range(len(grid)) if k != place)
+        range_of = np.abs(grid[place])
+        reached = np.copysign(np.clip(np.abs(rest), range_of.min(), range_of.max()), rest)
+        combinations += [[*grid[:place], reached + side, *grid[place + 1 :]] for side in (-_BESIDE, _BESIDE)]
+    return combinations
 
 
 def _arm_losses(arm: Arm, target: Target) -> list[str]:

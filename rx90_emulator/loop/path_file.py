@@ -11,11 +11,12 @@ from collections.abc import Sequence
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError, LineError, located
 from rx90_common.base.models import FileModel, Model, Names, OneOf, Row, Triple, quantity, read_model, refusal
+from rx90_common.base.quoting import nearest
 from rx90_common.base.share import resolve_config
 from rx90_controller.lines.task import Angles, LineTask, Posture, TipMotion, load_task, radians
 from rx90_controller.paths.path import Path, Segment
@@ -206,32 +207,40 @@ def load_path(name: FilePath | str) -> Path:
 
 
 def load_motion(name: FilePath | str) -> LineTask | Path:
-    """Read a task file or a path file, whichever it is.
+    """Read a task file or a path file, whichever it is by its keys, misspelt or not.
 
     Raises:
         LineError: if the values do not make a line or a path.
     """
     file = resolve_config(str(name))
-    if "path" in read_yaml(file):
+    if _meant(file) == "path":
         return load_path(file)
     return load_task(file)
+
+
+def is_trajectory(file: FilePath) -> bool:
+    """Return whether a motion's file is a trajectory by its keys, misspelt or not."""
+    return _meant(file) in ("joint_names", "points")
+
+
+def _meant(file: FilePath) -> str:
+    """Return the key of a motion's file that tells its kind, an empty text if none is like one."""
+    keys = read_yaml(file, first=True)
+    kinds = ("line", "path", "joint_names", "points")
+    return next((near for key in keys if (near := nearest(str(key), kinds))), "")
 
 
 _ACCEPTED = "the YAML of a trajectory_msgs/JointTrajectory"
 
 
-class _Message(Model):
-    model_config = ConfigDict(extra="ignore")
-
-
-class Duration(_Message):
+class Duration(Model):
     """A time."""
 
     sec: Annotated[int, quantity("s", "Whole seconds.", ge=-(2**31), le=2**31 - 1)] = 0
     nanosec: Annotated[int, quantity("ns", "The rest.", ge=0, le=2**32 - 1)] = 0
 
 
-class TrajectoryPoint(_Message):
+class TrajectoryPoint(Model):
     """A point."""
 
     positions: Annotated[Row, quantity("rad", "Of each joint.")] = ()
@@ -241,9 +250,10 @@ class TrajectoryPoint(_Message):
     time_from_start: Duration
 
 
-class TrajectoryFile(_Message):
+class TrajectoryFile(FileModel):
     """A trajectory_msgs/JointTrajectory; the header is not looked at."""
 
+    header: Annotated[Any, Field(description="Of the message; not looked at.")] = None
     joint_names: Annotated[Names, Field(description="The robot's joints, in any order.")]
     points: Annotated[
         tuple[TrajectoryPoint, ...], Field(strict=False, description="Points in the order of their times.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from io import StringIO
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
 from rx90_common.process.files import write_text
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory.correction import PlayedCorrection
 from rx90_controller.trajectory.points import message_content
 from rx90_controller.trajectory.spline import interpolate
 
@@ -27,7 +29,8 @@ def write_trajectory(file: Path, robot: RobotModel, points: TrajectoryPoints, pe
         file: `.csv` for a table of set-points: time, joints in degrees, place of the tool centre point in mm and roll,
             pitch and yaw about fixed axes in degrees; any other for the YAML of a trajectory_msgs/JointTrajectory.
         robot: the arm.
-        points: with velocities and accelerations.
+        points: with velocities and accelerations; their correction is in the table, faded in and out as it is played,
+            and not in the YAML, which has no channel for it.
         period: of the set-points in a table, s.
     """
     if file.suffix.lower() != ".csv":
@@ -37,9 +40,17 @@ def write_trajectory(file: Path, robot: RobotModel, points: TrajectoryPoints, pe
 
     assert points.velocity is not None
     curve = interpolate(points.times, points.position, points.velocity, points.acceleration)
-    count = int(np.floor(points.times[-1] / period + 1e-6)) + 1
+    end = float(points.times[-1])
+    count = int(np.floor(end / period + 1e-6)) + 1
+    played = None
+    if points.correction is not None:
+        played = PlayedCorrection.started(points.correction, 0)
+        count = max(count, math.ceil(played.over * points.correction.period / period - 1e-6) + 1)
     time: Array = np.asarray(np.arange(count) * period, dtype=np.float64)
-    angles = curve.sample(time)[:, 0]
+    angles = curve.sample(np.minimum(time, end))[:, 0]
+    if played is not None:
+        ticks = np.rint(time / played.correction.period).astype(np.int64)
+        angles = angles + played.at(ticks)
     pose = forward(robot.chain, angles)
     turn = np.unwrap(Rotation.from_matrix(pose.rotation).as_euler("xyz"), axis=0)
     columns = np.column_stack([time, np.degrees(angles), _MILLI * pose.position, np.degrees(turn)])

@@ -92,6 +92,17 @@ def test_set_points_as_a_table_are_those_of_the_plan(shipped: Setup, tmp_path: P
         np.testing.assert_allclose(turn, pose[:3, :3], atol=1e-7)
 
 
+@pytest.mark.parametrize(("policy", "code"), [("hold", 0), ("lower", 2)])
+def test_a_line_holds_its_speed(tmp_path: Path, capsys: pytest.CaptureFixture[str], policy: str, code: int) -> None:
+    """The key of paths is one of lines, too, which are never slowed."""
+    file = tmp_path / "task.yaml"
+    task = config_path(REFERENCE).read_text(encoding="utf-8")
+    file.write_text(task.replace("line:\n", f"line:\n  speed_policy: {policy}\n"), encoding="utf-8")
+    assert run("rx90_line", ["--from-file", str(file), "--dry-run"]) == code
+    said = "line.speed_policy is 'lower'; accepted: hold" if code else ""
+    assert said in capsys.readouterr().err
+
+
 class Listener:
     """A controller's ears and a simulation's mouth: takes trajectories, tells joint states."""
 

@@ -32,6 +32,10 @@ topics:
 """
 
 
+NAMED = "time: {column: t, unit: s}\nnames: [a]\nposition: {columns: [q], unit: rad}\n"
+MAY = int(datetime(2024, 5, 1, 12, tzinfo=timezone.utc).timestamp()) * 10**9
+
+
 def write(path: Path, text: str, encoding: str = "utf-8") -> Path:
     """Write a file."""
     path.write_text(text, encoding=encoding)
@@ -66,6 +70,7 @@ def rows(delimiter: str, decimal: str = ".", end: str = "") -> str:
         ("\n\n" + rows("   ", ","), "latin-1"),
         ("% of the 3rd run\n" + rows("|").replace("\n", "\r\n") + "\n\n", "utf-8"),
         ('"t","a","b"\n"' + rows('","').replace("\n", '"\n"') + '"', "utf-8"),
+        ("t,a,b,tau\n" + rows(",", end=","), "utf-8"),  # a column that is empty and not used
     ],
 )
 def test_delimiter_decimal_sign_and_header_are_found_out(tmp_path: Path, text: str, encoding: str) -> None:
@@ -136,6 +141,44 @@ def test_times_of_iso_8601_are_exact(tmp_path: Path, zone: str, between: str) ->
     hour = 12 - 2 * (zone == "+02:00")
     begin = int(datetime(2024, 5, 1, hour, tzinfo=timezone.utc).timestamp()) * 10**9 + 123_456_789
     assert imported(tmp_path, PLAIN, f"t,a,b\n{text}").stamp_ns.tolist() == [begin + k * 10**9 for k in range(3)]
+
+
+@pytest.mark.parametrize(
+    ("log", "stamps", "positions"),
+    [
+        ('t,q\n0,"0,000000"\n1,"0,001000"\n', [0, 10**9], [0.0, 1e-3]),
+        ("t,q\n20240501T120000Z,0.0\n20240501T120001.5Z,0.25\n", [MAY, MAY + 1_500_000_000], [0.0, 0.25]),
+        ("t;q\n2024-05-01 12:00:00,000;0,0\n2024-05-01 12:00:00,100;0,25\n", [MAY, MAY + 10**8], [0.0, 0.25]),
+    ],
+)
+def test_named_columns_of_usual_programs_are_read(
+    tmp_path: Path, log: str, stamps: list[int], positions: list[float]
+) -> None:
+    """Whole numbers beside quoted decimals; times in the basic form, and with a blank and a decimal comma."""
+    found = imported(tmp_path, NAMED, log)
+    assert found.stamp_ns.tolist() == stamps
+    assert found.position[:, 0].tolist() == positions  # type: ignore[index]
+
+
+@pytest.mark.parametrize(
+    ("log", "said"),
+    [
+        ("t,x,q\n0.0,0.0,\n0.1,0.1,\n", "2 corrupt rows, line 2-3 (line 2: column q is empty)"),
+        ('t,q\n0.0,"1,100"\n0.1,"1,101"\n', "column q is '1,100'; accepted: decimal '.', no signs of thousands"),
+        ("t;q\n0,00;1.100,5\n0,01;1.101,5\n", "column q is '1.100,5'; accepted: decimal ',', no signs of thousands"),
+        ('t,q\n0.0,"0,0000"\n0.1,"0,0010"\n', "(line 2: column q is '0,0000')"),
+        ("t,q\n2016-12-31T23:59:60Z,0\n2017-01-01T00:00:00Z,1\n", "60Z'; accepted: seconds below 60, no leap second"),
+    ],
+)
+def test_what_a_cell_holds_is_told_not_the_header(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], log: str, said: str
+) -> None:
+    """One line names the cell, where "no column 't'; there are no names" stood beside a header."""
+    write(tmp_path / "m.yaml", NAMED)
+    paths = str(write(tmp_path / "log.csv", log)), str(tmp_path / "bag")
+    assert run("rx90_bag", ["import", *paths, "--signals", str(tmp_path / "m.yaml")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
 
 
 @pytest.mark.parametrize(("cells", "where"), [("1,,2", "column 2"), ("1,2,", "column 3"), (",1,2", "time")])

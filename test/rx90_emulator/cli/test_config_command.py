@@ -100,6 +100,23 @@ def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captu
     odd.write_text("mass: 1.0\n", encoding="utf-8")
     assert run("rx90_config", ["check", str(odd)]) == 2
     assert "odd.yaml: of no kind that is checked, as MoveIt's own files; accepted: drives," in capsys.readouterr().err
+    slip = tmp_path / "slip.yaml"
+    for wrong, said in (
+        ("joint_name: [a]\npoints: []\n", ":1: joint_name is not a known key (did you mean joint_names?); accepted"),
+        ("joint_names: [a]\npoints: [{postions: [0]}]\n", ":2: points[0].postions is not a known key (did you mean po"),
+        ("pth: {segments: []}\n", ":1: pth is not a known key (did you mean path?); accepted: path, posture"),
+        (
+            "lines: {speed: 0.1, start: [0, 0, 0]}\n",
+            ":1: lines is not a known key (did you mean line?); accepted: line",
+        ),
+    ):
+        slip.write_text(wrong, encoding="utf-8")
+        assert run("rx90_config", ["check", str(slip)]) == 1
+        line = capsys.readouterr().out.splitlines()[0]
+        assert said in line
+        assert run("rx90_correct", ["learn", str(slip), "--output", str(tmp_path / "new.yaml")]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert said.removeprefix(":1").removeprefix(":2") in line
     both = tmp_path / "both.yaml"
     both.write_text("tcp: {}\njoint_limits: {}\n", encoding="utf-8")
     assert run("rx90_config", ["check", str(both)]) == 2

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pinocchio_chain import tip_pose
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -402,6 +403,28 @@ def test_the_command_learns_shows_and_refuses(tmp_path: Path, capsys: pytest.Cap
     assert run("rx90_correct", ["precompensate", str(output), "robots/rx90b/task.yaml", *to]) == 0
     assert "worst path error on the engine: 0.0" in capsys.readouterr().out
     assert len(load_trajectory(tmp_path / "corrected.yaml", [f"joint_{k}" for k in range(1, 7)]).times) == 2801
+    tables = []
+    for name, more in (("asked", []), ("played", ["--correction", str(output)])):
+        table = tmp_path / f"{name}.csv"
+        words_of_line = ["--from-file", "robots/rx90b/task.yaml", "--dry-run", "--output", str(table), *more]
+        assert run("rx90_line", words_of_line) == 0
+        tables.append(np.loadtxt(table, delimiter=",", skiprows=1))
+    asked, played = tables
+    with np.load(tmp_path / "line.npz") as file:
+        offsets = np.degrees(file["offsets"])
+    middle = slice(100, len(asked) - 1)  # faded in, and not yet out
+    assert np.abs(offsets[middle]).max() > 1e-3
+    np.testing.assert_allclose(played[middle, 1:7] - asked[middle, 1:7], offsets[middle], atol=1.1e-6)
+    np.testing.assert_allclose(played[-1, 1:], asked[-1, 1:], atol=1e-6)
+    np.testing.assert_allclose(np.diff(played[:, 0]), 1e-3, atol=1e-9)
+    robot = rx.load_setup().robot
+    for row in played[200::900]:
+        np.testing.assert_allclose(row[7:10], 1e3 * tip_pose(robot, np.radians(row[1:7]))[:3, 3], atol=1e-4)
+    message = ["--output", str(tmp_path / "message.yaml"), *more]
+    assert run("rx90_line", [*words_of_line[:3], *message]) == 0
+    assert "message.yaml, without the correction; set-points with it: FILE.csv" in capsys.readouterr().out
+    assert run("rx90_line", [*words_of_line, "--set-point-rate", "500"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
     mine = tmp_path / "mine.npz"
     mine.write_bytes(b"mine")
     assert run("rx90_correct", [*words[:-1], str(tmp_path / "mine.yaml")]) == 2

@@ -89,10 +89,12 @@ def test_errors_of_the_wrist_are_those_of_all_pairs_of_speeds(
         worst = 0.0
         most = 0.0
         there = np.geomspace(1e-3, setup.robot.max_velocity[other], 300)
-        for speed in np.geomspace(1e-3, setup.robot.max_velocity[joint], 150):
+        slower = setup.robot.max_velocity[[joint, other]].min()
+        for speed in [*np.geomspace(1e-3, setup.robot.max_velocity[joint], 150), slower]:
             law = fit.law.tau_c + (speed * fit.law.viscous[0])
             for sign in (-1.0, 1.0):
-                both = shared.steady_torque(sign * speed + np.concatenate([-there, there]))
+                cancelling = min(speed, setup.robot.max_velocity[other]) + np.array([-1e-9, 1e-9])
+                both = shared.steady_torque(sign * speed + np.concatenate([-there, there, -sign * cancelling]))
                 torque = own.steady_torque(sign * speed) + both
                 worst = max(worst, float(np.abs(torque - sign * law).max()))
                 most = max(most, float(np.abs(both - shared.steady_torque(sign * speed)).max()))
@@ -103,6 +105,32 @@ def test_errors_of_the_wrist_are_those_of_all_pairs_of_speeds(
         assert f"coupling: while {moves} moves, joint_5_6 differs by up to {fit.coupled:.3g} Nm more" in fit.lost
         assert yaml.safe_load(export.report())["friction"][fit.name]["largest_while_others_move"] == fit.worst
     assert export.largest == max(fit.worst for fit in export.fits)
+
+
+@pytest.mark.parametrize("speeds", [None, (0.01, 1.0), (0.5, 2.0)])
+@pytest.mark.parametrize("target", ["urdf", "sdf", "isaaclab"])
+@pytest.mark.parametrize("robot", ["rx90b", "tx40"])
+def test_errors_of_the_wrist_where_its_speeds_cancel(
+    robot: str, target: str, speeds: tuple[float, float] | None
+) -> None:
+    """No pair of speeds, dense or such that the motor of both all but rests, is off by more than what is stated."""
+    setup = rx.load_setup(robot=robot)
+    export = rx.export_robot(setup, target, speeds=speeds)
+    for joint, other in ((4, 5), (5, 4)):
+        fit = export.fits[joint]
+        least, most = speeds or (1e-3, setup.robot.max_velocity[joint])
+        there_least, there_most = speeds or (1e-3, setup.robot.max_velocity[other])
+        own = np.append(np.geomspace(least, most, 500), np.clip(there_most, least, most))[:, None]
+        there = np.broadcast_to(np.geomspace(there_least, there_most, 900), (501, 900))
+        cancelling = np.clip(own, there_least, there_most) + np.array([-1e-9, 1e-9, -1e-6, 1e-6])
+        pairs = own + np.hstack([there, -there, -cancelling])
+        highest = 0.0
+        for sign in (-1.0, 1.0):
+            shared = setup.friction["joint_5_6"].steady_torque(sign * pairs)
+            torque = setup.friction.elements[joint].steady_torque(sign * own) + shared
+            off = torque - sign * (fit.law.tau_c + own * fit.law.viscous[0])
+            highest = max(highest, float(np.abs(off).max()))
+        assert highest * (1.0 - 1e-4) <= fit.worst <= highest * (1.0 + 1e-3)
 
 
 def test_errors_of_a_motor_that_turns_with_three_joints(tmp_path: Path) -> None:
