@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import pickle
-import re
 import tempfile
 import warnings
 from collections.abc import Callable
@@ -17,16 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from refusals import refusal_by
-from schema_faults import validator
 
-from rx90_common.base.config import read_yaml
-from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import FileModel, Provenance, unit_of
+from rx90_common.base.models import Provenance
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.friction import FrictionElement, FrictionSet, load_friction
+from rx90_common.friction import FrictionElement, load_friction
 from rx90_common.friction.compiled_elements import element_arrays
-from rx90_common.friction.element import PARTS, legend
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_common.friction.parts.load import LoadPart
@@ -74,30 +69,6 @@ def test_a_damping_that_is_not_passive_is_warned_of(
     assert f"accepted: below {accepted:.3g} " in line
     better = friction.elements[0].replaced(c1=0.99 * accepted)
     assert math.isinf(better.passivity_limit(speeds[0]))
-
-
-def test_an_omega_d_that_is_left_out_may_be_written(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
-    """`omega_d: .inf` is the constant c1 of a file without it; other infinities are refused."""
-    check = validator("friction")
-    for key, value, good in (("omega_d", math.inf, True), ("omega_d", -math.inf, False), ("omega_s", math.inf, False)):
-        path = edited_yaml(shipped_files.friction, ("elements", "joint_1", key), value)
-        assert check.is_valid(read_yaml(path)) == (value > 0.0)  # JSON has no infinity
-        if good:
-            assert load_friction(path, RX_WRIST.element_names(NAMES)).elements[0].omega_d == math.inf
-        else:
-            with pytest.raises(ConfigError, match=rf"joint_1.{key} is {value}; accepted: a (finite )?number >= 1e-09"):
-                load_friction(path, RX_WRIST.element_names(NAMES))
-
-
-def test_the_head_of_a_file_names_all_parameters(shipped_files: RobotFiles) -> None:
-    """The shipped file's head is that of the fields, and each key of each part stands there with its unit."""
-    assert legend() in shipped_files.friction.read_text()
-    for name, part in PARTS.items():
-        text = part.legend(name)
-        assert f"# {name} " in text
-        for model in part.models:
-            for key in model.model_fields.keys() - {*FileModel.about_keys, "kind"}:
-                assert re.search(rf"#   {key} +.*, {re.escape(unit_of(model, key))}, ", text), (name, key)
 
 
 POSITIVE = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
@@ -211,9 +182,7 @@ def waves(*amplitudes: float) -> dict[str, Any]:
     ("place", "value", "words"),
     [
         *((name, None, f"elements.{name} is missing") for name in ELEMENTS),
-        ("joint_1.tau_s", 24.5, "elements.joint_1.tau_s is 24.5; accepted: a number >= tau_c = 25.0 Nm"),
         ("joint_1.tau_s", {"positive": 32.0, "negative": 24.5}, "tau_s is 24.5; accepted: a number >= tau_c"),
-        ("joint_1.tau_c", {"positive": 32.0, "negativ": 24.5}, "tau_c.negativ is not a known key (did you mean neg"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_refused(
@@ -227,9 +196,7 @@ def test_what_is_wrong_in_a_file_is_refused(
 @pytest.mark.parametrize(
     ("part", "block", "words"),
     [
-        ("ripple", {}, "ripple.joint_harmonic is []; accepted: a harmonic in joint_harmonic or motor_harmonic"),
         ("ripple", {**WAVE, "motor_phase": [1, 2]}, "ripple.motor_phase is [1.0, 2.0]; accepted: 1 numbers, as many"),
-        ("ripple", {**WAVE, "joint_amplitude": [0.1]}, "ripple.joint_amplitude is [0.1]; accepted: 0 numbers"),
         ("ripple", waves(0.5, 0.5), "amplitudes that sum to less than 1 in both series together"),
         ("bristles", {**SLIP, "stiffness": [0.5, 0.4999]}, "accepted: numbers that sum to 1; these sum to 0.9999"),
         ("bristles", {**SLIP, "share": [1.0]}, "bristles.share is [1.0]; accepted: 2 numbers, as many as stiffness"),
@@ -242,24 +209,6 @@ def test_what_is_wrong_in_a_part_is_refused(
     text = refusal(edited_yaml(shipped_files.friction, ("elements", "joint_2", part), block))
     assert f"elements.joint_2.{part}" in text
     assert words in text
-
-
-def test_a_set_has_as_many_elements_as_names(shipped: Setup) -> None:
-    """Six elements are no friction set."""
-    with pytest.raises(ConfigError, match="6 elements and 7 names; accepted: as many"):
-        FrictionSet(shipped.friction.names, shipped.friction.elements[:6])
-
-
-def test_a_ripple_may_have_as_many_waves_as_it_says() -> None:
-    """Eight waves of each angle are taken."""
-    eight = tuple(float(k) for k in range(1, 9))
-    assert RipplePart(
-        joint_harmonic=eight,
-        joint_amplitude=(0.05,) * 8,
-        joint_phase=(),
-        motor_harmonic=eight,
-        motor_amplitude=(0.05,) * 8,
-    ).least_factor == pytest.approx(0.2)
 
 
 def test_parts_leave_less_to_the_passivity_limit(shipped: Setup) -> None:
