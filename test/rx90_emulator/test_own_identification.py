@@ -67,7 +67,6 @@ def test_torques_are_those_of_arm_and_friction(urdf: Path) -> None:
     [
         ({"position": np.zeros((2000, 3))}, r"position has shape \(2000, 3\); accepted: \(2000, 2\)"),
         ({"time": np.zeros(2000)}, r"time has shape \(2000,\); accepted: three or more even, increasing times"),
-        ({"velocity": np.zeros(2000)}, r"velocity has shape \(2000,\); accepted"),
     ],
 )
 def test_what_does_not_fit_is_refused(urdf: Path, change: dict[str, np.ndarray], message: str) -> None:

@@ -28,7 +28,6 @@ CASES = {
     "another root": ("robot", "model", "root element is 'model'"),
     "xacro": ('<link name="flange"/>', XACRO, "expand it with xacro"),
     "prismatic": (JOINT_5, '<joint name="joint_5" type="prismatic">', "'joint_5' type is 'prismatic'"),
-    "continuous": (JOINT_5, '<joint name="joint_5" type="continuous">', "'joint_5' type is 'continuous'"),
     "floating base": (
         '<joint name="base_fixed" type="fixed">',
         '<joint name="base_fixed" type="floating">',
@@ -38,25 +37,15 @@ CASES = {
     "two roots": ('<parent link="base_link"/>\n    <child link="link_1"/>', '<parent link="flange"/>'
                   '<child link="link_1"/>', "a loop|root links"),
     "unknown parent": ('<parent link="link_5"/>', '<parent link="link_7"/>', "parent link is 'link_7'"),
-    "two parents": ('<child link="flange"/>', '<child link="link_2"/>', "child link is 'link_2'"),
     "name twice": ('<link name="flange"/>', '<link name="link_4"/>', "link name is 'link_4'"),
-    "name of lines": ('<link name="flange"/>', '<link name="a&#10;b"/>', r"name of an element 'link' is 'a\\nb'"),
     "name that turns the text": ('<robot name="rx90b"', '<robot name="a\u202eb"', "'robot' is 'a"),
     "zero mass": (LINK_5, '<mass value="0"/>', "'link_5' inertial mass is 0.0"),
-    "negative mass": (LINK_5, '<mass value="-1.2"/>', "'link_5' inertial mass is -1.2"),
-    "mass NaN": (LINK_5, '<mass value="nan"/>', "'link_5' inertial mass value is 'nan'"),
-    "mass missing": (LINK_5, "", "'link_5' inertial mass value is missing"),
-    "mass no number": (LINK_5, '<mass value="heavy"/>', "'heavy'"),
-    "not definite": (INERTIA_5, INERTIA_5.replace("0.0008", "-0.0008"), "positive definite"),
     "not definite by products": (INERTIA_5, INERTIA_5.replace('ixy="0"', 'ixy="0.003"'), "positive definite"),
     "triangle": (INERTIA_5, INERTIA_5.replace("0.0008", "0.0080"), "any two add up"),
-    "no inertia": (f"<inertia {INERTIA_5}/>", "", "'link_5' inertial inertia ixx is missing"),
-    "limits missing": (f"<limit {LIMIT_5}/>", "", "'joint_5' limit is None"),
     "one limit missing": (LIMIT_5, LIMIT_5.replace("effort", "force"), "'joint_5' limit effort is missing"),
     "limits crossed": (LIMIT_5, LIMIT_5.replace('"-1.83', '"3.83'), "'joint_5' limit lower is 3.83"),
     "speed zero": (LIMIT_5, LIMIT_5.replace("5.585053606381854", "0"), "'joint_5' limit velocity is 0.0"),
     "axis zero": (AXIS_1, AXIS_1.replace("0 0 1", "0 0 0"), "'joint_1' axis is '0 0 0'"),
-    "axis short": (AXIS_1, AXIS_1.replace("0 0 1", "0 1"), "'joint_1' axis xyz is '0 1'"),
     "origin": ('<origin xyz="0 0 0.420"/>', '<origin xyz="0 0 high"/>', "'joint_1' origin xyz is '0 0 high'"),
 }  # fmt: skip
 

@@ -133,7 +133,6 @@ def test_the_tool_counts_for_the_table(urdf: Path) -> None:
     [
         ([], (), "is not moved by the joint before it; accepted: --joints of one arm, from base to tip"),
         ([*ARM, "--home", *["0"] * 7], (), "home: arm_4 is 0 rad; accepted: [-3.1, -0.07]"),
-        ([*ARM, "--robot", "tx40"], (), "--joints with --robot; accepted: --urdf alone, with --excitation"),
         ([*ARM, "--keep-above", "1.5"], (), "--keep-above 1.5: at home"),
         (ARM, ('effort="90"', 'effort="0"'), "joint 'arm_1' limit has lower -2.9, upper 2.9, velocity 2.2, effort 0"),
     ],

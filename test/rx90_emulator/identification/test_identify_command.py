@@ -59,14 +59,6 @@ def filled(path: Path, text: str = "") -> Path:
     return path
 
 
-def cut_off(hinge: Hinge, folder: Path) -> list[object]:
-    """Return the option of a bag whose storage file ends in the middle."""
-    copy = Path(shutil.copytree(hinge.bag, folder / "cut"))
-    (file,) = copy.glob("*.mcap")
-    os.truncate(file, file.stat().st_size // 2)
-    return ["--sliding", copy]
-
-
 def mimicking(hinge: Hinge, folder: Path) -> list[object]:
     """Return the option of a URDF in which a second joint mimics the first."""
     head, tail = urdf_text(["hinge", "jaw"], ["0 1 0", "0 1 0"], [2.0, 1.0]).rsplit("</joint>", 1)
@@ -82,46 +74,16 @@ REFUSED_CASES = {
         r"hinge moves through \d+ rad, in its URDF through 6 rad at most; accepted: .*--gear",
     ),
     "unstamped": (sliding(header=False), "every stamp is 0.0* s; accepted: .*--record-time"),
-    "other_fallback": (options("--fallback", "robots/rx90b/friction.yaml"), "elements.hinge is missing; accepted"),
-    "cut_off": (cut_off, "cut: .* is cut off"),
     "twice": (lambda h, _: ["--sliding", h.bag, h.bag], "run: given twice for --sliding"),
-    "both": (lambda h, f: [f, "--sliding", h.bag], "accepted: a folder or single bags, not both"),
-    "none": (lambda *_: [], "no bag with sweeps"),
     "checked_by_itself": (
         lambda h, f: ["--sliding", h.bag, "--validation", shutil.copytree(h.bag, f / "copy")],
         "copy: also used for the identification as .*run",
     ),
     "prior": (options("--prior", "0.5"), "--prior 0.5 without excitation runs; accepted: with --excitation"),
     "mimic": (mimicking, "'jaw' mimics hinge; accepted: .*--joints hinge"),
-    "tool": (options("--tool", "none"), "--tool with --urdf; accepted"),
-    "forced": (
-        lambda _, f: ["--sliding", f / "nowhere", "--force", "--output", filled(f / "mine.yaml", "mine")],
-        "nowhere: no such bag",
-    ),
     "exists": (existing("--output", "mine.yaml"), "mine.yaml exists; accepted: another name, or --force"),
     "device": (options("--force", "--output", "/dev/full"), "/dev/full is no regular file; accepted"),
     "same": (lambda h, f: ["--sliding", h.bag, "--output", f / "f.html"], "--output and --report are both"),
-}
-
-
-def checking(*words: object) -> Change:
-    """Return options of a check of a given friction file; "good" and "other" are such files, "bag" the good bag."""
-
-    def make(hinge: Hinge, folder: Path) -> list[object]:
-        files = {
-            "good": hinge.friction(folder / "good.yaml"),
-            "other": hinge.friction(folder / "other.yaml", element="elbow"),
-            "bag": hinge.bag,
-        }
-        return [files.get(word, word) if isinstance(word, str) else word for word in words]
-
-    return make
-
-
-REFUSED_CHECKS = {
-    "no_bag": (checking("--friction", "good"), "no bag to hold the friction against; accepted: --validation BAG ..."),
-    "output": (checking("--friction", "good", "--validation", "bag", "--output", "x.yaml"), "x.yaml with --friction;"),
-    "element": (checking("--friction", "other", "--validation", "bag"), "elements.hinge is missing; accepted"),
 }
 
 
@@ -130,11 +92,11 @@ def everything(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize("case", [*REFUSED_CASES, *REFUSED_CHECKS])
+@pytest.mark.parametrize("case", REFUSED_CASES)
 def test_a_mistake_is_one_line(hinge: Hinge, tmp_path: Path, capfd: pytest.CaptureFixture[str], case: str) -> None:
     """A user's mistake is one line with what is accepted and status 2, and leaves every file as it was."""
-    change, message = {**REFUSED_CASES, **REFUSED_CHECKS}[case]
-    good = ["--fallback", hinge.fallback, "--output", tmp_path / "f.yaml"] if case in REFUSED_CASES else []
+    change, message = REFUSED_CASES[case]
+    good = ["--fallback", hinge.fallback, "--output", tmp_path / "f.yaml"]
     words = [str(word) for word in ("--urdf", hinge.urdf, *good, *change(hinge, tmp_path))]  # type: ignore[no-untyped-call]
     before = everything(tmp_path)
     assert run("rx90_identify", words) == REFUSED

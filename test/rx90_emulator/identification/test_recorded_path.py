@@ -39,8 +39,6 @@ def test_it_is_that_of_the_run(shipped: Setup, capsys: pytest.CaptureFixture[str
     assert found.worst_orientation == pytest.approx(expected.worst_orientation, rel=1e-5)
     assert run("rx90_bag", ["compare", str(REFERENCE), str(REFERENCE), "--path-error"]) == 0
     assert capsys.readouterr().out.splitlines()[-2:] == [f"{REFERENCE}: {expected.words}"] * 2
-    assert run("rx90_bag", ["compare", str(REFERENCE), str(REFERENCE), "--robot", "rx90b"]) == 2
-    assert "--robot without --path-error" in capsys.readouterr().err
 
 
 def arc() -> tuple[np.ndarray, np.ndarray, np.ndarray]:

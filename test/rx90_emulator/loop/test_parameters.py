@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -170,7 +169,7 @@ def test_star_and_index_expand(catalogue: Catalogue) -> None:
 
 
 def test_cogging_has_paths_where_motors_cog(shipped: Setup) -> None:
-    """A wave's amplitude for one motor, or all, is set as the file has it; beyond the waves it is refused."""
+    """A wave's amplitude for one motor, or all, is set as the file has it."""
     setup = replace(shipped, drives=shipped.drives.replaced(cogging=COGGING))
     listed = {path: value for path, value in parameters(setup).items() if path.startswith("drives.cogging")}
     assert len(listed) == 2 + 12 + 12
@@ -182,12 +181,6 @@ def test_cogging_has_paths_where_motors_cog(shipped: Setup) -> None:
     found = with_parameters(setup, changed | {"drives.cogging.phase[*][5]": 1.0}).drives.cogging
     assert np.array_equal(found.amplitude, want)
     assert np.array_equal(found.phase, [[0.0] * 5 + [1.0]] * 2)
-    for path, said in (
-        ("drives.cogging.amplitude[1]", "is 2 by 6 numbers; accepted: up to drives.cogging.amplitude[1][5], or *"),
-        ("drives.cogging.harmonic[0][0]", "is 2 numbers; accepted: up to drives.cogging.harmonic[1]"),
-    ):
-        with pytest.raises(ConfigError, match=re.escape(said)):
-            with_parameters(setup, {path: 1.0})
 
 
 def test_every_value_of_a_part_has_a_path(parted: Setup) -> None:
@@ -211,10 +204,6 @@ def test_the_seed_is_the_plants(parted: Setup) -> None:
     for seed in (-1, "a", 0.5, True, 2**53 + 1):
         with pytest.raises(ConfigError, match=f"seed is {seed!r}; accepted: a whole number from 0"):
             replace(parted, seed=seed)
-    with pytest.raises(TypeError, match="path is of type int; accepted: str"):
-        rx.with_parameters(parted, {5: 1.0})  # type: ignore[dict-item]
-    with pytest.raises(ConfigError, match="seed is 'a'"):
-        rx.load_setup(seed="a")  # type: ignore[arg-type]
 
 
 def test_numpy_s_scalars_are_numbers(parted: Setup) -> None:
@@ -226,9 +215,6 @@ def test_numpy_s_scalars_are_numbers(parted: Setup) -> None:
         assert type(LoadPart(driving=value, driven=value).driven) is float
     off = rx.with_parameters(parted, {"controller.feed_forward.coulomb": np.bool_(False)})
     assert off.controller.feed_forward.coulomb is False
-    for value in (np.float32("nan"), np.bool_(True), "0.25"):
-        with pytest.raises(ConfigError, match=r"accepted: (a finite )?number"):
-            rx.with_parameters(parted, {path: value})
 
 
 def test_friction_must_not_follow_the_load_faster_than_the_step(parted: Setup) -> None:
