@@ -110,7 +110,6 @@ NO_RIGS = "/dev/nothing", "/etc/hostname"
     ("words", "message"),
     [
         *((f"friction_ramp --port {port}", f"{port}: cannot be opened") for port in NO_RIGS),
-        ("friction_ramp --slopes 99", "slope 99 Nm/s; accepted"),
         ("friction_ramp --slopes 0.1 0.05 0.1", "--slopes has 0.1 twice; accepted: each slope once"),
         ("friction_ramp --end-torque 0.02 --load none", "no break-away"),
         ("friction_ramp --element joint_9 --load none", "--element is 'joint_9'"),

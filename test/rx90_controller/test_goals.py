@@ -15,7 +15,6 @@ from rx90_controller.trajectory.request import ResultCode, State
 
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "no joints": ({"joint_names": []}, "'joint_1' is missing; accepted: all of joint_1"),
-    "end velocity": ({"velocities": [0, 0.1, 0, 0, 0, 0]}, "joint_2 ends at 0.1 rad/s"),
     "effort": ({"effort": [1.0] * 6}, "point 0: carries effort; accepted:"),
     "more than joints": (
         {"multi_dof_trajectory": SimpleNamespace(joint_names=["base"], points=[])},

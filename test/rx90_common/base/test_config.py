@@ -67,9 +67,7 @@ BROKEN: list[tuple[str | bytes, str]] = [
     ("a: &x [*x]", "not valid YAML"),
     ("a: 1\n2: 3", "the key 2 is not a name"),
     ('"a\\nb": 1', r"the key 'a\nb' is not a name in one line"),
-    ("? [a]\n: 1", "the key ['a'] is not a name"),
     ("a: " + "1" * 5000, "not valid YAML"),
-    ('"\\Uffffffff": 1', "not valid YAML"),
     ('a: ["\\ud800"]', "invalid Unicode character escape code"),
     ("a: !!int foo", "not valid YAML"),
     ("a: !!set {b}", "could not determine a constructor for the tag"),
@@ -185,7 +183,5 @@ def test_a_file_of_the_user_s_own_comes_first(tmp_path: Path, monkeypatch: pytes
     monkeypatch.chdir(tmp_path)
     assert share.resolve_config("friction.yaml") == Path("friction.yaml")
     assert share.resolve_config("robots/rx90b/drives.yaml") == share.config_path("robots/rx90b/drives.yaml")
-    with pytest.raises(ConfigError, match="no file '~nobody_of_this_name/x'"):
-        share.resolve_config("~nobody_of_this_name/x")
     with pytest.raises(ConfigError, match=r"no file .robots/rx90b/nothing\.yaml."):
         share.resolve_config("robots/rx90b/nothing.yaml")

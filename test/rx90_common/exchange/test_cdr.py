@@ -153,7 +153,6 @@ def test_fast_path_refuses_numbers_that_are_not_finite(bad):
     ("stamp_ns", "array", "complaint"),
     [
         (-1, np.ones(6), "-1 ns"),
-        ((1 << 31) * NS, np.ones(6), "accepted: 0 to"),
         (0, np.ones(5), r"shape \(5,\)"),
         (0, np.ones(6, dtype=np.int64), "int64"),
     ],

@@ -368,9 +368,3 @@ def test_torques_are_near_those_of_others(path: Path) -> None:
         torque = 0.5 * (element.steady_torque(speed) - element.steady_torque(-speed))
         difference = float(np.abs(torque / (coulomb + viscous * speed) - 1.0).max())
         assert difference < WITHIN.get((path.stem, name), 0.15), (name, difference)
-
-
-def test_all_that_is_compared_is_there() -> None:
-    """The library has the five sets, and no name that a published set has."""
-    assert [path.stem for path in LIBRARY] == sorted(OTHERS)
-    assert not {path.stem for path in LIBRARY} & {path.stem for path in config_path("friction").glob("*.yaml")}

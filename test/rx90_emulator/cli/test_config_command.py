@@ -100,10 +100,6 @@ def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captu
     odd.write_text("mass: 1.0\n", encoding="utf-8")
     assert run("rx90_config", ["check", str(odd)]) == 2
     assert "odd.yaml: of no kind that is checked, as MoveIt's own files; accepted: drives," in capsys.readouterr().err
-    both = tmp_path / "both.yaml"
-    both.write_text("tcp: {}\njoint_limits: {}\n", encoding="utf-8")
-    assert run("rx90_config", ["check", str(both)]) == 2
-    assert "both.yaml: its kind cannot be told from its keys; accepted: --kind with" in capsys.readouterr().err
     assert run("rx90_config", ["check", "--kind", "tool", str(odd)]) == 1
     assert f"{odd}:1: mass is not a known key" in capsys.readouterr().out
 

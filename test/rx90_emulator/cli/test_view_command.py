@@ -1,4 +1,4 @@
-"""The options of a page, what is refused before anything slow, and Ctrl-C while the page comes up."""
+"""The options of a page, and Ctrl-C while the page comes up."""
 
 from __future__ import annotations
 

@@ -74,16 +74,13 @@ REFUSED_CASES = {
         r"hinge moves through \d+ rad, in its URDF through 6 rad at most; accepted: .*--gear",
     ),
     "unstamped": (sliding(header=False), "every stamp is 0.0* s; accepted: .*--record-time"),
-    "twice": (lambda h, _: ["--sliding", h.bag, h.bag], "run: given twice for --sliding"),
     "checked_by_itself": (
         lambda h, f: ["--sliding", h.bag, "--validation", shutil.copytree(h.bag, f / "copy")],
         "copy: also used for the identification as .*run",
     ),
-    "prior": (options("--prior", "0.5"), "--prior 0.5 without excitation runs; accepted: with --excitation"),
     "mimic": (mimicking, "'jaw' mimics hinge; accepted: .*--joints hinge"),
     "exists": (existing("--output", "mine.yaml"), "mine.yaml exists; accepted: another name, or --force"),
     "device": (options("--force", "--output", "/dev/full"), "/dev/full is no regular file; accepted"),
-    "same": (lambda h, f: ["--sliding", h.bag, "--output", f / "f.html"], "--output and --report are both"),
 }
 
 

@@ -153,7 +153,6 @@ def test_a_plot_shows_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ("suffix", "change", "said"),
     [
         (".parquet", {"velocity": {"columns": ["speed"], "unit": "rpm"}}, "no column 'speed'; there are t, q, dq, i"),
-        (".npz", {"time": {"column": "i", "unit": "s"}}, "column i in joint_states.effort is that of the times"),
         (".csv", {"time": None, "position": None, "velocity": None, "effort": None}, "names no columns of "),
         (".parquet", {"effort": {"columns": ["i"], "unit": "mA", "file": 2}}, ": 1 log; accepted: 2, those that"),
     ],

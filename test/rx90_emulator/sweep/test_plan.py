@@ -152,8 +152,6 @@ def test_shipped_and_documented_plans_fit(
         ("{grid: {task.speed: {value: [1], each: true}}}", "in random draws only"),
         ("{grid: {task.sped: {value: [1]}}}", "'sped' is unknown (did you mean speed?); accepted there: accel"),
         ("{grid: {friction.*.c0: {factor: [1]}, friction.joint_2.c0: {factor: [1]}}}", "both set friction.joint_2.c0"),
-        ("{random: {x: {paths: [friction.*.c0, friction.joint_1.c0], each: true, factor: {uniform: [1, 2]}}}, "
-         "draws: 1}", "both set friction.joint_1.c0"),
         ("{grid: {x: {paths: [task.speed, task.speed], value: [1]}}}", "set a value twice"),
         ("{grid: {seed: {paths: [task.speed], value: [1]}}}", "the name 'seed' of a result"),
         ("{grid: {controller.feed_forward.coulomb: {factor: [2]}}}", "accepted: value"),
