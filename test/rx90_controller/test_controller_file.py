@@ -1,4 +1,4 @@
-"""The controller file, whose keys refuse in one line what they cannot be; and a node without control_msgs."""
+"""The controller file: the files beside it that a model needs, and whose joints and interfaces it may name."""
 
 from __future__ import annotations
 

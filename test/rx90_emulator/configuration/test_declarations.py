@@ -1,4 +1,4 @@
-"""The JSON schemas say what the readers accept, and each value refuses what its declaration excludes."""
+"""The JSON schemas say what the readers accept; parameters of other controllers are left out or refused."""
 
 from __future__ import annotations
 
