@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
-import platform
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tools.environment import ROOT, Environment, UnsuitableError, check_machine
+from tools.environment import Environment, UnsuitableError
 
 
 class Recorded(Environment):
@@ -89,34 +86,3 @@ def test_another_interpreter_or_place_makes_it_anew(environment: Recorded, monke
     assert environment.updated("ros") == ["venv ROOT/.venv", "pip pip>=25,<27", "pip ROOT[ros]"]
     monkeypatch.setattr(sys, "version_info", (3, 99, 0))
     assert environment.updated("ros") == ["venv ROOT/.venv", "pip pip>=25,<27", "pip ROOT[ros]"]
-
-
-@pytest.mark.parametrize(
-    ("module", "name", "answer", "said"),
-    [
-        (platform, "python_implementation", "PyPy", "PyPy; accepted: CPython"),
-        (platform, "machine", "aarch64", "Linux on aarch64; accepted: 64-bit Linux on x86_64"),
-        (platform, "libc_ver", ("glibc", "2.27"), "glibc 2.27; accepted: glibc >= 2.28"),
-        (platform, "libc_ver", ("", ""), "not glibc ; accepted: glibc >= 2.28"),
-        (importlib.util, "find_spec", None, "has no venv module"),
-    ],
-)
-def test_an_unsuitable_machine_is_refused(
-    module: object, name: str, answer: object, said: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A machine without wheels is refused in one line that says what was found and what is accepted."""
-    monkeypatch.setattr(module, name, lambda *_: answer)
-    with pytest.raises(UnsuitableError, match=said) as caught:
-        check_machine()
-    assert "\n" not in str(caught.value)
-
-
-def test_make_refuses_an_unsuitable_python_in_one_line(tmp_path: Path) -> None:
-    """`make demo` with an interpreter that is too old names it and what is accepted, and installs nothing."""
-    old = tmp_path / "python3.9"
-    old.write_text('#!/bin/sh\n[ "$1" = --version ] && echo Python 3.9.18\nexit 1\n')
-    old.chmod(0o755)
-    done = subprocess.run(["make", "demo", f"PYTHON={old}"], cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode != 0
-    lines = [line for line in done.stderr.splitlines() if not line.startswith("make")]
-    assert lines == [f"PYTHON={old} is Python 3.9.18; accepted: CPython 3.10 to 3.13, for example PYTHON=python3.12"]

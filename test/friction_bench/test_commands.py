@@ -110,27 +110,10 @@ NO_RIGS = "/dev/nothing", "/etc/hostname"
     ("words", "message"),
     [
         *((f"friction_ramp --port {port}", f"{port}: cannot be opened") for port in NO_RIGS),
-        ("friction_ramp --slopes 99", "slope 99 Nm/s; accepted"),
-        ("friction_ramp --repeats 1001", "argument --repeats: '1001'; accepted: a whole number from 1 to 1000"),
-        ("friction_ramp --slopes nan", "argument --slopes: 'nan'; accepted: a finite number"),
         ("friction_ramp --slopes 0.1 0.05 0.1", "--slopes has 0.1 twice; accepted: each slope once"),
-        ("friction_ramp --end-torque 0.5", "--end-torque is 0.5"),
-        ("friction_ramp --end-torque 0.19", "end torque 0.19 Nm; accepted by the firmware: 0.00078 to 0.18 Nm"),
         ("friction_ramp --end-torque 0.02 --load none", "no break-away"),
-        ("friction_ramp --rig nothing.yaml", "no file 'nothing.yaml'"),
-        ("friction_ramp --text counts", "--text is given without a file"),
-        ("friction_ramp --velocity mean", "--velocity is mean; accepted: with --text velocity alone"),
-        ("friction_ramp --port nonsense://x", "nonsense://x: cannot be opened"),
-        ("friction_ramp --output /proc/friction", "/proc/friction: cannot be written ("),
-        ("friction_ramp --output /dev/null", "/dev/null exists; accepted: a new name"),
-        ("friction_ramp --no-load-file 0.1:nothing.csv", "nothing.csv: cannot be read"),
-        ("friction_ramp --no-load-file nan:ramp.csv", "accepted: slope:file"),
         ("friction_ramp --element joint_9 --load none", "--element is 'joint_9'"),
-        ("friction_ramp --source --slopes 0.5", "--slopes with --source; accepted: the rig file's"),
         ("friction_rig_emulator --link /dev/null", "/dev/null: cannot point to the emulated rig"),
-        ("friction_bench selftest --port nonsense://x", "nonsense://x: cannot be opened"),
-        ("friction_bench selftest --baud 9600", "--baud 9600 with the emulated rig; accepted: with --port of a serial"),
-        ("friction_bench selftest --ros-args -p seed:=1", "--ros-args -p seed:=1 with selftest; accepted: with the"),
     ],
 )
 def test_mistakes_get_one_line(words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -140,7 +123,7 @@ def test_mistakes_get_one_line(words: str, message: str, tmp_path: Path, capsys:
     assert run(command, [*output, *options]) == (3 if words.endswith(NO_RIGS) else 2)
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in error
-    assert re.match(rf"{command}(?: selftest)?: ", error)
+    assert error.startswith(f"{command}: ")
     assert not (tmp_path / "out").exists() or "no break-away" in message
 
 

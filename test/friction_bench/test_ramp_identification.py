@@ -444,14 +444,8 @@ def test_plain_text_of_every_kind_gives_the_same_fit(kind: str, with_time: bool,
     [
         ("1\n2\nthree\n", "line 3 holds 'three'"),
         ("1\n1 2\n", "line 2 holds 2 numbers"),
-        ("1 2 3\n1 2 3\n", "line 1 holds 3 numbers"),
-        ("1\n", "1 reading; accepted"),
         ("0,5\n1,7\n2,9\n3,1\n", "advances by 1 a line; accepted: s, about 0.02 a line, and a point"),
         ("time,counts\n0,1\n0.02,x\n", "line 3, column counts holds 'x'"),
-        ("time,counts\n0,1\n0.02\n", "line 3, column counts holds 'nothing'"),
-        ("# made by hand\n\ntime,counts\n0,1\n\n# pause\n0.02,x\n", "line 7, column counts holds 'x'"),
-        ("time;counts\n0;1\n", "column 'time' is missing, found 'time;counts'"),
-        ("# time,counts\n", "is empty"),
     ],
 )
 def test_unreadable_files_are_refused_by_line(text: str, message: str, tmp_path: Path) -> None:

@@ -133,7 +133,6 @@ def test_host_that_stops_beating_loses_the_torque(client: RigClient, emulated: E
         ({"counts_per_revolution": 500}, {}, "counts_per_revolution is 500, the rig's firmware has 504"),
         ({}, {"HOLD_TICKS": 50}, "ramps.hold, in ticks, is 0, the rig's firmware has 50"),
         ({}, {"PULSED": 1}, "emulation.amplifier.off_time > 0 is False, the rig's firmware has True"),
-        ({}, {"SCALE_UNIT": 100}, "dac_full_scale is 0.2, the rig's firmware has 2.0"),
         (
             {"torque": {"dac_full_scale": 2.0}},
             {},

@@ -1,4 +1,4 @@
-"""The controller file, whose keys refuse in one line what they cannot be; and a node without control_msgs."""
+"""The controller file: the files beside it that a model needs, and whose joints and interfaces it may name."""
 
 from __future__ import annotations
 
@@ -55,8 +55,6 @@ def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: 
     assert [model.path(role) for role in ("tool", "friction", "drives")] == [None, other, shipped_files.drives]
     for role, name, accepted in (
         ("friction", "nowhere.yaml", "is 'nowhere.yaml'; accepted: a friction file: a path from this file's folder"),
-        ("drives", 3, "is 3; accepted: a text"),
-        ("gears", "x", "is not a known key; accepted: urdf, tool, drives, friction"),
     ):
         said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, role: name}))
         assert f"model.{role} {accepted}" in said
@@ -70,10 +68,7 @@ def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: 
     ("name", "value", "said"),
     [
         ("joints", ["joint_1", "elbow"], "too much: elbow; missing: joint_2, joint_3, joint_4, joint_5, joint_6"),
-        ("joints", [f"joint_{i}" for i in (1, 2, 3, 4, 5, 6, 6)], "too much: joint_6; accepted: joint_1"),
         ("command_interfaces", ["effort"], "too much: effort; missing: position; accepted: position"),
-        ("command_interfaces", ["position", "velocity"], "too much: velocity; accepted: position"),
-        ("state_interfaces", ["position"], "missing: velocity; accepted: position, velocity, in any order"),
         ("state_interfaces", "position", "no list; accepted: position, velocity"),
     ],
 )
@@ -84,8 +79,6 @@ def test_a_file_for_another_controller_is_refused_with_the_difference(name: str,
 
 
 def test_a_file_for_this_arm_is_taken(shipped: Setup) -> None:
-    """The same keys with the arm's values, in any order, are taken; of streams what cannot be is refused."""
+    """The same keys with the arm's values, in any order, are taken."""
     mine = {"joints": list(reversed(shipped.robot.joint_names)), "state_interfaces": ["velocity", "position"]}
     assert node_values("rx90_controller", {**mine, "command_interfaces": ["position"], "update_rate": 100})
-    with pytest.raises(ConfigError, match=r"stream\.commands is 'effort'; accepted: one of position, velocity"):
-        node_values("rx90_controller", {"stream.commands": "effort"})

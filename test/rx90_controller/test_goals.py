@@ -7,19 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from goal_arm import Arm, GoalError, checked, message, tolerance, two
-from joint_moves import HOME, NAMES, PERIOD, ZERO, stamp
+from goal_arm import Arm, GoalError, checked, message, tolerance
+from joint_moves import HOME, PERIOD, ZERO, stamp
 
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.request import ResultCode, State
 
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "no joints": ({"joint_names": []}, "'joint_1' is missing; accepted: all of joint_1"),
-    "wrong joints": ({"joint_names": ["a", *NAMES[1:]]}, "unknown joint 'a'; accepted:"),
-    "repeated": ({"joint_names": [*NAMES[:5], "joint_1"]}, "'joint_1' stands 2 times"),
-    "no points": ({"points": []}, "no points; accepted: at least one"),
-    "end velocity": ({"velocities": [0, 0.1, 0, 0, 0, 0]}, "joint_2 ends at 0.1 rad/s"),
-    "falling times": ({"points": two(1.0, 0.5)}, "point 1: time_from_start 0.5 s after 1 s"),
     "effort": ({"effort": [1.0] * 6}, "point 0: carries effort; accepted:"),
     "more than joints": (
         {"multi_dof_trajectory": SimpleNamespace(joint_names=["base"], points=[])},

@@ -252,7 +252,6 @@ def test_joints_that_are_not_named_hold_and_speed_scaling_holds_all(arm: Arm) ->
         (state([0.1] * 5 + [math.nan]), "positions of joint_6: nan; accepted: a finite number"),
         (state(), "neither position nor velocity; accepted: one of them, or both"),
         (state(0.1, effort=1.0), "carries effort; accepted: position, with velocity or without, or velocity alone"),
-        (SimpleNamespace(data=[0.1] * 7), "7 positions; accepted: 6, or none"),
     ],
 )
 def test_what_is_no_set_point_is_one_line(arm: Arm, message: Any, said: str) -> None:

@@ -117,8 +117,8 @@ blocks:
     assert sweep.simulate(0).slow.joint_states[:, 0].tobytes() == worst[0]
 
 
-def test_rx90_run_takes_a_seed(parted_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Two runs with one seed are the same to the last bit, with another they differ; one out of range is refused."""
+def test_rx90_run_takes_a_seed(parted_file: Path, tmp_path: Path) -> None:
+    """Two runs with one seed are the same to the last bit, with another they differ."""
     drawn = []
     for k, seed in enumerate((4, 4, 5)):
         words = ["--friction", str(parted_file), "--seed", str(seed), "--arrays", str(tmp_path / f"{k}.npz")]
@@ -127,5 +127,3 @@ def test_rx90_run_takes_a_seed(parted_file: Path, tmp_path: Path, capsys: pytest
             drawn.append({name: arrays[name].tobytes() for name in arrays.files})
     assert drawn[0] == drawn[1]
     assert drawn[0] != drawn[2]
-    assert run("rx90_run", ["--seed", "-1"]) == REFUSED
-    assert "seed is -1; accepted: a whole number from 0 to 9007199254740992" in capsys.readouterr().err

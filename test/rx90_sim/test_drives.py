@@ -106,7 +106,7 @@ def test_the_velocity_is_the_tracking_loop_s_answer_to_the_motor_s_angle(shipped
 
 
 def test_what_makes_no_plant_or_pose_is_refused(shipped: Setup) -> None:
-    """An observer of half the base rate, no steps in a tick, and poses beyond limits, not finite or of another size."""
+    """An observer of half the base rate, no steps in a tick, and poses beyond limits or not finite."""
     drives = shipped.drives.replaced(encoder={"velocity_bandwidth": 500.0})
     setup = dataclasses.replace(shipped, drives=drives, rates=Rates(1000, 1000))
     with pytest.raises(ConfigError, match=r"velocity_bandwidth is 500\.0 Hz; accepted: below .* 500 Hz"):
@@ -118,8 +118,6 @@ def test_what_makes_no_plant_or_pose_is_refused(shipped: Setup) -> None:
     for bad in (np.inf, np.nan, 2.5):
         with pytest.raises(ConfigError, match=rf"joint_2 is {bad} rad; accepted: \[-2\.3998, 2\.3998\]"):
             plant.reset([0, bad, 0, 0, 0, 0])
-    with pytest.raises(ConfigError, match=r"shape \(5,\); accepted: \(6,\)"):
-        plant.reset(np.zeros(5))
 
 
 def test_an_arm_that_cannot_stand_at_zero_starts_at_its_limit(shipped: Setup) -> None:

@@ -182,7 +182,6 @@ def test_power_is_the_same_at_motors_and_joints(request: pytest.FixtureRequest, 
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"command_interface": "gripper"}, "command_interface is 'gripper'; accepted: one of motor, joint"),
         ({"command_rate": 1000}, "command_rate is 1000; accepted: 0 with command_interface motor"),
         ({"command_interface": "joint", "command_rate": 300}, "command_rate is 300 Hz; accepted: a rate that divides"),
         (

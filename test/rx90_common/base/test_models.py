@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import pytest
-from jsonschema import Draft202012Validator
 from pydantic import Field, ValidationError, model_validator
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import FileModel, Row, fault_lines, json_schema, quantity, read_model, refusal, unit_of
+from rx90_common.base.models import FileModel, Row, fault_lines, quantity, read_model, refusal
 
 
 class Slip(FileModel):
@@ -42,34 +41,17 @@ class Bristle(FileModel):
 
 FAULTS: list[tuple[dict[str, Any], list[str]]] = [
     ({}, ["stiffness is missing; accepted: a number > 0"]),
-    ({"stiffness": 0}, ["stiffness is 0; accepted: a number > 0"]),
     ({"stiffness": float("nan")}, ["stiffness is nan; accepted: a finite number > 0"]),
-    ({"stiffness": True}, ["stiffness is True; accepted: a number > 0"]),
-    ({"stiffness": "3"}, ["stiffness is '3'; accepted: a number > 0"]),
     ({"stifness": 3}, ["stifness is not a known key (did you mean stiffness?); accepted: stiffness, damping, kind"]),
     ({"stiffness": 1, "damping": 2}, ["damping is 2.0; accepted: up to the stiffness"]),
     ({"stiffness": 1, "kind": {"kind": "soft"}}, ["kind.kind is 'soft'; accepted: one of slip, plastic"]),
-    ({"stiffness": 1, "kind": {}}, ["kind.kind is missing; accepted: one of slip, plastic"]),
-    ({"stiffness": 1, "kind": 3}, ["kind is 3; accepted: a mapping"]),
     (
         {"stiffness": 1, "kind": {"knd": "slip"}},
         ["kind.knd is not a known key (did you mean kind?); accepted: kind, share"],
     ),
     (
-        {"stiffness": 1, "kind": {"kind": "plastic", "break_awy": 0.1}},
-        ["kind.break_awy is not a known key (did you mean break_away?); accepted: kind, break_away"],
-    ),
-    (
         {"stiffness": -1, "kind": {"kind": "slip", "share": [1, 2, 3]}},
         ["stiffness is -1; accepted: a number > 0", "kind.share is [1, 2, 3]; accepted: a list of 1 to 2 numbers"],
-    ),
-    (
-        {"stiffness": 1, "kind": {"kind": "slip", "share": [1, None]}},
-        ["kind.share[1] is None; accepted: a finite number"],
-    ),
-    (
-        {"stiffness": 1, "provenance": "guess"},
-        ["provenance is 'guess'; accepted: one of published, derived, assumed, identified"],
     ),
 ]
 
@@ -91,14 +73,3 @@ def test_a_file_gives_its_values_and_its_provenance(tmp_path) -> None:
     assert bristle.provenance == {"stiffness": "assumed"}
     with pytest.raises(ConfigError, match=r"stiffness is -1\.0; accepted: a number > 0"):
         bristle.replaced(stiffness=-1.0)
-
-
-def test_the_schema_for_editors_refuses_the_same_and_names_units() -> None:
-    """An editor shows the unit and accepts what the reader accepts."""
-    schema = json_schema(Bristle, "bristle")
-    assert schema["properties"]["stiffness"]["description"] == "Stiffness. [Nm/rad]"
-    assert unit_of(Bristle, "damping") == "Nm s/rad"
-    validator = Draft202012Validator(schema)
-    assert validator.is_valid({"stiffness": 1, "kind": {"kind": "plastic", "break_away": 0.5}})
-    assert not validator.is_valid({"stiffness": 0})
-    assert not validator.is_valid({"stiffness": 1, "other": 2})

@@ -116,17 +116,14 @@ FULL = JointStateCodec(MOTORS).encode(0, effort=np.ones(6))
 @pytest.mark.parametrize(
     ("raw", "complaint"),
     [
-        (b"", "cut off"),
         (b"\0\1\0\0", "cut off in header.stamp"),
         (FULL[:-9], "cut off in effort"),
         (FULL + bytes(16), "16 bytes behind its end"),
         (b"\0\7\0\0" + FULL[4:], "encapsulation 0x0007"),
         (encoded(names=(*MOTORS[:5], "motor_7")), "'motor_7' is unknown; accepted: motor_1, motor_2"),
         (encoded(names=(*MOTORS[:5], "motor_1")), "'motor_1' is repeated"),
-        (encoded(names=MOTORS[:5], arrays=(None, None, np.ones(5))), "'motor_6' is missing"),
         (encoded(arrays=(None, None, np.ones(7))), "effort has 7 elements; accepted: 6 or none"),
         (encoded(arrays=(None, np.array([0, 0, np.nan, 0, 0, 0]), None)), "velocity of motor_3 is nan"),
-        (encoded(arrays=(np.array([0, 0, 0, 0, 0, -np.inf]), None, None)), "position of motor_6 is -inf"),
         (FULL[:8] + struct.pack("<I", NS) + FULL[12:], "nanosec is 1000000000"),
     ],
 )
@@ -156,7 +153,6 @@ def test_fast_path_refuses_numbers_that_are_not_finite(bad):
     ("stamp_ns", "array", "complaint"),
     [
         (-1, np.ones(6), "-1 ns"),
-        ((1 << 31) * NS, np.ones(6), "accepted: 0 to"),
         (0, np.ones(5), r"shape \(5,\)"),
         (0, np.ones(6, dtype=np.int64), "int64"),
     ],

@@ -155,18 +155,6 @@ def test_a_controller_that_appears_gets_the_states_at_once(controller: Controlle
     assert len(controller.said) == 2
 
 
-def test_a_wait_is_announced_once_whatever_it_is_for(controller: Controller) -> None:
-    """A killed controller is first silent, then gone, then silent again: one line for the wait and one for its end."""
-
-    def play() -> None:
-        controller.peers = Matches(0, 0) if 5.0 < controller.passed < 8.0 else Matches(1, 1)
-        controller.inbox.extend([message(1)] * (controller.passed > 11.0))
-
-    controller.on_wait = play
-    assert controller.exchange(1) is not None
-    assert len(controller.said) == 2
-
-
 def test_an_interruption_ends_the_wait(controller: Controller) -> None:
     """`interrupted` ends a wait without a command, also in a stream of foreign commands."""
     assert controller.exchange(0, lambda: True) is None

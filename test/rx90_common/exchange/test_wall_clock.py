@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.endpoints import STATE_QOS, TICK_QOS, Listeners
 from rx90_common.exchange.pacing import Pacer, ThrottledLog
@@ -181,19 +180,3 @@ def test_the_text_carries_mode_and_rates() -> None:
     of_robot = TimeMode("free_running", Rates(8000, 2000), "my arm")
     assert of_robot.text == f"{mode.text} robot=my arm"
     assert TimeMode.parse(of_robot.text) == of_robot
-
-
-@pytest.mark.parametrize(
-    ("theirs", "robot", "complaint"),
-    [
-        (Rates(2000, 1000), "rx90b", "base_rate is 4000 Hz here and 2000 Hz in the simulation"),
-        (Rates(4000, 500), None, "position_rate is 1000 Hz here and 500 Hz in the simulation"),
-        (Rates(), "tx40", "the robot is 'rx90b' here and 'tx40' in the simulation; accepted: the same in both nodes"),
-    ],
-)
-def test_other_rates_and_robots_are_refused_with_both_values(theirs: Rates, robot: str | None, complaint: str) -> None:
-    """One line names the rate, or the robots, and both values; who names no robot is not asked for it."""
-    TimeMode("lock_step", Rates()).check(Rates(), "rx90b")
-    TimeMode("lock_step", Rates(), "rx90b").check(Rates(), "rx90b")
-    with pytest.raises(ExchangeError, match=complaint):
-        TimeMode("lock_step", theirs, robot).check(Rates(), "rx90b")

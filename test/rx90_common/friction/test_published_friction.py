@@ -266,20 +266,6 @@ def test_what_is_assumed_is_as_the_file_says(name: str) -> None:
         assert math.isinf(one.passivity_limit(100.0))
 
 
-def test_what_a_file_says_of_its_values_is_written_back(tmp_path: Path) -> None:
-    """Provenance, source and note of all elements and of single ones come back as they stood."""
-    file = FrictionFile.read(config_path("friction/manutec_r3.yaml"))
-    assert file.elements.provenance == {"tau_c": "published", "c2": "published", "tau_s": "published"}
-    assert [name for name, element in file.elements.entries.items() if element.source] == [
-        "joint_1",
-        "joint_2",
-        "joint_3",
-    ]
-    path = tmp_path / "again.yaml"
-    path.write_text(file.text(), encoding="utf-8")
-    assert FrictionFile.read(path) == file
-
-
 def test_the_rig_takes_a_line_of_a_friction_file(tmp_path: Path) -> None:
     """An element as it stands in a friction file, sources and all, is the joint of a rig that is emulated."""
     published = config_path("friction/manutec_r3.yaml")
@@ -382,9 +368,3 @@ def test_torques_are_near_those_of_others(path: Path) -> None:
         torque = 0.5 * (element.steady_torque(speed) - element.steady_torque(-speed))
         difference = float(np.abs(torque / (coulomb + viscous * speed) - 1.0).max())
         assert difference < WITHIN.get((path.stem, name), 0.15), (name, difference)
-
-
-def test_all_that_is_compared_is_there() -> None:
-    """The library has the five sets, and no name that a published set has."""
-    assert [path.stem for path in LIBRARY] == sorted(OTHERS)
-    assert not {path.stem for path in LIBRARY} & {path.stem for path in config_path("friction").glob("*.yaml")}

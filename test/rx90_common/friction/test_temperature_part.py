@@ -180,7 +180,6 @@ def test_passive_at_every_temperature(speed_slope: float, static_slope: float) -
     ("values", "said"),
     [
         ({"start": 19.0}, r"start is 19\.0; accepted: from lowest to highest.*\[20, 190\]"),
-        ({"ambient": 191.0}, "ambient is 191.0"),
         ({"lowest": 190.0, "start": 190.0}, "lowest is 190.0; accepted: below highest = 190"),
         (
             {"static_slope": -0.01, "reference": 40.0},

@@ -14,9 +14,8 @@ import numba
 import pytest
 from processes import TIMEOUT, files_up_to
 
-from rx90_common.base.share import PACKAGES, ROOT, importers_of, with_imports
+from rx90_common.base.share import ROOT
 from rx90_common.kernels.compiled import kernel
-from rx90_common.kernels.elementary import exponential
 
 pytestmark = pytest.mark.slow
 
@@ -37,27 +36,6 @@ def said(running: subprocess.Popen[str]) -> tuple[str, str]:
     out, err = running.communicate(timeout=TIMEOUT)
     assert running.returncode == 0, err
     return out, err
-
-
-def test_all_that_a_kernel_reads_decides_on_the_cache() -> None:
-    """The cache folder depends on each file that defines a kernel, also far from the others, and on what it imports."""
-    files = {str(file.relative_to(ROOT)) for file in with_imports(importers_of("rx90_common.kernels"))}
-    defining = {
-        str(path.relative_to(ROOT))
-        for package in PACKAGES
-        for path in (ROOT / package).rglob("*.py")
-        if re.search(r"^@(kernel$|inlined$|c_function)", path.read_text(encoding="utf-8"), re.MULTILINE)
-    }
-    assert {"rx90_sim/plant_step.py", "rx90_common/description/coupling.py"} <= defining
-    assert defining <= files
-    assert "rx90_common/friction/element.py" in files  # holds the type of a record, and no kernel
-    assert "rx90_sim/node/simulation.py" not in files
-
-
-def test_an_inlined_function_is_called_by_kernels_alone() -> None:
-    """From Python it is a plain error, not a jump to a wrapper that was never compiled."""
-    with pytest.raises(TypeError, match="exponential is compiled into its callers; accepted: a call from a kernel"):
-        exponential(1.0)
 
 
 def copy_sources(folder: Path) -> Path:

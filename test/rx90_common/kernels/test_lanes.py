@@ -155,18 +155,6 @@ def test_any_lane_sees_each_lane_and_nothing_beside_them() -> None:
         assert compute(a)
 
 
-@pytest.mark.parametrize("array", [np.arange(12.0)[::2], np.arange(6), np.ones((6, 6))])
-def test_other_arrays_are_refused(array: NDArray[Any]) -> None:
-    """Strided arrays, integers and matrices are refused when the kernel is compiled."""
-
-    @numba.njit
-    def compute(a: NDArray[Any], out: Array) -> None:
-        store(out, load(a, 6))
-
-    with pytest.raises(TypingError, match="accepted: "):
-        compute(array, np.empty(6))
-
-
 def test_lanes_of_different_number_do_not_mix() -> None:
     """Six lanes and seven are refused together when the kernel is compiled."""
 

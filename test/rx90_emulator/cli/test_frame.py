@@ -59,15 +59,6 @@ def test_help_needs_neither_compiler_nor_middleware(threads: str | None) -> None
         assert text.endswith("gone.\n")
 
 
-@pytest.mark.parametrize("name", EXECUTABLES)
-def test_an_unknown_word_is_wrong_usage(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """An option that there is not ends with 2 and says what there is."""
-    assert run(name, ["--nonsense"]) == REFUSED
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith(f"usage: {name} ")
-
-
 @pytest.mark.parametrize("name", ["rx90_nothing", "rx90_run"])
 def test_wrong_usage_is_the_exit_code(name: str) -> None:
     """As a process, an option that there is not and an executable that there is not end with 2 as well."""

@@ -1,9 +1,8 @@
-"""The options of a page, what is refused before anything slow, and Ctrl-C while the page comes up."""
+"""The options of a page, and Ctrl-C while the page comes up."""
 
 from __future__ import annotations
 
 import signal
-import sys
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,19 +12,6 @@ from processes import Processes, wait_until
 
 from rx90_emulator.cli.frame import run
 from rx90_emulator.demo import demonstration
-
-
-def test_without_viser_nothing_is_read_before_the_refusal(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """A page that cannot be made is refused with what to install, before the modules whose kernels are compiled."""
-    monkeypatch.setitem(sys.modules, "viser", None)
-    for name in ("rx90_emulator.view.live", "rx90_common.description.robot"):
-        monkeypatch.setitem(sys.modules, name, None)  # to import it would be an error of the project's own
-    assert run("rx90_view", ["--demo"]) == 3
-    err = capsys.readouterr().err
-    assert err.startswith("rx90_view: needs viser, which is not installed; accepted: ")
-    assert err.count("\n") == 1
 
 
 def test_the_demonstration_hands_the_options_of_its_page_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

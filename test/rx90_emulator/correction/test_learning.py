@@ -245,14 +245,6 @@ def test_an_arm_of_seven_joints_learns(tmp_path: Path) -> None:
         assert trials[3].worst < trials[0].worst / 3.0
 
 
-def test_a_path_beyond_the_memory_is_refused(shipped: Setup, task: rx.LineTask) -> None:
-    """A path of more set-points than the method can hold is refused with its time, before anything is computed."""
-    plan = plan_line(shipped, task)
-    long = replace(plan, times=plan.times * 500.0)
-    with pytest.raises(ConfigError, match=r"a path of .* s; accepted: up to 600 s"):
-        Learner(shipped, long)
-
-
 def test_a_tip_is_laid_under_the_path(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
     """A tip in mm on a clock of its own, at another rate, is found to microseconds; half a path is refused."""
     plan = plan_line(shipped, task)
@@ -286,18 +278,6 @@ def test_a_tip_is_laid_under_the_path(shipped: Setup, task: rx.LineTask, tmp_pat
         ConfigError, match=r"nothing for 0\.0527 s from 4.* s on, within the path; accepted: a record wit"
     ):
         laid_under(torn[:, 0], torn[:, 1:] / 1e3, nominal.tip, 1e-3, nominal.counts, "torn")
-    titles = "time [s],x [m],y [m],z [m]\n"
-    for text, why in (
-        ("", "0 rows; accepted: two or more"),
-        ("0,0.6,0,0\n0.1,nan,0,0\n", r"line 3 is '0.1, nan, 0, 0'; accepted: finite numbers, time, x, y, z"),
-        ("0,0.6,0,0\n1e12,0.6,0,0\n", "1e.12 s; accepted: up to"),
-    ):
-        file.write_text(titles + text, encoding="utf-8")
-        with pytest.raises(ConfigError, match=why):
-            tip_of_file(file, nominal)
-    file.write_text("time [s],x [cm],y,z\n1,2,3,4\n2,3,4,5\n", encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"the units s, cm, none, none; accepted: the titles time \[s\] and x, y, z"):
-        tip_of_file(file, nominal)
 
 
 def test_any_trajectory_is_a_path(shipped: Setup, task: rx.LineTask) -> None:
@@ -343,21 +323,13 @@ def test_a_correction_is_played_on_the_motion_that_it_was_learned_on(
 
 
 def test_a_file_says_where_it_belongs(shipped: Setup, task: rx.LineTask, tmp_path: Path) -> None:
-    """It comes back to the bit; another path, robot and other offsets are refused, another payload is warned of."""
+    """It comes back to the bit; other offsets and another period are refused, another payload is warned of."""
     learned, file = rx.learn_correction(shipped, task, 1), tmp_path / "line.yaml"
     rx.write_correction(learned, file)
     found = rx.load_correction(file)
     plan = plan_line(shipped, task)
     assert np.array_equal(found.fitting(shipped, plan).offsets, learned.correction.offsets)
     assert found.worst == tuple(trial.worst for trial in learned.trials)
-    said = (
-        r"learned on a path of .* at 100 mm/s from .* rad .*, this is a path of .* at {} mm/s from .*accepted: the same"
-    )
-    for other, speed in ((replace(task, speed=0.15), 150), (replace(task, end=(0.61, 0.05, 0.2)), 100)):
-        with pytest.raises(ConfigError, match=said.format(speed)):
-            found.fitting(shipped, plan_line(shipped, other))
-    with pytest.raises(ConfigError, match="learned on the robot 'rx90b', this one is 'tx40'; accepted: the same robot"):
-        found.fitting(rx.load_setup(robot="tx40"), plan)
     with pytest.warns(Rx90Warning, match=r"learned with 3\.7 kg on the last joint, there are 5 kg"):
         found.fitting(rx.with_parameters(shipped, {"arm.link_6.mass": 5.0}), plan)
     text = file.read_text(encoding="utf-8")
@@ -430,9 +402,6 @@ def test_the_command_learns_shows_and_refuses(tmp_path: Path, capsys: pytest.Cap
     assert run("rx90_correct", [*words[:-1], str(tmp_path / "mine.yaml")]) == 2
     assert mine.read_bytes() == b"mine"
     assert "mine.npz exists" in capsys.readouterr().err
-    for more in (["--from-bag", "x", "--force"], ["--force", "--effort", "1e9"], [], ["--topic", "x", "--force"]):
-        assert run("rx90_correct", [*words, *more]) == 2
-        assert len(capsys.readouterr().err.splitlines()) == 1
 
 
 def test_offsets_beyond_the_limits_are_refused() -> None:

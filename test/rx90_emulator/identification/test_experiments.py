@@ -90,21 +90,6 @@ def test_oscillations_are_what_they_say() -> None:
     assert np.allclose(points.acceleration[middle, 2], -1e-4 * omega**2 * np.sin(omega * time), atol=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [
-        ({"groups": ("joint_9",)}, "unknown group 'joint_9'"),
-        ({"poses": Poses(HOME, ((0.0, 9.0, 0.0, 0.0, 0.0, 0.0),), (HOME,))}, "pose 1: joint_2 is 9 rad"),
-        ({"poses": Poses(HOME, (HOME,), ((0.0,) * 5 + (-9.0,),))}, "pose 1 of the validation: joint_6 is -9 rad"),
-        ({"speeds": 10**8}, "100000000 speeds; accepted: 5 to 1000"),
-    ],
-)
-def test_a_plan_that_does_not_fit_is_refused(shipped: Setup, change: dict[str, object], text: str) -> None:
-    """Unknown groups and poses outside the joints' ranges are refused with the offending value."""
-    with pytest.raises(IdentificationError, match=text):
-        make_plan(shipped.robot, shipped.drives, replace(PlanOptions(), **change))  # type: ignore[arg-type]
-
-
 def test_joints_that_would_share_a_file_are_refused(shipped: Setup) -> None:
     """A slash and a colon in names of joints become the same letter of a file's name: both names are in the line."""
     robot = replace(shipped.robot, joint_names=("a/b", "a:b", *shipped.robot.joint_names[2:]))

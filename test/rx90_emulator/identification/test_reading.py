@@ -16,7 +16,6 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError, IdentificationError
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.identification.records import read_record
 from rx90_emulator.identification.robot import BagLayout, arm_layout
 from rx90_emulator.loop.closed_loop import simulate
@@ -162,21 +161,16 @@ def test_bad_bags_are_refused_in_one_line(tmp_path: Path) -> None:
         return write_ros2(tmp_path / name, rows)
 
     good, sized = messages(q, v, e), e / np.abs(e).max()
-    assert "no joint 'c'; there are a, b" in refused(bag("names", good), arm_layout("arm", ("a", "c")))
-    assert "no topic /leg" in refused(tmp_path / "names", arm_layout("leg", NAMES))
     assert "carries no effort; accepted" in refused(bag("effort", messages(q, v, None)))
     assert "effort 0 throughout" in refused(bag("zero", messages(q, v, 0.0 * e)))
     assert "carries no effort" in refused(bag("nan", messages(q, v, np.nan * e)))
     assert "the largest effort is 3e+200; accepted: 1e-09 to" in refused(bag("huge", messages(q, v, sized * 3e200)))
-    assert "the largest effort is 3e-200; accepted: 1e-09 to" in refused(bag("tiny", messages(q, v, sized * 3e-200)))
-    assert "the largest position is 2e+09; accepted: up to 1e+09" in refused(bag("far", messages(q + 2e9, None, e)))
     assert "carries no position" in refused(bag("position", messages(np.zeros((200, 0)), v, e)))
     for factor, said in ((-1.0, "-1"), (np.degrees(1.0), "57.3")):
         wrong = bag(f"velocity{said}", messages(q, factor * v, e))
         assert f"the velocity of 'a' is {said} times the change of its position; accepted: rad" in refused(wrong)
     back = [(topic, 10**9 + k, message) for k, (topic, _, message) in enumerate([*good[25:], *good[:25]])]
     assert "stamp goes back from 1.398000000 s to 1.000000000 s" in refused(bag("back", back))
-    assert "no.mcap" in refused(tmp_path / "no.mcap")
 
 
 def test_currents_are_no_torques(tmp_path: Path) -> None:
@@ -190,17 +184,3 @@ def test_currents_are_no_torques(tmp_path: Path) -> None:
     constants = dataclasses.replace(LAYOUT, torque_constant=np.array([2.0, 3.0]))
     np.testing.assert_array_equal(read_record(tmp_path / "A", constants).torque, current * [2.0, 3.0])
     assert "its efforts are in rad/s^2" in refused(tmp_path / "r", constants)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"names": ("a", "a")}, "name 'a' in the messages for two joints"),
-        ({"gear": (1.0, 2.0), "coupling": (1.0, 0.0)}, "--coupling: 2 values; accepted: 4 for 2 joints"),
-        ({"torque_constant": (1.0, np.nan)}, "--torque-constant: .*; accepted: finite numbers"),
-    ],
-)
-def test_a_layout_that_does_not_fit_is_refused(options: dict[str, Any], message: str) -> None:
-    """Options that do not fit the joints, or each other, are refused with what is accepted."""
-    with pytest.raises(IdentificationError, match=message):
-        arm_layout("arm", NAMES, MeasuredLayout(**options))

@@ -87,9 +87,7 @@ def test_a_coupling_makes_an_element_of_its_own(urdf: Path) -> None:
     [
         ({"joints": ["wrist"]}, "no movable joint 'wrist'; there are shoulder, elbow, grip"),
         ({"joints": ["elbow", "shoulder"]}, "accepted: from base to tip, shoulder, elbow"),
-        ({"coupling": [[1.0]]}, r"coupling has shape \(1, 1\); accepted: finite numbers, shape \(2, 2\)"),
         ({"coupling": np.zeros((2, 2))}, "accepted: an invertible matrix"),
-        ({"spring": [math.nan, 0]}, "spring .*accepted: finite numbers"),
     ],
 )
 def test_what_does_not_fit_is_refused(urdf: Path, arguments: dict[str, object], message: str) -> None:
@@ -101,14 +99,10 @@ def test_what_does_not_fit_is_refused(urdf: Path, arguments: dict[str, object], 
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("</robot>", "", "no URDF that Pinocchio can read"),
         ('<axis xyz="0 1 0"', '<axis xyz="0 0 0"', r"no URDF .* \(axis of joint \[shoulder\] is 0 0 0\)"),
         # The parser below Pinocchio drops such a body, says so on stderr, and goes on without it.
         ('mass value="', 'mass value="nan', r"no URDF that Pinocchio can read \(Inertial: mass \[nan"),
         ('mass value="', 'mass value="-', "the mass of link '.*' is -[0-9.]+ kg; accepted: 0 to 100000 kg"),
-        (' ixx="', ' ixx="1e200" was="', "<inertia ixx='1e200'>; accepted: numbers up to 1e.12"),
-        ('<origin xyz="', '<origin xyz="0 0 -1e200" was="', "<origin xyz='0 0 -1e200'>; accepted: numbers up to 1e.12"),
-        ('mass value="', 'mass value="99999', "the mass of link '.*' is 99999[0-9.]+ kg; accepted"),
     ],
 )
 def test_a_file_that_is_no_urdf_is_refused(

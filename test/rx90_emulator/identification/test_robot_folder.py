@@ -286,10 +286,7 @@ def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
     ("parameter", "value", "deviation"),
     [
         ("tau_s_positive", 1e48, 1.0),
-        ("c2", 1e7, 1.0),
-        ("omega_s", 1e5, 1.0),
         ("c2", 1.0, math.nan),
-        ("c2", 1.0, math.inf),
         ("c2", 1.0, 1e48),
     ],
 )

@@ -153,10 +153,6 @@ def test_a_plot_shows_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ("suffix", "change", "said"),
     [
         (".parquet", {"velocity": {"columns": ["speed"], "unit": "rpm"}}, "no column 'speed'; there are t, q, dq, i"),
-        (".npz", {"velocity": {"columns": [9], "unit": "rpm"}}, "no column 9; accepted: 1 to 4"),
-        (".npz", {"time": {"column": "i", "unit": "s"}}, "column i in joint_states.effort is that of the times"),
-        (".csv", {"gear": [1, 2]}, "--gear: 2 values; accepted: 1 for 1 joint"),
-        (".csv", {"gear": [0]}, "gear[0] is 0; accepted"),
         (".csv", {"time": None, "position": None, "velocity": None, "effort": None}, "names no columns of "),
         (".parquet", {"effort": {"columns": ["i"], "unit": "mA", "file": 2}}, ": 1 log; accepted: 2, those that"),
     ],

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -13,7 +11,7 @@ import pytest
 from pinocchio_chain import pinocchio_chain
 
 import rx90_emulator as rx
-from rx90_common.base.errors import ConfigError, LineError, Rx90Error
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import FileModel, Model, unit_of
 from rx90_common.description.drives import Cogging
 from rx90_common.description.robot_files import RobotFiles
@@ -106,37 +104,22 @@ def test_values_of_task_and_links(shipped: Setup, task: LineTask, catalogue: Cat
 @pytest.mark.parametrize(
     ("path", "value", "said"),
     [
-        ("friction.joint_1.omega_s", 0.0, "friction.joint_1: omega_s is 0.0"),
         ("friction.joint_2.tau_c", -1.0, "friction.joint_2: tau_c.positive is -1.0; accepted"),
-        ("friction.joint_2.load.driving", 2.0, "friction.joint_2: load.driving is 2.0; accepted: a number in [0"),
         (
             "friction.joint_2.ripple.motor_amplitude[0]",
             0.9,
             "joint_amplitude is '1.05'; accepted: amplitudes that",
         ),
-        ("friction.joint_1.load.driving", 0.1, "names nothing: 'load' is unknown; accepted there: alpha"),
         ("controller.feed_forward.coulomb", 0.5, "'controller.feed_forward.coulomb': a value is 0.5; accepted: true"),
-        ("friction.joint_2.c0", True, "a value is True; accepted: numbers"),
-        ("friction.joint_2.c0", "stiff", "a value is stiff; accepted: numbers"),
-        ("drives.gear[*]", 0.0, "drives: transmission.gear[0] is"),
-        ("drives.winding.limit", math.nan, "winding.limit is nan; accepted: a number >= -273.15"),
         ("drives.elasticity.backlash[1]", 1e-3, "drives: elasticity.backlash[1] is 0.001; accepted: 0"),
-        ("drives.cogging.amplitude[0][0]", 1.0, "names nothing: 'cogging' is unknown; accepted there: "),
-        ("controller.kv[2]", -1.0, "controller: servo.kv[2] is"),
         ("arm.link_2.mass", 0.0, "arm.link_2.mass is 0 kg"),
         ("arm.link_2.inertia[0]", 50.0, "arm.link_2.inertia"),
         ("arm.seed", 0.5, "arm.seed is 0.5; accepted: a whole number from 0 to 9007199254740992"),
-        ("arm.seed", math.nan, "arm.seed is nan; accepted: a whole number from 0 to 9007199254740992"),
         ("friction.joint_9.c0", 1.0, "'joint_9' is unknown (did you mean joint_6?); accepted there: joint_1, joint_2"),
-        ("friction.joint_1.c9", 1.0, "'c9' is unknown; accepted there: alpha, c0, c1, c2"),
-        ("fricton.joint_1.c0", 1.0, "accepted there: arm, controller, drives, friction"),
         ("friction.joint_1", 1.0, "is a group of values"),
-        ("drives.gear[0].x", 1.0, "is not a path"),
         ("drives.gear[" + "9" * 5000 + "]", 1.0, "is not a path; accepted: such as friction.joint_2.c0"),
         ("drives.gear", 1.0, "6 numbers; accepted: up to drives.gear[5], or *"),
-        ("drives.gear[6]", 1.0, "6 numbers"),
         ("friction.joint_1.*", 1.0, "different units"),
-        ("", 1.0, "is not a path"),
     ],
 )
 def test_wrong_paths_and_values_are_refused(parted: Setup, path: str, value: float | str, said: str) -> None:
@@ -145,22 +128,6 @@ def test_wrong_paths_and_values_are_refused(parted: Setup, path: str, value: flo
         with_parameters(parted, {path: value})
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("path", "kind", "said"),
-    [
-        ("task.speed", LineError, "speed is -1 m/s"),
-        ("task.speed.x", ConfigError, "goes on after a value; accepted: task.speed"),
-        ("task.speed[0]", ConfigError, "is one value; accepted: task.speed, without an index"),
-    ],
-)
-def test_wrong_values_of_the_task_are_refused(
-    shipped: Setup, task: LineTask, catalogue: Catalogue, path: str, kind: type[Rx90Error], said: str
-) -> None:
-    """A speed that no line has, and paths below or beside it, are refused."""
-    with pytest.raises(kind, match=re.escape(said)):
-        apply(shipped, task, leaves(catalogue, {path: -1.0}))
 
 
 @pytest.mark.parametrize(
@@ -200,7 +167,7 @@ def test_star_and_index_expand(catalogue: Catalogue) -> None:
 
 
 def test_cogging_has_paths_where_motors_cog(shipped: Setup) -> None:
-    """A wave's amplitude for one motor, or all, is set as the file has it; beyond the waves it is refused."""
+    """A wave's amplitude for one motor, or all, is set as the file has it."""
     setup = replace(shipped, drives=shipped.drives.replaced(cogging=COGGING))
     listed = {path: value for path, value in parameters(setup).items() if path.startswith("drives.cogging")}
     assert len(listed) == 2 + 12 + 12
@@ -212,12 +179,6 @@ def test_cogging_has_paths_where_motors_cog(shipped: Setup) -> None:
     found = with_parameters(setup, changed | {"drives.cogging.phase[*][5]": 1.0}).drives.cogging
     assert np.array_equal(found.amplitude, want)
     assert np.array_equal(found.phase, [[0.0] * 5 + [1.0]] * 2)
-    for path, said in (
-        ("drives.cogging.amplitude[1]", "is 2 by 6 numbers; accepted: up to drives.cogging.amplitude[1][5], or *"),
-        ("drives.cogging.harmonic[0][0]", "is 2 numbers; accepted: up to drives.cogging.harmonic[1]"),
-    ):
-        with pytest.raises(ConfigError, match=re.escape(said)):
-            with_parameters(setup, {path: 1.0})
 
 
 def test_every_value_of_a_part_has_a_path(parted: Setup) -> None:
@@ -241,10 +202,6 @@ def test_the_seed_is_the_plants(parted: Setup) -> None:
     for seed in (-1, "a", 0.5, True, 2**53 + 1):
         with pytest.raises(ConfigError, match=f"seed is {seed!r}; accepted: a whole number from 0"):
             replace(parted, seed=seed)
-    with pytest.raises(TypeError, match="path is of type int; accepted: str"):
-        rx.with_parameters(parted, {5: 1.0})  # type: ignore[dict-item]
-    with pytest.raises(ConfigError, match="seed is 'a'"):
-        rx.load_setup(seed="a")  # type: ignore[arg-type]
 
 
 def test_numpy_s_scalars_are_numbers(parted: Setup) -> None:
@@ -256,9 +213,6 @@ def test_numpy_s_scalars_are_numbers(parted: Setup) -> None:
         assert type(LoadPart(driving=value, driven=value).driven) is float
     off = rx.with_parameters(parted, {"controller.feed_forward.coulomb": np.bool_(False)})
     assert off.controller.feed_forward.coulomb is False
-    for value in (np.float32("nan"), np.bool_(True), "0.25"):
-        with pytest.raises(ConfigError, match=r"accepted: (a finite )?number"):
-            rx.with_parameters(parted, {path: value})
 
 
 def test_friction_must_not_follow_the_load_faster_than_the_step(parted: Setup) -> None:

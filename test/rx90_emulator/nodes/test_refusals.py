@@ -10,22 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
 from processes import Processes
-from rclpy.parameter import Parameter
 from ros_client import Client
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.channel import lock_publisher
 from rx90_common.exchange.endpoints import LATCHED_QOS, TICK_QOS
-from rx90_common.exchange.parameters import NodeParameters
 from rx90_common.exchange.topics import FREE_RUNNING, TimeMode
 from rx90_emulator.cli.frame import run
-from rx90_emulator.loop.setup import Setup
-from rx90_sim.node.parameters import simulation_parameters
 
 pytestmark = pytest.mark.ros
 Refused = Callable[..., str]
@@ -70,7 +64,6 @@ def refused(ros_domain: int, capfd: pytest.CaptureFixture[str]) -> Iterator[Refu
 @pytest.mark.parametrize(
     ("name", "argument", "accepted"),
     [
-        ("rx90_sim", "joint_state_rate:=333", ["333", "4000"]),
         ("rx90_sim", "initial_position:=[0, 9, 0, 0, 0, 0]", ["joint_2", "9"]),
         ("rx90_sim", "real_time_facto:=1.0", ["real_time_facto is unknown", "real_time_factor", "step_ticks"]),
         ("rx90_sim", "qos_overrides./joint_states.publisher.depth:=0", ["joint_states.publisher.depth is 0", "[1,"]),
@@ -79,8 +72,6 @@ def refused(ros_domain: int, capfd: pytest.CaptureFixture[str]) -> Iterator[Refu
             "qos_overrides./motor_states.publisher.depth:=5",
             ["motor_states.publisher.depth is unknown", "depth, reliability, durability of /clock.publisher"],
         ),
-        ("rx90_controller", "controller:=nowhere.yaml", ["nowhere.yaml"]),
-        ("rx90_controller", "joints:=3", ["parameter joints is 3", "joint_1, joint_2"]),
         ("rx90_cell", "paused:=true", ["paused is unknown to rx90_controller", "-p rx90_sim:paused:="]),
     ],
 )
@@ -134,31 +125,6 @@ def test_the_time_mode_counts_from_the_publisher_of_the_motor_states_alone(
     controller.wait_for("trajectory ended")
     assert controller.returncode is None
     assert controller.output.count("of a process that publishes no /motor_states") == 1
-
-
-def test_what_a_declaration_does_not_accept_is_named(client: Client, shipped: Setup) -> None:
-    """A value of another type, one out of the range and one that fits no other are refused with parameter and range."""
-    cases = [
-        ("clock_rate", "fast", "an integer in [1, 20000]"),
-        ("clock_rate", 0, "an integer in [1, 20000]"),
-        ("real_time_factor", -1.0, "a number in [0, 1000]"),
-        ("paused", 1, "true or false"),
-        ("time_mode", "sometimes", "lock_step, free_running"),
-        ("initial_position", [0.0, 0.0], "6, one for each joint, or one for all, rad"),
-    ]
-    for number, (name, value, accepted) in enumerate(cases):
-        given = [Parameter(name, value=value)]
-        node = rclpy.create_node(
-            f"node_{number}",
-            context=client.node.context,
-            parameter_overrides=given,
-            automatically_declare_parameters_from_overrides=True,
-        )
-        with pytest.raises(ConfigError) as caught:
-            simulation_parameters(NodeParameters(node).values).start(shipped.robot)
-        node.destroy_node()
-        assert str(caught.value).startswith(f"parameter {name} ")
-        assert accepted in str(caught.value)
 
 
 def test_a_diverging_arm_ends_the_run_with_joint_and_tick(

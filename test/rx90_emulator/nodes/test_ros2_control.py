@@ -67,12 +67,6 @@ def test_the_description_names_joints_interfaces_and_topics(mode: str, commands:
     assert name in CONTROLLERS["controller_manager"]["ros__parameters"]
 
 
-def test_another_mode_is_refused() -> None:
-    """A mode that there is not is named with those that there are, and makes no description."""
-    with pytest.raises(xacro.XacroException, match="dance ; accepted: position, effort"):
-        description("dance")
-
-
 @pytest.mark.parametrize("mode", ["position", "effort"])
 def test_what_the_launch_file_starts(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The controller manager hears the arm with tool and hardware; CS7B or torques at its rate, as the mode says."""

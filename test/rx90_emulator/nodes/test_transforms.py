@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import closing
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,9 +12,7 @@ from processes import Processes
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_client import Client, seconds
 
-from rx90_common.base.errors import ConfigError
 from rx90_emulator.loop.setup import Setup
-from rx90_sim.node.publications import Transforms
 
 START = [0.4, -0.6, 1.2, 3.5, -0.9, -4.0]
 FIXED = {"base_link_inertia", "flange", "tool0", "tool", "tcp"}
@@ -66,24 +63,3 @@ def test_frames_are_where_pinocchio_has_them(processes: Processes, shipped: Setu
     assert max(misplaced(shipped, transform, START) for transform in fixed[-1].transforms) < 1e-14
     frames = {frame.name for frame in shipped.robot.model.frames if frame.type == pin.BODY}
     assert frames == {"base_link", *(f"link_{i}" for i in range(1, 7)), *FIXED}
-
-
-def test_without_tf2_msgs_it_is_refused_in_one_line(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where tf2_msgs is not there, tf_rate is refused with what to install, and a rate that does not divide as such."""
-    plant = shipped.plant()
-    monkeypatch.setattr(sys, "path", [])
-    for name in [name for name in sys.modules if name.partition(".")[0] == "tf2_msgs"]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delenv("ROS_DISTRO", raising=False)
-    needs = r"parameter tf_rate is 50: needs tf2_msgs, which is not installed; accepted: make action, .*; or 0$"
-    with pytest.raises(ConfigError, match=needs):
-        Transforms(cast("Any", None), shipped.robot, plant, cast("Any", Asked(shipped, 50)))
-    with pytest.raises(ConfigError, match=r"tf_rate.* 3000"):
-        Transforms(cast("Any", None), shipped.robot, plant, cast("Any", Asked(shipped, 3000)))
-
-
-class Asked:
-    """What of the parameters is looked at."""
-
-    def __init__(self, setup: Setup, rate: int) -> None:
-        self.rates, self.tf_rate = setup.rates, rate

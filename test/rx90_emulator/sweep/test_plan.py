@@ -76,12 +76,8 @@ def test_quantiles(distribution: Distribution, oracle: Any) -> None:
     ("build", "said"),
     [
         (lambda: Values(()), "empty"),
-        (lambda: Values((math.nan,)), "finite"),
-        (lambda: Values.linspace(0.0, 1.0, 2.5), "count of values is 2.5"),
         (lambda: Values.geomspace(0.0, 1.0, 3), "both > 0"),
-        (lambda: Uniform(-math.inf, 2.0), "finite"),
         (lambda: LogUniform(0.0, 2.0), "lower bound > 0"),
-        (lambda: Normal(1.0, 0.0), "deviation is 0"),
         (lambda: Normal(1.0, 0.1, low=2.0), "leave"),
     ],
 )
@@ -151,28 +147,17 @@ def test_shipped_and_documented_plans_fit(
     ("block", "said"),
     [
         ("{}", "blocks.a: has no parameters; accepted: one or both of grid, random"),
-        ("{grid: {task.speed: {value: 0.1}}}", "value is 0.1; accepted: [v1, v2, ...]"),
-        ("{grid: {task.speed: {value: [fast]}}}", "is 'fast'; accepted: finite numbers"),
-        ("{grid: {task.speed: {value: [true]}}}", "a value is True; accepted: numbers"),
         ("{grid: {task.speed: {value: [0.1, 0.1]}}}", "0.1 stands twice"),
         ("{grid: {task.speed: {value: [1], factor: [1]}}}", "has value and factor of value, factor; accepted: one"),
-        ("{grid: {task.speed: {value: {linspace: [1, 2, -3]}}}}", "count of values is -3"),
-        ("{grid: {task.speed: {value: {logspace: [1, 2, 3]}}}}", "logspace is not a known key (did you mean linspace"),
         ("{grid: {task.speed: {value: [1], each: true}}}", "in random draws only"),
         ("{grid: {task.sped: {value: [1]}}}", "'sped' is unknown (did you mean speed?); accepted there: accel"),
         ("{grid: {friction.*.c0: {factor: [1]}, friction.joint_2.c0: {factor: [1]}}}", "both set friction.joint_2.c0"),
-        ("{random: {x: {paths: [friction.*.c0, friction.joint_1.c0], each: true, factor: {uniform: [1, 2]}}}, "
-         "draws: 1}", "both set friction.joint_1.c0"),
         ("{grid: {x: {paths: [task.speed, task.speed], value: [1]}}}", "set a value twice"),
         ("{grid: {seed: {paths: [task.speed], value: [1]}}}", "the name 'seed' of a result"),
         ("{grid: {controller.feed_forward.coulomb: {factor: [2]}}}", "accepted: value"),
         ("{grid: {x: {paths: [task.speed, 'task.end[0]'], value: [1]}}}", "different units"),
-        ("{random: {task.speed: {value: {uniform: [1, 2]}}}}", "draws is missing"),
         ("{random: {task.speed: {value: {uniform: [2, 1]}}}, draws: 1}", "bounds are 2 and 1"),
-        ("{random: {task.speed: {value: [1, 2]}}, draws: 1}", "accepted: {uniform"),
         ("{grid: {task.speed: {value: [1]}}, draws: 4}", "without random parameters"),
-        ("{grid: {task.speed: {value: [1]}}}\nbase: {task: none.yaml}", "no file 'none.yaml'"),
-        ("{grid: {task.speed: {value: [1]}}}\nbase: {base_rate: 3000}", "base_rate is 3000 Hz"),
     ],
 )  # fmt: skip
 def test_bad_plans_get_one_line(tmp_path: Path, block: str, said: str) -> None:
@@ -196,10 +181,6 @@ def test_a_plan_names_a_robot_and_an_option_another(tmp_path: Path) -> None:
     shutil.copytree(RobotFiles.named("tx40").urdf.parent, tmp_path / "my_arm")
     own = load_sweep_plan(written(tmp_path, f"base: {{robot: my_arm}}\n{blocks}")).base.files
     assert own.urdf == tmp_path / "my_arm" / "robot.urdf"
-    with pytest.raises(
-        ConfigError, match=r"base.robot: robot 'tx50': no such folder; accepted: panda, rx90b, rx90b/paper, tx40"
-    ):
-        load_sweep_plan(written(tmp_path, f"base: {{robot: tx50}}\n{blocks}"))
 
 
 def parameter(path: str, *values: float, factor: bool = True) -> SweptParameter:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import logging
 import signal
 import socket
 import threading
@@ -13,7 +12,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from types import FrameType
 from typing import Any
-from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -109,23 +107,6 @@ def test_a_port_that_is_taken_is_one_line() -> None:
         port = other.getsockname()[1]
         with pytest.raises(ConfigError, match=rf"127\.0\.0\.1 port {port}: .*; accepted: --port with a free one"):
             Page("test", port=port)
-
-
-def test_a_connection_that_is_closed_early_is_no_traceback(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Who connects and leaves before anything is asked for is not told of, also as the first of all."""
-    monkeypatch.setattr(logging.getLogger("websockets.server"), "filters", [])  # those of other pages
-    with served(Page("test", port=0)) as page:
-        place = urlsplit(page.address)
-        for words in (b"", b"GET / HTTP/1.1\r\n"):
-            with socket.create_connection((place.hostname, place.port)) as early:
-                early.sendall(words)
-                early.shutdown(socket.SHUT_WR)
-                early.settimeout(10.0)
-                while early.recv(4096):  # until the server has let it go, and said what it has to say
-                    pass
-    assert caplog.records == []
 
 
 def test_a_browser_that_is_waited_for_does_not_hold_the_page(

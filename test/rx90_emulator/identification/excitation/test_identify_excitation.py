@@ -181,35 +181,13 @@ def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Call
     check_report(outcome.folder / "report.html")
 
 
-def test_torques_without_rotors_of_this_robot_are_refused(bench: Bench) -> None:
-    """A model without rotors is for other arms' torques behind the gears: with rotors given it is refused."""
-    given = rx.RobotOptions(urdf=bench.urdf, rotor_inertia=[1.0, 1.0])
-    for robot, words in ((rx.RobotOptions(), "without --urdf"), (given, "with --rotor-inertia")):
-        with pytest.raises(rx.Rx90Error, match=f"^--no-rotors {words}; accepted: "):
-            rx.identify_excitation([bench.folder / "run"], robot, rotors=False)
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["run", "run"], "given twice for --excitation; accepted: each bag once"),
-        (["run", "--validation", "run"], "run: also used for the identification; accepted: another bag"),
         (["run", "--validation", "unseen", "later"], r"later: 2\d% of its motion also used .* as \S+run; accepted"),
-        (["run", "--sliding", "run"], "run with --excitation; accepted: --validation BAG"),
         (["run", "--output", "identified"], "identified/report.html exists; accepted: another name, or --force"),
-        (["run", "--output", "arm.urdf"], "arm.urdf is no folder; accepted"),
-        (["run", "--output", "nowhere/deep"], "nowhere does not exist"),
         (["run", "--bandwidth=60"], "bandwidths of 60 and 20 Hz at 100 samples per second; accepted: up to 45 and"),
-        (["run", "--bandwidth=1e-6"], r"no stretch of \S+e\+07 s without a gap, .*; accepted: longer runs"),
-        (["run", "--prior=1e300"], r"of the prior: 1e\+300; accepted: 1e-06 to 10000"),
-        (["run", "--torque-delay", "0.01"], "--torque-delay 0.01 with --excitation; accepted: 0"),
-        (["run", "--model=bristle-damping"], "bristle-damping without bristle; accepted: both, or neither"),
-        (["run", "--bristles", "--model=bristle"], "--bristles with --model; accepted: --model with bristle"),
-        (["run", "--model=stribeck"], r"invalid choice: 'stribeck' \(choose from 'coulomb-viscous', 'viscous-exp"),
-        (["nowhere"], "nowhere: no such bag"),
-        (["still"], "no joint moves in any run; accepted"),
         (["short"], "samples without a gap; accepted"),
-        (["single"], "single: 1 sample without a gap; accepted"),
         (["negative"], r"wrong sign of the effort of \w+ and sign of the effort of \w+: .*--torque-constant -1 -1,"),
         (["one"], r"wrong sign of the effort of elbow: \d+.\d% .* change \d.\d%; .*--torque-constant 1 -1,"),
     ],
