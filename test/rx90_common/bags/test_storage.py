@@ -508,6 +508,7 @@ except Rx90Error as error:
 print(int(peak.split()[1]) // 1024)
 """
 LARGE = 900 << 20  # bytes of zeros
+MAPPING = "rate: 100\nnames: [a]\nposition: {columns: [time], unit: rad}\n"
 
 
 def bomb_of_chunks(path: Path, stated: int) -> None:
@@ -559,6 +560,16 @@ def bomb_of_columns(path: Path) -> None:
             writer.write_table(part)
 
 
+def test_texts_beside_the_columns_of_a_parquet_file_are_not_read(tmp_path: Path) -> None:
+    """A log whose unmapped column has ten texts of 50 MB, in 2 kB of file, is read within 500 MB."""
+    texts = pa.array(["x" * (50 << 20)]).dictionary_encode().take(pa.array([0] * 10))
+    log = tmp_path / "texts.parquet"
+    pq.write_table(pa.table({"time": np.arange(10.0), "texts": texts}), log, compression="zstd", store_schema=False)
+    log.with_suffix(".yaml").write_text(MAPPING, encoding="utf-8")
+    done = subprocess.run([sys.executable, "-c", PEAK, str(log)], capture_output=True, text=True, check=True)
+    assert int(done.stdout) <= 500
+
+
 def bomb_of_a_file(path: Path) -> None:
     """Write a bag that is compressed as a whole, and does not state its size."""
     packer = zstd.ZstdCompressor()
@@ -597,8 +608,7 @@ BOMBS = {
 def test_what_unpacks_to_far_more_is_refused_before(name: str, tmp_path: Path) -> None:
     """One line states the limit; the process never has 500 MB."""
     BOMBS[name](tmp_path / name)
-    mapping = "time: {column: time, unit: s}\nnames: [a]\nposition: {columns: [time], unit: rad}\n"
-    (tmp_path / name).with_suffix(".yaml").write_text(mapping, encoding="utf-8")
+    (tmp_path / name).with_suffix(".yaml").write_text(MAPPING, encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-c", PEAK, str(tmp_path / name)], capture_output=True, text=True, check=True
     )
