@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import zipfile
 from bz2 import BZ2Decompressor
@@ -27,6 +28,8 @@ ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 """With which no CDR message begins."""
 _MAX_ARRAYS_BYTES = 256 << 20  # of all in a file, also of a bag that is compressed as a whole, or
 _MAX_ARRAYS_FACTOR = 50  # times its size
+_LONGEST_SIDE = (1 << 31) - 1  # of an array, also of one that holds nothing
+_ARRAY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0}  # later versions begin alike
 _COPY_BYTES = 1 << 20
 _ROS1_CHUNK = b"\x05"  # op code
 _ROS1_COMPRESSIONS = {b"bz2": BZ2Decompressor, b"lz4": lz4.frame.LZ4FrameDecompressor}
@@ -66,11 +69,27 @@ def load_arrays(path: Path) -> dict[str, NDArray[Any]]:
     Raises:
         DamagedError: if it is none, or its arrays would unpack to far more than its size.
     """
-    with library_errors():
-        with zipfile.ZipFile(path) as archive:
-            check_whole(path, "arrays", sum(member.file_size for member in archive.infolist()))
-        with np.load(path, allow_pickle=False) as arrays:
-            return dict(arrays)
+    with library_errors(), zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        check_whole(path, "arrays", sum(member.file_size for member in members))
+        arrays = {}
+        for member in members:
+            _check_header(archive, member)
+            with archive.open(member) as stream:
+                arrays[member.filename.removesuffix(".npy")] = np.lib.format.read_array(stream, allow_pickle=False)
+        return arrays
+
+
+def _check_header(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
+    """Refuse an array whose header asks for more or less than what follows it, before its memory is asked for."""
+    with archive.open(member) as stream:
+        read = _ARRAY_HEADERS.get(np.lib.format.read_magic(stream), np.lib.format.read_array_header_2_0)
+        shape, _, kind = read(stream)
+        length = member.file_size - stream.tell()
+    stated = kind.itemsize * math.prod(shape)
+    if stated != length or not all(0 <= count <= _LONGEST_SIDE for count in shape):
+        shown = " x ".join(map(str, shape))
+        raise DamagedError(plain(f"{member.filename} holds {length:,} bytes; its header says {shown} of {kind}"))
 
 
 def unpack_file(source: Path, target: Path) -> None:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from decimal import Decimal, DecimalException
 from itertools import groupby, islice
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -55,6 +55,7 @@ _LOOKED_AT = 200  # lines, by which delimiter and decimal sign are found out
 _DIALECTS = ((",", "."), (";", "."), ("tab", "."), ("|", "."), ("space", "."), (";", ","), ("tab", ","), ("|", ","),
              (",", ","), ("space", ","))  # fmt: skip
 _NOT_FINITE = {"nan", "inf", "infinity"}
+_NUMBER_BYTES = 8
 _MAX_RANGES = 40  # of corrupt lines that are named
 
 
@@ -301,38 +302,21 @@ def _places(path: Path, source: _Source, mapping: LogMapping, number: int) -> tu
     return time, used
 
 
-_NUMBERS = (pa.types.is_floating, pa.types.is_integer, pa.types.is_timestamp)
-
-
 def _open_arrays(path: Path, more: Callable[[int], object]) -> _Source:
     """Open a log of arrays: columns of Parquet; of NPZ those of shape (n,), and each column of (n, k), as `q[0]`."""
-    arrays: dict[str, NDArray[Any]] = {}
     parquet = path.suffix.lower() == ".parquet"
     try:
         with library_errors():
-            if parquet:
-                about = pq.read_metadata(path)
-                check_whole(path, "arrays", 8 * about.num_rows * about.num_columns)
-                # Not the texts beside the numbers, which may unpack to any length.
-                numbers = [
-                    field.name for field in pq.read_schema(path) if any(is_kind(field.type) for is_kind in _NUMBERS)
-                ]
-                table = pq.read_table(path, columns=numbers, page_checksum_verification=True)
-                for name, column in zip(table.column_names, table.columns, strict=True):
-                    stamps = pa.types.is_timestamp(column.type)
-                    arrays[name] = (column.cast(pa.timestamp("ns")) if stamps else column).to_numpy()
-            else:
-                for name, values in load_arrays(path).items():
-                    if values.dtype.kind in "fiuM" and values.ndim == 1:
-                        arrays[name] = values
-                    elif values.dtype.kind in "fiu" and values.ndim == 2:
-                        arrays |= {f"{name}[{k}]": column for k, column in enumerate(values.T)}
+            names, columns_of = _open_parquet(path) if parquet else _open_npz(path)
     except DamagedError as error:
-        raise BagError(f"{plain(path)}: is no {'Parquet' if parquet else 'NPZ'} file, or damaged ({error})") from error
-    names = list(arrays)
+        raise _damaged(path, error) from error
 
     def rows(places: Sequence[int]) -> _Rows:
-        columns = {place: arrays[names[place]] for place in places}
+        try:
+            with library_errors():
+                columns = columns_of(places)
+        except DamagedError as error:
+            raise _damaged(path, error) from error
         counts = {len(column) for column in columns.values()}
         if len(counts) != 1 or 0 in counts:
             each = ", ".join(f"{plain(names[place])} {len(column)}" for place, column in columns.items())
@@ -341,6 +325,55 @@ def _open_arrays(path: Path, more: Callable[[int], object]) -> _Source:
         return _Rows(np.arange(1, counts.pop() + 1), columns, {})
 
     return _Source(names, len(names), f"{counted(len(names), 'column')} {listed(names)}", ".", rows)
+
+
+def _damaged(path: Path, error: DamagedError) -> BagError:
+    kind = "Parquet" if path.suffix.lower() == ".parquet" else "NPZ"
+    return BagError(f"{plain(path)}: is no {kind} file, or damaged ({error})")
+
+
+_Columns: TypeAlias = Callable[[Sequence[int]], dict[int, NDArray[Any]]]
+
+
+def _open_npz(path: Path) -> tuple[list[str], _Columns]:
+    """Return the names of columns, and what returns those at some places."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, values in load_arrays(path).items():
+        if values.dtype.kind in "fiuM" and values.ndim == 1:
+            arrays[name] = values
+        elif values.dtype.kind in "fiu" and values.ndim == 2:
+            arrays |= {f"{name}[{k}]": column for k, column in enumerate(values.T)}
+    names = list(arrays)
+    return names, lambda places: {place: arrays[names[place]] for place in places}
+
+
+def _open_parquet(path: Path) -> tuple[list[str], _Columns]:
+    """Return the names of columns, and what reads those at some places: others may be of texts of any length."""
+    file = pq.ParquetFile(path, page_checksum_verification=True)
+    names = [field.name for field in file.schema_arrow if _is_number(field.type) or pa.types.is_timestamp(field.type)]
+
+    def columns_of(places: Sequence[int]) -> dict[int, NDArray[Any]]:
+        used = [names[place] for place in places]
+        check_whole(path, "arrays", max(_NUMBER_BYTES * file.metadata.num_rows * len(used), _unpacked(file, used)))
+        table = file.read(used)
+        columns = {}
+        for place, name in zip(places, used, strict=True):
+            column = table[name]
+            columns[place] = (column if _is_number(column.type) else column.cast(pa.timestamp("ns"))).to_numpy()
+        return columns
+
+    return names, columns_of
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind))
+
+
+def _unpacked(file: pq.ParquetFile, names: Sequence[str]) -> int:
+    """Return the length of the pages of some columns of a Parquet file."""
+    groups = (file.metadata.row_group(k) for k in range(file.metadata.num_row_groups))
+    parts = (group.column(k) for group in groups for k in range(group.num_columns))
+    return sum(part.total_uncompressed_size for part in parts if part.path_in_schema in names)
 
 
 def _open_text(path: Path, mapping: LogMapping, more: Callable[[int], object]) -> _Source:

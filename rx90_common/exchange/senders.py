@@ -74,7 +74,10 @@ def take_with_sender(subscription: Subscription) -> Iterator[tuple[bytes, bytes]
         utilities.rcutils_uint8_array_fini(ctypes.byref(message))
 
 
-def senders_on(node: Node, topic: str) -> set[bytes]:
-    """Return the processes that the graph knows to publish a topic."""
+def senders_on(node: Node, topic: str) -> dict[bytes, str]:
+    """Return the processes that the graph knows to publish a topic, each with the name of a node that does."""
     publishers: list[Any] = node.get_publishers_info_by_topic(topic)
-    return {bytes(publisher.endpoint_gid)[:_PARTICIPANT] for publisher in publishers}
+    return {
+        bytes(publisher.endpoint_gid)[:_PARTICIPANT]: f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
+        for publisher in publishers
+    }

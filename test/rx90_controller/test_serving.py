@@ -339,7 +339,7 @@ def test_a_time_mode_counts_from_nobody_where_the_middleware_names_no_sender(mon
         get_logger=lambda: log,
     )
     monkeypatch.setattr(simulation_mode, "take_with_sender", lambda _: [(raw, bytes(12))])
-    monkeypatch.setattr(simulation_mode, "senders_on", lambda *_: {b"process here"})
+    monkeypatch.setattr(simulation_mode, "senders_on", lambda *_: {b"process here": "/rx90_sim"})
     monkeypatch.setattr(simulation_mode, "get_rmw_implementation_identifier", lambda: "rmw_cyclonedds_cpp")
     monkeypatch.setattr(simulation_mode, "_PATIENCE", -1.0)
     simulation_mode.SimulationMode(node, followed.append)
