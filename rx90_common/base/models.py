@@ -408,12 +408,16 @@ def _range_in_words(noun: str, schema: JsonSchema) -> str:
     if least is None and most is None:
         return "an integer" if noun == "an integer" else "a finite number"
     if most is None:
-        return f"{noun} {'>=' if above is None else '>'} {least:g}"
+        return f"{noun} {'>=' if above is None else '>'} {_number_text(least)}"
     if least is None:
-        return f"{noun} {'<=' if below is None else '<'} {most:g}"
+        return f"{noun} {'<=' if below is None else '<'} {_number_text(most)}"
     opening = "[" if above is None else "("
     closing = "]" if below is None else ")"
-    return f"{noun} in {opening}{least:g}, {most:g}{closing}"
+    return f"{noun} in {opening}{_number_text(least)}, {_number_text(most)}{closing}"
+
+
+def _number_text(number: float) -> str:
+    return str(number) if isinstance(number, int) else f"{number:g}"
 
 
 def _list_in_words(schema: JsonSchema, root: JsonSchema | None) -> str:

@@ -227,13 +227,13 @@ def _with_coupling(fit: FrictionFit, arm: Arm, joint: int, used: Sequence[Array]
         combinations += _near_rest(rows[e, joints], grid)
     worst = fit.largest
     more = dict.fromkeys(felt, 0.0)
-    for speeds in combinations:
-        alone = speeds[0]
+    for combination in combinations:
+        alone = combination[0]
         difference = -np.sign(alone) * fit.law.torque(np.abs(alone))
         for e in felt:
             element = arm.friction.elements[e]
             turn = rows[e, joint]
-            inputs = sum(rows[e, k] * speed for k, speed in zip(joints, speeds, strict=True))
+            inputs = sum(rows[e, k] * speed for k, speed in zip(joints, combination, strict=True))
             torque = turn * element.steady_torque(inputs)
             difference = difference + torque
             more[e] = max(more[e], float(np.abs(torque - turn * element.steady_torque(turn * alone)).max()))
