@@ -416,7 +416,7 @@ def _range_in_words(noun: str, schema: JsonSchema) -> str:
     return f"{noun} in {opening}{_number_text(least)}, {_number_text(most)}{closing}"
 
 
-def _number_text(number: float) -> str:
+def _number_text(number: float | None) -> str:
     return str(number) if isinstance(number, int) else f"{number:g}"
 
 
