@@ -16,7 +16,7 @@ from rx90_common.base.quoting import breaks_a_line, plain, quoted
 
 # What is read in two seconds: letters, and values, as often as aliases repeat them.
 _MAX_BYTES = 3 << 20
-_MAX_VALUES = 150_000
+_MAX_VALUES = 75_000
 _DEEPEST = 64
 _LONGEST_INTEGER = 400  # characters; the largest finite number has 309 digits
 _IN_FILE = re.compile(r',? in "<file>", ')
@@ -36,29 +36,29 @@ class _Loader(yaml.composer.Composer, yaml.CSafeLoader):
         yaml.CSafeLoader.__init__(self, stream)
         yaml.composer.Composer.__init__(self)
         self._depth = 0
-        self._values: dict[yaml.Node, int] = {}  # in each node that is complete, itself included
+        self._count = 0  # of values so far
+        self._values: dict[yaml.Node, int] = {}  # in each node that has an anchor and is complete, itself included
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node:
         """Compose the next node, within the limits."""
         event: Any = self.peek_event()
         if self._depth == _DEEPEST:
             raise _Fault(None, None, f"deeper than {_DEEPEST} levels", event.start_mark)
+        before = self._count
+        self._count += 1
         self._depth += 1
         node: Any = super().compose_node(parent, index)
         self._depth -= 1
-        if not isinstance(event, yaml.AliasEvent):
-            self._values[node] = 1 + sum(self._values[child] for child in _children(node))
-        elif node not in self._values:
-            raise _Fault(None, None, f"{quoted(event.anchor)} stands for something that contains it", event.start_mark)
-        if self._values[node] > _MAX_VALUES:
+        if isinstance(event, yaml.AliasEvent):
+            if node not in self._values:
+                fault = f"{quoted(event.anchor)} stands for something that contains it"
+                raise _Fault(None, None, fault, event.start_mark)
+            self._count = before + self._values[node]
+        elif event.anchor is not None:
+            self._values[node] = self._count - before
+        if self._count > _MAX_VALUES:
             raise _Fault(None, None, f"more than {_MAX_VALUES:,} values", event.start_mark)
         return node  # type: ignore[no-any-return]
-
-
-def _children(node: yaml.Node) -> list[yaml.Node]:
-    if isinstance(node, yaml.MappingNode):
-        return [part for pair in node.value for part in pair]
-    return node.value if isinstance(node, yaml.SequenceNode) else []
 
 
 class _Dumper(yaml.SafeDumper):
@@ -152,8 +152,7 @@ def yaml_value(text: str) -> Any:
 
 
 def yaml_lines(path: Path) -> dict[str, int]:
-    """Return the line numbers, from 1 on, of the keys and items of a YAML file, by path such as `a.b[2].c`."""
-    read_yaml(path, first=True)
+    """Return the line numbers, from 1 on, of the keys and items of a YAML file that has been read, by `a.b[2].c`."""
     lines: dict[str, int] = {}
     _note_lines(next(yaml.compose_all(_read(path), _Loader)), "", lines)
     return lines

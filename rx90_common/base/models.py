@@ -50,6 +50,8 @@ _REFUSED: Final = "refused"
 _UNKNOWN_KEY: Final = "extra_forbidden"
 _TYPING_ERROR: Final = 0.8
 """Likeness of a misspelt key to the missing one that is meant, where other keys are accepted, too."""
+_MAX_FAULTS: Final = 20
+"""Misspelt keys that are told at most, and as many other faults."""
 _MISSING: Final = {"missing", "union_tag_not_found"}
 _BRANCH_FAULTS: Final = {"union_tag_invalid", "union_tag_not_found"}
 
@@ -333,6 +335,8 @@ def refusals(model: type[BaseModel], where: str = "", content: Any = None) -> It
 def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "", content: Any = None) -> list[str]:
     """Return a line for each fault, with place, value and what is accepted; misspelt keys come first.
 
+    Of many faults the first ones are told, and how many more there are.
+
     Args:
         model: that was validated.
         error: of pydantic.
@@ -340,7 +344,11 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
         content: that was validated, if it came from a file.
     """
     schema = _schema_of(model)
-    faults = [(fault, _place_of(fault, schema, content)) for fault in error.errors(include_url=False)]
+    every = error.errors(include_url=False)
+    unknown = [fault for fault in every if fault["type"] == _UNKNOWN_KEY]
+    others = [fault for fault in every if fault["type"] != _UNKNOWN_KEY]
+    told = unknown[:_MAX_FAULTS] + others[:_MAX_FAULTS]
+    faults = [(fault, _place_of(fault, schema, content)) for fault in told]
     places = [place for _, place in faults]
     lines: list[str] = []
     meant: set[Place] = set()
@@ -358,14 +366,17 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
                 continue  # one mistake would be told twice
             node = schema_at(schema, place[:-1], content)
             given = value_at(content, place[:-1])
-            others = given.keys() - node.get("properties", {}).keys() if isinstance(given, dict) else ()
-            near = nearest(str(place[-1]), others, _TYPING_ERROR)
+            strange = (key for key in given if key not in node.get("properties", {})) if isinstance(given, dict) else ()
+            near = nearest(str(place[-1]), strange, _TYPING_ERROR)
             if near:  # where other keys are accepted, too
                 lines.insert(0, _unknown_key(where, (*place[:-1], near), str(place[-1]), node))
                 continue
         line = _line(schema, fault, place, where, content)
         lines.append(line)
-    return list(dict.fromkeys(lines))  # two kinds of a union, or both signs, say the same
+    lines = list(dict.fromkeys(lines))  # two kinds of a union, or both signs, say the same
+    if len(told) < len(every):
+        lines.append(f"{where}{': ' if where else ''}{len(every) - len(told):,} more faults, which are not told")
+    return lines
 
 
 def _unknown_key(where: str, place: Place, near: str, node: JsonSchema) -> str:
@@ -574,7 +585,8 @@ def _kinds(schema: JsonSchema, root: JsonSchema, value: Any) -> list[JsonSchema]
 def _likeness(schema: JsonSchema, mapping: Mapping[str, Any]) -> int:
     """Return how many keys of a mapping a schema knows; one that has another text where it must is out of question."""
     properties = schema.get("properties", {})
-    excluded = [key for key in mapping if mapping[key] != properties.get(key, {}).get("const", mapping[key])]
+    texts = {key: inner["const"] for key, inner in properties.items() if "const" in inner}
+    excluded = any(mapping.get(key, text) != text for key, text in texts.items())
     return -1 if excluded or schema.get("type") != "object" else len(mapping.keys() & properties.keys())
 
 

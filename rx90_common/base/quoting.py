@@ -11,6 +11,7 @@ import math
 import reprlib
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from itertools import islice
 from typing import Any, Final
 from unicodedata import category
 
@@ -21,6 +22,8 @@ LINE_LIMIT: Final = 2000
 
 _ELLIPSIS = "…"
 _MAX_NAMES = 20
+_MAX_CANDIDATES = 1000  # among which the nearest name is looked for
+_LONGEST_NAME = 100  # characters by which a misspelt name is compared
 _LONGEST_INTEGER = 400  # decimal digits; Python itself refuses to write more than 4300
 
 
@@ -69,7 +72,8 @@ def counted(count: int, noun: str) -> str:
 
 def nearest(name: str, names: Iterable[str], likeness: float = 0.6) -> str:
     """Return that of the accepted names which a misspelt one is most like, 0 to 1; an empty text if none is."""
-    return next(iter(get_close_matches(name, list(names), 1, likeness)), "")
+    candidates = list(islice(names, _MAX_CANDIDATES))
+    return next(iter(get_close_matches(name[:_LONGEST_NAME], candidates, 1, likeness)), "")
 
 
 def question(name: str) -> str:

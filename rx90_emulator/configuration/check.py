@@ -22,6 +22,7 @@ from rx90_emulator.identification.experiments.plan import INDEX, Poses
 from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.setup import Setup
 
+_MORE_OF_A_KEY = re.compile(r"[\w*]")
 _LINE = re.compile(r"\bline (\d+)")
 _LEAST_KNOWN_SHARE = 0.5
 """Share of a file's keys that must be known to a kind for the file to be of it."""
@@ -131,7 +132,7 @@ def check_file(path: Path, kind: FileKind | None = None) -> CheckedFile:
         return CheckedFile(path, "unreadable" if kind is None else kind.name, (_with_line(path, error, {}),))
     kind = kind or kind_of(path, content)
     found: list[Rx90Error] = [*kind.faults(path, content)] or _faults_of(lambda: kind.read(path))
-    lines = yaml_lines(path) if found else {}
+    lines = _lines_as_shown(path) if found else {}
     return CheckedFile(path, kind.name, tuple(_with_line(path, error, lines) for error in found))
 
 
@@ -143,12 +144,16 @@ def _faults_of(read: Callable[[], object]) -> list[Rx90Error]:
     return []
 
 
+def _lines_as_shown(path: Path) -> dict[str, int]:
+    return {plain(place): line for place, line in yaml_lines(path).items()}
+
+
 def _with_line(path: Path, error: Rx90Error, lines: Mapping[str, int]) -> str:
     """Return a refusal with the line of the key that it begins with, or that it names."""
     text = str(error).removeprefix(f"{plain(path)}: ")
-    places = [place for place in lines if re.match(rf"{re.escape(plain(place))}(?![\w*])", text)]
+    ends = [end for end in range(1, len(text) + 1) if text[:end] in lines and not _MORE_OF_A_KEY.match(text, end)]
     named = _LINE.search(text)
-    line = f"{lines[max(places, key=len)]}:" if places else f"{named[1]}:" if named else ""
+    line = f"{lines[text[: max(ends)]]}:" if ends else f"{named[1]}:" if named else ""
     return one_line(f"{plain(path)}:{line} {text}")
 
 
@@ -194,5 +199,5 @@ def _check_robot(folder: Path) -> list[CheckedFile]:
     together = []
     for error in faults:
         of = next((path for path in roles if str(error).startswith(f"{plain(path)}: ")), None)
-        together.append(str(error) if of is None else _with_line(of, error, yaml_lines(of)))
+        together.append(str(error) if of is None else _with_line(of, error, _lines_as_shown(of)))
     return [*found, CheckedFile(folder, "robot folder", tuple(together))]

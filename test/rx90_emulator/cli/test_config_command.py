@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from time import process_time
 
 import pytest
 import yaml
@@ -90,6 +91,34 @@ def test_all_problems_of_files_are_told_with_their_lines(arm: Path, capsys: Capt
     again = capsys.readouterr()
     assert again.out.splitlines() == said
     assert "nowhere.yaml: no such file" in again.err
+
+
+LARGE = {
+    "unknown keys": "".join(f"element{k}: {k}\n" for k in range(37_000)),
+    "a list": f"elements: [{'x,' * 73_000}x]",
+    "a list of an unknown key": f"a: [{'x,' * 73_000}x]",
+    "lists in lists": "a:\n" + "- - - - - -\n" * 70_000,
+    "keys of an element": "elements:\n  joint_1:\n" + "".join(f"    k{k}: {k}\n" for k in range(37_000)),
+    "elements": "elements:\n" + "".join(f"  e{k}: x\n" for k in range(37_000)),
+    "a long key": f'? "{"x" * 3_000_000}"\n: 1',
+}
+
+
+@pytest.mark.parametrize("text", LARGE.values(), ids=LARGE)
+def test_faults_of_a_file_as_large_as_may_be_are_told_within_two_seconds(
+    text: str, tmp_path: Path, capsys: Captured
+) -> None:
+    """Of processor time; and they are some lines, of which the last one says how many more there are."""
+    path = tmp_path / "large.yaml"
+    path.write_text(text, encoding="utf-8")
+    run("rx90_config", ["check", "--kind", "friction", str(tmp_path / "none.yaml")])  # imports
+    begin = process_time()
+    assert run("rx90_config", ["check", "--kind", "friction", str(path)]) == 1
+    assert process_time() - begin < 2.0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) < 50
+    if len(lines) > 4:
+        assert any(re.search("36,980 more faults, which are not told", line) for line in lines[-2:])
 
 
 def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captured) -> None:
