@@ -75,16 +75,16 @@ def _check_dynamics(file: Path, root: ET.Element) -> None:
     """Refuse <dynamics> of a joint that Pinocchio refuses without naming the joint; nothing here uses its values."""
     for joint in root.findall("joint"):
         for dynamics in joint.findall("dynamics"):
-            for key, low in (("damping", -math.inf), ("friction", 0.0)):
+            for key in ("damping", "friction"):
                 text = dynamics.get(key, "0")
                 try:
-                    good = low <= float(text) < math.inf
+                    good = 0.0 <= float(text) < math.inf
                 except ValueError:
                     good = False
                 if not good:
                     raise ConfigError(
                         f"{plain(file)}: joint {quoted(joint.get('name'))} dynamics {key} is {quoted(text)}; accepted: "
-                        f"a finite number{' >= 0' if low == 0.0 else ''}, or no {key}: friction is in the friction file"
+                        f"a finite number >= 0, or no {key}: friction is in the friction file"
                     )
 
 

@@ -113,6 +113,8 @@ def _count_keys(schema: JsonSchema, content: Mapping[str, Any]) -> tuple[float, 
 
 def check_path(path: Path, kind: FileKind | None = None) -> list[CheckedFile]:
     """Check a file, by default for the kind that its content shows, or the files of a robot folder."""
+    if kind is None and path.is_file() and path.suffix.lower() == ".urdf":
+        return [_check_urdf(path)]
     if not path.is_dir():
         return [check_file(path, kind)]
     if kind is not None:
@@ -157,6 +159,12 @@ def _with_line(path: Path, error: Rx90Error, lines: Mapping[str, int]) -> str:
     return one_line(f"{plain(path)}:{line} {text}")
 
 
+def _check_urdf(path: Path) -> CheckedFile:
+    return CheckedFile(
+        path, "URDF", tuple(_with_line(path, error, {}) for error in _faults_of(lambda: load_robot(path)))
+    )
+
+
 def _check_robot(folder: Path) -> list[CheckedFile]:
     """Check the files of a robot folder one by one and, if there is nothing wrong in them, together.
 
@@ -173,8 +181,7 @@ def _check_robot(folder: Path) -> list[CheckedFile]:
     ]
     if limits.is_file():
         found.append(check_file(limits, kind_named("moveit_limits")))
-    urdf = tuple(_with_line(files.urdf, error, {}) for error in _faults_of(lambda: load_robot(files.urdf)))
-    found.append(CheckedFile(files.urdf, "URDF", urdf))
+    found.append(_check_urdf(files.urdf))
     if any(each.problems for each in found):
         return found
     faults = _faults_of(lambda: Setup.load(files).plant())

@@ -165,7 +165,9 @@ def test_what_a_urdf_refers_to_is_never_fetched(case: str, shipped_files: RobotF
             server.accept()
 
 
-@pytest.mark.parametrize(("key", "value"), [("friction", "-0.39"), ("friction", "much"), ("damping", "nan")])
+@pytest.mark.parametrize(
+    ("key", "value"), [("friction", "-0.39"), ("friction", "much"), ("damping", "nan"), ("damping", "-1")]
+)
 def test_dynamics_that_nobody_can_read_are_told_with_their_joint(
     tmp_path: Path, shipped_files: RobotFiles, key: str, value: str
 ) -> None:

@@ -150,6 +150,16 @@ def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captu
     assert f"{odd}:1: mass is not a known key" in capsys.readouterr().out
 
 
+def test_a_urdf_is_checked_as_one(tmp_path: Path, shipped_files: RobotFiles, capsys: Captured) -> None:
+    """A description alone is no YAML: it is read as a robot."""
+    text = shipped_files.urdf.read_text(encoding="utf-8")
+    path = tmp_path / "robot.urdf"
+    for change, code, said in (("revolute", 0, "no problem"), ("twisting", 1, "'joint_1' type is 'twisting'")):
+        path.write_text(text.replace("revolute", change), encoding="utf-8")
+        assert run("rx90_config", ["check", str(path)]) == code
+        assert said in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("file", "change", "said"),
     [
