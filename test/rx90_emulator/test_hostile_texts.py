@@ -102,6 +102,15 @@ def _identified(_arm: Arm, page: Path) -> None:
     (page.parent / "found" / "report.html").rename(page)
 
 
+def _slid(arm: Arm, page: Path) -> None:
+    folder, setup, _ = arm
+    series = page.parent / "series"
+    rx.record_on_engine(setup, rx.plan_experiments(setup, groups=setup.robot.joint_names[2:3], quick=True), series)
+    found = page.parent / "friction.yaml"
+    assert run("rx90_identify", [str(series), "--robot", str(folder), "--output", str(found)]) in (0, 1)
+    found.with_suffix(".html").rename(page)
+
+
 def _ramped(_arm: Arm, page: Path) -> None:
     rig = page.parent / f"{TEXTS[2]}.yaml"
     content = hostile(yaml.safe_load(config_path(SOURCE_RIG).read_text(encoding="utf-8")))
@@ -140,6 +149,7 @@ def _drawn(_arm: Arm, page: Path) -> None:
         (_swept, 0),
         (_checked, 6),
         (_identified, 2),
+        (_slid, 6),
         (_ramped, 0),
         (_mapped, 6),
         (_drawn, 6),
