@@ -111,6 +111,12 @@ def _slid(arm: Arm, page: Path) -> None:
     found.with_suffix(".html").rename(page)
 
 
+def _held_against(arm: Arm, page: Path) -> None:
+    folder, _, bag = arm
+    words = ["--friction", str(folder / "friction.yaml"), "--validation", str(bag), "--robot", str(folder)]
+    assert run("rx90_identify", [*words, "--report", str(page)]) in (0, 1)
+
+
 def _ramped(_arm: Arm, page: Path) -> None:
     rig = page.parent / f"{TEXTS[2]}.yaml"
     content = hostile(yaml.safe_load(config_path(SOURCE_RIG).read_text(encoding="utf-8")))
@@ -150,6 +156,7 @@ def _drawn(_arm: Arm, page: Path) -> None:
         (_checked, 6),
         (_identified, 2),
         (_slid, 6),
+        (_held_against, 6),
         (_ramped, 0),
         (_mapped, 6),
         (_drawn, 6),
