@@ -8,6 +8,7 @@ path. Printing may take longer than a tick: the ticking thread only stores the m
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -36,7 +37,7 @@ from rx90_controller.trajectory.request import (
     TrajectoryRequest,
     check_request,
 )
-from rx90_controller.trajectory.stream import SetPoints, Stream, StreamOptions, from_trajectory
+from rx90_controller.trajectory.stream import LONGEST_PAUSE, SetPoints, Stream, StreamOptions, from_trajectory
 
 INACTIVE: Final = "the controller is inactive; accepted: in state active"
 _ATTEMPTS = 3  # to join a long trajectory outside the ticks, each with more time than the one before
@@ -128,6 +129,7 @@ class ServoLoop:
         self._followed: TrajectoryRequest | None = None  # a goal, or a trajectory that is held to tolerances
         self.streaming = StreamOptions()
         self._stream: Stream | None = None  # that is followed
+        self._silent_since = -math.inf  # s, when the last set-point of a stream came that nothing but silence ended
         self._complaints = ThrottledLog(partial(self._note, wrong=True))  # of set-points, which come by the hundred
         # measured last while something was followed
         self._velocity = np.zeros(len(cs7b.joint_names))
@@ -181,6 +183,7 @@ class ServoLoop:
                 tick = cs7b.position_tick
                 if stream is not None and tick * self._period > stream.expires and not cs7b.trajectory.moving(tick):
                     self._end_stream("holding")
+                    self._silent_since = stream.expires - self.streaming.timeout
             cs7b.step(states.position, states.velocity, states.torque)
             self._unpublished = slow
             fault = cs7b.fault
@@ -517,6 +520,8 @@ class ServoLoop:
         now = cs7b.position_tick
         if stream is None or stream.interface != points.interface or (stream.named != points.named).any():
             stream = Stream(points.interface, points.named, cs7b.trajectory.limits, self._period, self.streaming)
+            pause = now * self._period - self._silent_since
+            stream.pause = pause if pause <= LONGEST_PAUSE else 0.0
         told = len(stream.notes)
         cs7b.trajectory.follow_stream(stream, points, now)
         if stream is not self._stream:
@@ -529,6 +534,7 @@ class ServoLoop:
     def _end_stream(self, what: str) -> None:
         stream = self._stream
         self._stream = None
+        self._silent_since = -math.inf
         if stream is not None:
             late = f", {stream.late} of them late" if stream.late else ""
             now = self._cs7b.position_tick * self._period

@@ -32,6 +32,8 @@ POSITION = "position"
 VELOCITY = "velocity"
 INTERFACES = (POSITION, VELOCITY)
 """What a stream may consist of."""
+LONGEST_PAUSE = 1.0
+"""Interruption of a stream, s, after which its sender goes on from where it is by then; a longer one ends it."""
 _OTHER_CLOCK = 1.0  # s: a stamp further from the controller's time than this comes from another clock
 _SLOW = 1e-7  # rad/s: velocity that is rounded to rest at the end of a motion
 _FAR = 1e6  # rad, rad/s, rad/s^2: beyond all limits; larger numbers are taken for it, so that none overflows
@@ -147,6 +149,7 @@ class Stream:
         count: number of received set-points.
         late: how many of them were due already.
         expires: end of the stream, s, unless there are more set-points.
+        pause: s that the sender has been silent, if it goes on after a short interruption; its way has had that time.
         notes: problems, the first of each kind.
     """
 
@@ -158,6 +161,7 @@ class Stream:
     count: int = 0
     late: int = 0
     expires: float = 0.0
+    pause: float = 0.0
     notes: dict[str, str] = field(default_factory=dict)
     _times: Array = field(default_factory=lambda: np.array([-np.inf]))
     _values: Array = field(init=False)
@@ -235,7 +239,7 @@ class Stream:
         `StreamOptions.delay`, as if it came without a stamp.
         """
         limits = self.limits
-        given = np.where(times > 0.0, times, self.options.delay)[:, None]
+        given = np.where(times > 0.0, times, self.options.delay)[:, None] + self.pause
         ways = positions - held[0]
         towards = np.maximum(np.sign(ways) * held[1], 0.0)
         ramps = np.clip((limits.velocity - towards) / limits.acceleration, 0.0, given)

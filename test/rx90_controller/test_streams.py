@@ -340,6 +340,18 @@ def test_a_running_arm_takes_up_a_stream_where_that_goes_on(arm: Arm) -> None:
     assert "stream begins" in arm.around.lines[-1]
 
 
+def test_a_stream_goes_on_after_a_short_silence(arm: Arm) -> None:
+    """A sender that moves on while its messages are held up is followed again; after a second it begins anew."""
+    way = np.array([0.0, -0.1, 0.0, 0.0, 0.0, 0.0])
+    arm.take(state(0.01 * way))
+    arm.play([], arm.now + 0.5)
+    arm.take(state(0.51 * way))
+    assert "stream begins" in arm.around.lines[-2]
+    assert np.abs(arm.play([], arm.now + 2.0)[-1, 0] - 0.51 * way).max() < 1e-6
+    arm.take(state(2.0 * way))
+    assert "cannot go" in arm.around.lines[-1]
+
+
 def test_longer_trajectories_are_none_of_a_stream(arm: Arm) -> None:
     """What ends further ahead than `stream.window` is a trajectory as ever: refused beyond limits, not followed."""
     arm.loop.streaming = StreamOptions(window=0.0)

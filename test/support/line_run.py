@@ -129,7 +129,7 @@ def run_both_ways(
     assert recorder.wait() == 1  # the trajectory, and nothing else, came before the recording
     said = re.findall("^(?:lost|not recorded|nothing recorded): .*", recorder.output, re.MULTILINE)
     assert [line.split(":")[0] for line in said] == ["not recorded"], said
-    assert "1 trajectory of /rx90_controller/joint_trajectory that the controller" in said[0]
+    assert "1 of the trajectories of /rx90_controller/joint_trajectory that the controller" in said[0]
     return compare_bags(folder / "recorded", folder / "closed_loop")
 
 

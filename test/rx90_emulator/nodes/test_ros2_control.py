@@ -138,6 +138,13 @@ def test_positions_of_the_hardware_are_followed(processes: Processes, client: Cl
     first = ("joint_1", "position")
     manage(client, hardware, lambda: hardware.published > 100 and math.isfinite(hardware.state[first]), lambda: None)
     start = {name: hardware.state[name, "position"] for name in JOINTS}
+
+    def hold() -> None:
+        for name in JOINTS:
+            hardware.command[name, "position"] = start[name]
+
+    since = hardware.published
+    manage(client, hardware, lambda: hardware.published > since + 50, hold)  # as controllers do before they move
     goal, began = start["joint_1"] + 0.05, time.monotonic()
 
     def ramp() -> None:

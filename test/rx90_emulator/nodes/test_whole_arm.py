@@ -157,7 +157,7 @@ def test_all_parts_of_an_arm_in_nodes(
     assert commanded is not None
     assert torque is not None
     assert np.array_equal(found, torque[::40] / setup.drives.torque_constant)
-    resolution = setup.drives.current_sensor.resolution
+    resolution = np.array(setup.drives.current_sensor.resolution)
     assert found / resolution == pytest.approx(np.round(found / resolution), abs=1e-9)
     assert np.all(np.ptp(found - commanded, axis=0) > 2.0 * resolution)
 
