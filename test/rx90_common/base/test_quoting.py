@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rx90_common.base.errors import BagError
-from rx90_common.base.quoting import LIMIT, listed, one_line, plain, quoted
+from rx90_common.base.quoting import LIMIT, one_line, plain, quoted
 
 FORGED = "joint_1\n[INFO] [rx90_sim]: all is well"
 HOSTILE = st.text(st.sampled_from("a é\u0000\u0007\u001b\n\r\u0085\u2028\u202e\u2066\u200f\ud800\U0001f600\\'"))
@@ -29,17 +29,6 @@ def test_text_from_outside_stays_one_visible_line_of_bounded_length(text: str, r
 def test_a_short_text_is_quoted_as_python_writes_it(value: str | bytes) -> None:
     """What is quoted can be read back, so nothing is lost."""
     assert literal_eval(quoted(value)) == value
-
-
-def test_what_is_long_is_shortened_with_its_length_told() -> None:
-    """Beginning, end and length of a text are shown; of many names the first ones and how many others there are."""
-    assert quoted("a" * 100_000 + "z", 8) == "'aaaaaa'…'az' (100,001 characters)"
-    assert quoted(b"\0" * 99, 4) == "b'\\x00\\x00\\x00'…b'\\x00' (99 bytes)"
-    assert plain("a" * 100_000 + "z", 8) == "aaaaaa…az (100,001 characters)"
-    assert plain("joint_1") == "joint_1"
-    assert plain(FORGED) == "joint_1\\n[INFO] [rx90_sim]: all is well"
-    assert listed(["a", "b"]) == "a, b"
-    assert listed(range(1000), 2) == "0, 1 and 998 more"
 
 
 def test_a_large_value_is_quoted_by_its_beginning() -> None:
