@@ -16,7 +16,7 @@ from rx90_common.base.quoting import breaks_a_line, plain, quoted
 
 # What is read in two seconds: letters, and values, as often as aliases repeat them.
 _MAX_BYTES = 3 << 20
-_MAX_VALUES = 75_000
+_MAX_VALUES = 150_000
 _DEEPEST = 64
 _LONGEST_INTEGER = 400  # characters; the largest finite number has 309 digits
 _IN_FILE = re.compile(r',? in "<file>", ')

@@ -80,7 +80,7 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     "no YAML": (text(b"{]"), "metadata.yaml: not valid YAML"),
     "empty": (text(b""), "metadata.yaml: holds nothing"),
     "binary": (text(b"\xff\xfe"), "metadata.yaml: cannot be read"),
-    "aliases": (text(ALIASES.encode()), "metadata.yaml: not valid YAML (more than 75,000 values"),
+    "aliases": (text(ALIASES.encode()), "metadata.yaml: not valid YAML (more than 150,000 values"),
     "without topics": (metadata(lambda c: c.pop("topics_with_message_count")), "topics_with_message_count"),
     "with other count": (
         metadata(lambda c: [one.update(message_count=31) for one in (c, topic_of(c))]),

