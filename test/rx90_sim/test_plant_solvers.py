@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from bristle_oracles import ElastoPlasticOracle, MaxwellSlipOracle, swing
+from signed_element import ELEMENT as SIGNED
 
 from benchmarks.accuracy import compare, full_speed, run_plant, scaled, without_rounding
 from benchmarks.hybrid_reference import StiffPlant, Work, hybrid_reference
-from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_common.friction import FrictionSet
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_emulator.loop.setup import Setup
@@ -118,16 +119,7 @@ def test_full_joint_speed_is_stable(shipped: Setup, stiffening: float, rate: flo
     assert found.torque < 1e-4
 
 
-ELEMENT = FrictionElement(
-    tau_c={"positive": 25.0, "negative": 31.0},
-    tau_s={"positive": 28.0, "negative": 36.0},
-    omega_s=0.05,
-    delta=1.0,
-    c0=1e5,
-    c1=100.0,
-    c2=14.0,
-    omega_d=1.0,
-)
+ELEMENT = SIGNED.replaced(tau_s={"positive": 28.0, "negative": 36.0})
 STIFF, SOFT = ElastoPlastic(break_away=0.8), ElastoPlastic(break_away=0.2)
 BLOCKS = MaxwellSlip(stiffness=(0.5, 0.3, 0.2), share=(0.2, 0.3, 0.5), attraction=2000.0)
 

@@ -14,22 +14,13 @@ from hypothesis import strategies as st
 from lugre_oracle import LuGreOracle
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from signed_element import ELEMENT
 
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step, damping, friction_torque
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 
 Record = Callable[[FrictionElement], Any]
-ELEMENT = FrictionElement(
-    tau_c={"positive": 25.0, "negative": 31.0},
-    tau_s={"positive": 32.0, "negative": 47.0},
-    omega_s=0.05,
-    delta=1.0,
-    c0=1e5,
-    c1=100.0,
-    c2=14.0,
-    omega_d=1.0,
-)
 CONSTANT_C1 = ELEMENT.replaced(omega_d=math.inf)
 COMPILED = one_element(element_arrays((ELEMENT,))[0], 0)
 SPEEDS = [sign * speed for speed in np.geomspace(1e-7, 20.0, 25) for sign in (1.0, -1.0)]

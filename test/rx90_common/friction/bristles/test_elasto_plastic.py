@@ -9,22 +9,13 @@ import pytest
 from bristle_oracles import ElastoPlasticOracle, random_element
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from signed_element import ELEMENT
 
-from rx90_common.friction import FrictionElement, elasto_plastic
+from rx90_common.friction import elasto_plastic
 from rx90_common.friction.bristle import bristle_step
 from rx90_common.friction.compiled_elements import element_arrays, one_element
 from rx90_common.friction.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 
-ELEMENT = FrictionElement(
-    tau_c={"positive": 25.0, "negative": 31.0},
-    tau_s={"positive": 32.0, "negative": 47.0},
-    omega_s=0.05,
-    delta=1.0,
-    c0=1e5,
-    c1=100.0,
-    c2=14.0,
-    omega_d=1.0,
-)
 COMPILED = one_element(element_arrays((ELEMENT,))[0], 0)
 
 

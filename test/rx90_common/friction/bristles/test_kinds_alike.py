@@ -8,22 +8,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from bristle_oracles import ElastoPlasticOracle, MaxwellSlipOracle, swing
+from signed_element import ELEMENT
 
 from benchmarks.bristles import driven_mass, led
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 
-ELEMENT = FrictionElement(
-    tau_c={"positive": 25.0, "negative": 31.0},
-    tau_s={"positive": 32.0, "negative": 47.0},
-    omega_s=0.05,
-    delta=1.0,
-    c0=1e5,
-    c1=100.0,
-    c2=14.0,
-    omega_d=1.0,
-)
 FLAT = FrictionElement(tau_c=25.0, tau_s=25.0, omega_s=0.05, delta=1.0, c0=1e5, c1=100.0, c2=0.0)
 ELASTIC = ElastoPlastic(break_away=0.7)
 BLOCKS = MaxwellSlip(stiffness=(0.5, 0.3, 0.2), share=(0.2, 0.3, 0.5), attraction=2000.0)

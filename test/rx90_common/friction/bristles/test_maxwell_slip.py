@@ -10,22 +10,13 @@ import pytest
 from bristle_oracles import MaxwellSlipOracle, random_element
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from signed_element import ELEMENT
 
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.compiled_elements import bristles_dtype, element_arrays, one_element
 from rx90_common.friction.maxwell_slip import MAX_BLOCKS, maxwell_slip_step, maxwell_slip_torque
 from rx90_common.friction.parts.bristles import MaxwellSlip, fill_bristles
 
-ELEMENT = FrictionElement(
-    tau_c={"positive": 25.0, "negative": 31.0},
-    tau_s={"positive": 32.0, "negative": 47.0},
-    omega_s=0.05,
-    delta=1.0,
-    c0=1e5,
-    c1=100.0,
-    c2=14.0,
-    omega_d=1.0,
-)
 COMPILED = one_element(element_arrays((ELEMENT,))[0], 0)
 BLOCKS = MaxwellSlip(stiffness=(0.5, 0.3, 0.2), share=(0.2, 0.3, 0.5), attraction=2000.0)
 
