@@ -34,7 +34,7 @@ from pydantic import (
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
 
 from rx90_common.base.config import read_yaml, yaml_text
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.quoting import nearest, plain, question, quoted
 
 JsonSchema: TypeAlias = dict[str, Any]
@@ -226,6 +226,15 @@ RowOf: TypeAlias = Annotated[
 """Values of the joints, or the motors, of an arm: of a list in a file, or of an array in Python."""
 
 
+@contextmanager
+def as_refusal() -> Iterator[None]:
+    """Let a validator of a model raise what pydantic collects, for an Rx90Error."""
+    try:
+        yield
+    except Rx90Error as error:
+        raise ValueError(str(error)) from None
+
+
 def refusal(key: str, value: object, accepted: str) -> PydanticCustomError:
     """Return what a validator of a model raises for a value that does not fit the others; `key` is its field."""
     shown = list(value) if isinstance(value, tuple) else value
@@ -265,8 +274,9 @@ def json_schema(model: type[BaseModel], title: str) -> JsonSchema:
         title: of the schema.
     """
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    schema = _with_units(model.model_json_schema())
-    about = {key: FileModel.model_json_schema()["properties"][key] for key in FileModel.about_keys}
+    schema = _with_units(schema_of(model))
+    of_files = schema_of(FileModel)["properties"]
+    about = {key: of_files[key] for key in FileModel.about_keys}
     return {**head, **schema, "title": title, "$defs": {**schema.get("$defs", {}), **about}}
 
 
@@ -291,8 +301,7 @@ def _with_units(value: Any) -> Any:
 
 def unit_of(model: type[BaseModel], field: str) -> str:
     """Return the unit of a model's field, empty if it has none."""
-    extra = model.model_fields[field].json_schema_extra
-    return str(extra.get("unit", "")) if isinstance(extra, dict) else ""
+    return _extra_text(model, field, "unit")
 
 
 def unit_at(root: JsonSchema, place: Place, content: Any) -> str:
@@ -308,12 +317,17 @@ def unit_at(root: JsonSchema, place: Place, content: Any) -> str:
 
 def path_of(model: type[BaseModel], field: str) -> str:
     """Return the name that a field's `quantity` gives it in paths of sweeps, empty if it has none."""
+    return _extra_text(model, field, "path")
+
+
+def _extra_text(model: type[BaseModel], field: str, key: str) -> str:
     extra = model.model_fields[field].json_schema_extra
-    return str(extra.get("path", "")) if isinstance(extra, dict) else ""
+    return str(extra.get(key, "")) if isinstance(extra, dict) else ""
 
 
 @cache
-def _schema_of(model: type[BaseModel]) -> JsonSchema:
+def schema_of(model: type[BaseModel]) -> JsonSchema:
+    """Return the JSON schema of a model as pydantic makes it, once; nobody may change it."""
     return model.model_json_schema()
 
 
@@ -343,7 +357,7 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
         where: what contains the values, such as a file.
         content: that was validated, if it came from a file.
     """
-    schema = _schema_of(model)
+    schema = schema_of(model)
     every = error.errors(include_url=False)
     unknown = [fault for fault in every if fault["type"] == _UNKNOWN_KEY]
     others = [fault for fault in every if fault["type"] != _UNKNOWN_KEY]

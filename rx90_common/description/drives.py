@@ -14,12 +14,12 @@ import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import (
     FileModel,
     NotNegative,
     Positive,
     RowOf,
+    as_refusal,
     quantity,
     read_model,
     refusal,
@@ -288,10 +288,8 @@ class DriveParameters(FileModel):
     @model_validator(mode="after")
     def _check_counts(self) -> DriveParameters:
         joints = len(self.transmission.gear)
-        try:
+        with as_refusal():
             turns = self.turning.turns
-        except ConfigError as error:
-            raise ValueError(str(error)) from None
         if len(turns) != joints:
             raise refusal(
                 "transmission.coupling", turns.tolist(), f"{joints} rows and columns, as many as gear has numbers"

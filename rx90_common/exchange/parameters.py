@@ -26,7 +26,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from type_description_interfaces.srv import GetTypeDescription
 
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.models import FileModel, Model, fault_lines, quantity
+from rx90_common.base.models import FileModel, Model, as_refusal, fault_lines, quantity
 from rx90_common.base.quoting import nearest, plain, question, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, FILES, RobotFiles
@@ -94,15 +94,6 @@ class RobotParameters(RateParameters):
 
 
 AnyNodeModel = TypeVar("AnyNodeModel", bound=NodeModel)
-
-
-@contextmanager
-def as_refusal() -> Iterator[None]:
-    """Let a validator of a model raise what pydantic collects, for an Rx90Error."""
-    try:
-        yield
-    except Rx90Error as error:
-        raise ValueError(str(error)) from None
 
 
 def flat(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:

@@ -11,13 +11,13 @@ from rclpy.node import Node
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import RowOf, quantity, refusal
+from rx90_common.base.models import RowOf, as_refusal, quantity, refusal
 from rx90_common.base.quoting import counted, one_line
 from rx90_common.base.rates import ticks_per
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import DESCRIPTIONS, RobotFiles
-from rx90_common.exchange.parameters import RobotParameters, as_refusal, checked, with_robot_files
+from rx90_common.exchange.parameters import RobotParameters, checked, with_robot_files
 from rx90_common.exchange.topics import FREE_RUNNING, JOINT_INTERFACE, MOTOR_INTERFACE
 from rx90_common.friction import load_friction
 from rx90_common.friction.parts.scatter import LARGEST_SEED

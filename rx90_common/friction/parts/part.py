@@ -12,7 +12,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.models import FileModel, accepted_values
+from rx90_common.base.models import FileModel, accepted_values, schema_of
+from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes
 
 MIN_SPEED: Final = 1e-9
@@ -82,6 +83,21 @@ class Present(NamedTuple):
     static: Lanes
 
 
+@inlined
+def scaled(present: Present, factor: Lanes) -> Present:
+    """Return elements whose Coulomb and static torque are multiplied once more."""
+    return Present(
+        present.tau_c,
+        present.tau_s,
+        present.inverse_omega_s,
+        present.delta,
+        present.c2,
+        present.scale * factor,
+        present.coulomb,
+        present.static,
+    )
+
+
 class Surroundings(NamedTuple):
     """What constants of parts depend on beside the file.
 
@@ -137,7 +153,7 @@ class Part:
 
 def legend_of(model: type[FileModel], indent: str, width: int, without: Container[str] = ()) -> str:
     """Return the keys of a model as lines of comment."""
-    schema = model.model_json_schema()
+    schema = schema_of(model)
     lines = ""
     for key, value in schema["properties"].items():
         if key in FileModel.about_keys or key in without:

@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from rx90_common.base.models import Row, quantity, refusal
-from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings
+from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings, scaled
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import sine_cosine, sines_cosines
 from rx90_common.kernels.lanes import Lanes, fma, load
@@ -138,16 +138,7 @@ def rippled(
     parts: Any, _state: Any, present: Present, angle: Lanes, _velocity: Lanes, _ahead: float, width: int
 ) -> Present:
     """Scale Coulomb and static torque."""
-    return Present(
-        present.tau_c,
-        present.tau_s,
-        present.inverse_omega_s,
-        present.delta,
-        present.c2,
-        present.scale * ripple_factor(parts.ripple, angle, width),
-        present.coulomb,
-        present.static,
-    )
+    return scaled(present, ripple_factor(parts.ripple, angle, width))
 
 
 RIPPLE = Part((RipplePart,), ripple_dtype, fill_ripple, present=rippled)

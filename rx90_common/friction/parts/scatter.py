@@ -26,7 +26,7 @@ import numpy as np
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import quantity
 from rx90_common.base.quoting import quoted
-from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings
+from rx90_common.friction.parts.part import FrictionPart, Part, Present, Surroundings, scaled
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import GOLDEN, exponential_less_one_of, mixed, nearly_normal
 from rx90_common.kernels.lanes import Lanes, load
@@ -134,16 +134,7 @@ def scattered(
     _parts: Any, state: Any, present: Present, _angle: Lanes, _velocity: Lanes, _ahead: float, width: int
 ) -> Present:
     """Scale Coulomb and static torque."""
-    return Present(
-        present.tau_c,
-        present.tau_s,
-        present.inverse_omega_s,
-        present.delta,
-        present.c2,
-        present.scale * load(state.scatter.factor, width),
-        present.coulomb,
-        present.static,
-    )
+    return scaled(present, load(state.scatter.factor, width))
 
 
 SCATTER = Part(
