@@ -165,6 +165,27 @@ def _check_urdf(path: Path) -> CheckedFile:
     )
 
 
+def _faults_together(files: RobotFiles, setup: Setup, limits: Path) -> list[Rx90Error]:
+    """Return what is wrong with files of a robot, each right alone, that others decide."""
+    faults: list[Rx90Error] = []
+    task = files.task
+    if task is not None:
+        refused = _faults_of(lambda: plan_path(setup, load_task(task)))
+        faults += [ConfigError(f"{plain(task)}: {error}") for error in refused]
+    poses = files.poses
+    if poses is not None:
+        refused = _faults_of(lambda: Poses.load(poses).check(setup.robot))
+        faults += [ConfigError(f"{plain(poses)}: {error}") for error in refused]
+    if limits.is_file():
+        given = read_model(MoveItLimits, limits).joint_limits.entries
+        names = setup.robot.joint_names
+        wrong = [(name, "is missing") for name in names if name not in given]
+        wrong += [(name, "is no joint") for name in given if name not in names]
+        where = f"{plain(limits)}: joint_limits"
+        faults += [ConfigError(f"{where}.{plain(name)} {what}; accepted: {listed(names)}") for name, what in wrong]
+    return faults
+
+
 def _check_robot(folder: Path) -> list[CheckedFile]:
     """Check the files of a robot folder one by one and, if there is nothing wrong in them, together.
 
@@ -184,25 +205,14 @@ def _check_robot(folder: Path) -> list[CheckedFile]:
     found.append(_check_urdf(files.urdf))
     if any(each.problems for each in found):
         return found
-    faults = _faults_of(lambda: Setup.load(files).plant())
-    if not faults:
+    faults: list[Rx90Error] = []
+    try:
         setup = Setup.load(files)
-        robot = setup.robot
-        task = files.task
-        if task is not None:
-            refused = _faults_of(lambda: plan_path(setup, load_task(task)))
-            faults += [ConfigError(f"{plain(task)}: {error}") for error in refused]
-        poses = files.poses
-        if poses is not None:
-            refused = _faults_of(lambda: Poses.load(poses).check(robot))
-            faults += [ConfigError(f"{plain(poses)}: {error}") for error in refused]
-        if limits.is_file():
-            given = read_model(MoveItLimits, limits).joint_limits.entries
-            names = robot.joint_names
-            wrong = [(name, "is missing") for name in names if name not in given]
-            wrong += [(name, "is no joint") for name in given if name not in names]
-            where = f"{plain(limits)}: joint_limits"
-            faults += [ConfigError(f"{where}.{plain(name)} {what}; accepted: {listed(names)}") for name, what in wrong]
+        setup.plant()
+    except Rx90Error as refused:
+        faults.append(refused)
+    else:
+        faults += _faults_together(files, setup, limits)
     together = []
     for error in faults:
         of = next((path for path in roles if str(error).startswith(f"{plain(path)}: ")), None)
