@@ -206,7 +206,7 @@ class Drawing:
         try:
             document = readfile(self.file)
             space = document.modelspace()
-            unit = self._dxf_unit(document)
+            unit = self._dxf_unit(document, content)
             drawn = [
                 one
                 for entity in space
@@ -224,13 +224,13 @@ class Drawing:
         self._check_count(sum(len(segment.points) for _, segment in drawn))
         return unit, *self._chained(drawn)
 
-    def _dxf_unit(self, document: Any) -> str:
+    def _dxf_unit(self, document: Any, content: bytes) -> str:
         """Return the user's unit, else that of the drawing; ezdxf has one also for a drawing without header."""
         from ezdxf.units import unit_name
 
         named = None
         code = document.header.get("$INSUNITS", 0)
-        if unit_name(code) != unit_name(0) and (9, "$INSUNITS") in self._tags():
+        if unit_name(code) != unit_name(0) and (9, "$INSUNITS") in self._tags(content):
             named = _DXF_UNITS.get(code, unit_name(code))
         if self.unit is None or self.unit == named:
             return self._unit(named)
@@ -238,14 +238,14 @@ class Drawing:
         warn_caller([f"{plain(self.file)}: {said}; read in {self.unit}, as its unit in the path says"])
         return self.unit
 
-    def _tags(self) -> Iterator[Any]:
-        """Return the group codes and values of a DXF file, without its comments."""
+    def _tags(self, content: bytes) -> Iterator[Any]:
+        """Return the group codes and values of the DXF file, without its comments."""
         from ezdxf.lldxf.tagger import ascii_tags_loader, binary_tags_loader
         from ezdxf.lldxf.validator import is_binary_dxf_file
 
         if is_binary_dxf_file(str(self.file)):
-            return binary_tags_loader(self.file.read_bytes())
-        return ascii_tags_loader(io.StringIO(self.file.read_text(encoding="utf-8", errors="replace")))
+            return binary_tags_loader(content)
+        return ascii_tags_loader(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8", errors="replace"))
 
     def _entity(self, entity: Any, unit: float) -> list[_Drawn]:
         """Return what an entity draws, in its order; the drawing's unit is in m."""
