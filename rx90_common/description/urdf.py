@@ -14,8 +14,8 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
+from rx90_common.base.arrays import MAX_JOINTS
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import MAX_JOINTS
 from rx90_common.base.quoting import plain, quoted
 
 _INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
