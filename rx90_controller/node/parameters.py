@@ -132,8 +132,8 @@ class ControllerParameters(ControllerFiles, GoalOptions):
         for place, values in of_arm.items():
             value = content.setdefault(place, values)
             if not isinstance(value, list | tuple) or sorted(map(str, value)) != sorted(values):
-                accepted = f"{', '.join(values)}, in any order"
-                raise ConfigError(f"parameter {place} is {quoted(value)}; accepted: {accepted}")
+                words = f"{', '.join(values)}, in any order"
+                raise ConfigError(f"parameter {place} is {quoted(value)}; accepted: {words}")
             content[place] = values
         return content
 
