@@ -13,6 +13,7 @@ import yaml
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import breaks_a_line, plain, quoted
+from rx90_common.base.text_lines import read_text
 
 # What is read in two seconds: letters, and values, as often as aliases repeat them.
 _MAX_BYTES = 3 << 20
@@ -143,14 +144,6 @@ def read_yaml(path: Path, accepted: str = "a mapping of keys to values", *, firs
     return data
 
 
-def yaml_value(text: str) -> Any:
-    """Return the value of a text in YAML, as in a file."""
-    try:
-        return yaml.load(text, _Loader)
-    except (yaml.YAMLError, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
-        raise ConfigError(f"{quoted(text)} is not valid YAML; accepted: a value as in a YAML file") from error
-
-
 def yaml_lines(path: Path) -> dict[str, int]:
     """Return the line numbers, from 1 on, of the keys and items of a YAML file that has been read, by `a.b[2].c`."""
     lines: dict[str, int] = {}
@@ -172,14 +165,7 @@ def _note_lines(node: yaml.Node, path: str, lines: dict[str, int]) -> None:
 
 
 def _read(path: Path) -> str:
-    try:
-        with path.open("rb") as stream:
-            content = stream.read(_MAX_BYTES + 1)
-        if len(content) > _MAX_BYTES:
-            raise ConfigError(f"{plain(path)}: larger than {_MAX_BYTES / (1 << 20):g} MiB; accepted: up to that")
-        text = content.decode("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{plain(path)}: cannot be read ({getattr(error, 'strerror', error)})") from error
+    text = read_text(path, _MAX_BYTES)
     separators = text.count(",") + text.count("\n")
     if separators > _MAX_VALUES:  # before it is parsed, which would take a minute
         what = f"has {separators:,} commas and line ends"

@@ -24,12 +24,6 @@ from rx90_emulator.loop.setup import Setup
 
 _MORE_OF_A_KEY = re.compile(r"[\w*]")
 _LINE = re.compile(r"\bline (\d+)")
-_LEAST_KNOWN_SHARE = 0.5
-"""Share of a file's keys that must be known to a kind for the file to be of it."""
-
-_MISSPELT = 0.75
-"""How much of a known key one counts that is like it."""
-
 _NAMES = (*(kind.name for kind in KINDS), NODE_PARAMETERS)
 
 
@@ -60,22 +54,18 @@ def kind_named(name: str) -> FileKind:
 
 
 def kind_of(path: Path, content: Mapping[str, Any]) -> FileKind:
-    """Return the kind that knows the most keys of a file, misspelt ones with it."""
+    """Return the kind that knows most keys at the top of a file, misspelt ones with it; of several the best fitting."""
     if _has_node_parameters(content):
         return kind_named(NODE_PARAMETERS)
-    counts = [(kind, *_count_keys(kind.json_schema(), content)) for kind in KINDS]
-    shares = [(kind, known / max(total, 1)) for kind, known, total in counts]
-    highest = max(share for _, share in shares)
-    best = [kind for kind, share in shares if share == highest]
-    if not highest:
+    scores = [(_known_keys(kind.json_schema(), content), kind) for kind in KINDS]
+    highest = max(score for score, _ in scores)
+    best = [kind for score, kind in scores if score == highest]
+    if highest <= 0.0:
         raise ConfigError(
-            f"{plain(path)}: of no kind that is checked, as MoveIt's own files; accepted: {listed(_NAMES)}"
+            f"{plain(path)}: of no kind that its keys tell, as MoveIt's own files; accepted: --kind with one of "
+            f"{listed(_NAMES)}"
         )
-    if highest <= _LEAST_KNOWN_SHARE or len(best) > 1:
-        raise ConfigError(
-            f"{plain(path)}: its kind cannot be told from its keys; accepted: --kind with one of {listed(_NAMES)}"
-        )
-    return best[0]
+    return best[0] if len(best) == 1 else min(best, key=lambda kind: len(kind.faults(path, dict(content))))
 
 
 def _has_node_parameters(content: Any) -> bool:
@@ -84,31 +74,21 @@ def _has_node_parameters(content: Any) -> bool:
     )
 
 
-def _count_keys(schema: JsonSchema, content: Mapping[str, Any]) -> tuple[float, int]:
-    """Return how many keys of a file a kind knows and how many there are; of free names only what is in them counts.
-
-    A misspelt key counts as a share of one.
-    """
+def _known_keys(schema: JsonSchema, content: Mapping[str, Any]) -> float:
+    """Return how many keys of a file a kind knows, a misspelt one by half, less those that it does not know."""
+    properties = schema["properties"].keys() - set(FileModel.about_keys)
     known = 0.0
-    total = 0
-    around = schema_at(schema, (), content)
-    properties = around.get("properties", {})
-    free_names = isinstance(around.get("additionalProperties"), dict)
     for key, value in content.items():
         if key in FileModel.about_keys:
             continue
-        meant = key
-        if key not in properties:
-            meant = nearest(str(key), properties.keys() - content.keys())
-        if meant:
-            known += 1.0 if meant == key else _MISSPELT
-        total += bool(meant) or not free_names
-        if isinstance(value, dict) and (meant or free_names):
-            inside = schema_at(schema, (meant or key,), {meant or key: value})
-            inner = _count_keys({**inside, "$defs": schema.get("$defs", {})}, value)
-            known += inner[0]
-            total += inner[1]
-    return known, total
+        around = schema_at(schema, (key,), content).get("properties", {})
+        if key in properties:
+            known += 1.0
+        elif nearest(key, properties) or (isinstance(value, dict) and around.keys() & value.keys()):
+            known += 0.5  # or of free names one with keys that are known
+        else:
+            known -= 1.0
+    return known
 
 
 def check_path(path: Path, kind: FileKind | None = None) -> list[CheckedFile]:
