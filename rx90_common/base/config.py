@@ -123,17 +123,26 @@ _Loader.add_constructor("tag:yaml.org,2002:bool", _construct_switch)
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_mapping)
 
 
-def read_yaml(path: Path, accepted: str = "a mapping of keys to values", *, first: bool = False) -> dict[str, Any]:
+def read_yaml(
+    path: Path,
+    accepted: str = "a mapping of keys to values",
+    *,
+    first: bool = False,
+    lines: dict[str, int] | None = None,
+) -> dict[str, Any]:
     """Read a YAML file whose top level is a mapping.
 
     Args:
         path: of the file.
         accepted: expected content, for messages.
         first: whether to read the first of several documents; otherwise there must be one.
+        lines: filled with the line numbers, from 1 on, of keys and items, by `a.b[2].c`.
     """
-    text = StringIO(_read(path))
+    text = _read(path)
     try:
-        data = next(yaml.load_all(text, _Loader), None) if first else yaml.load(text, _Loader)
+        loader = _Loader(StringIO(text))
+        node: Any = loader.check_node() and loader.get_node() if first else loader.get_single_node()
+        data = loader.construct_document(node) if node else None
     except (yaml.YAMLError, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
         # All but the first: PyYAML on a tag or an escape that its text does not fit, and on deep nesting.
         reason = plain(_IN_FILE.sub(", ", " ".join(str(error).split())), _LONGEST_REASON)
@@ -141,14 +150,9 @@ def read_yaml(path: Path, accepted: str = "a mapping of keys to values", *, firs
     if not isinstance(data, dict):
         content = "nothing" if data is None else "a list" if isinstance(data, list) else "a single value"
         raise ConfigError(f"{plain(path)}: holds {content}; accepted: {accepted}")
+    if lines is not None:
+        _note_lines(node, "", lines)
     return data
-
-
-def yaml_lines(path: Path) -> dict[str, int]:
-    """Return the line numbers, from 1 on, of the keys and items of a YAML file that has been read, by `a.b[2].c`."""
-    lines: dict[str, int] = {}
-    _note_lines(next(yaml.compose_all(_read(path), _Loader)), "", lines)
-    return lines
 
 
 def _note_lines(node: yaml.Node, path: str, lines: dict[str, int]) -> None:

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rx90_common.base.config import read_yaml, yaml_lines
+from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.models import FileModel, JsonSchema, read_model, schema_at
 from rx90_common.base.quoting import listed, nearest, one_line, plain, quoted
@@ -24,6 +25,7 @@ from rx90_emulator.loop.setup import Setup
 
 _MORE_OF_A_KEY = re.compile(r"[\w*]")
 _LINE = re.compile(r"\bline (\d+)")
+_MAX_KEYS = 100  # by which the kind of a file is told
 _NAMES = (*(kind.name for kind in KINDS), NODE_PARAMETERS)
 
 
@@ -78,7 +80,7 @@ def _known_keys(schema: JsonSchema, content: Mapping[str, Any]) -> float:
     """Return how many keys of a file a kind knows, a misspelt one by half, less those that it does not know."""
     properties = schema["properties"].keys() - set(FileModel.about_keys)
     known = 0.0
-    for key, value in content.items():
+    for key, value in islice(content.items(), _MAX_KEYS):
         if key in FileModel.about_keys:
             continue
         around = schema_at(schema, (key,), content).get("properties", {})
@@ -108,14 +110,15 @@ def check_file(path: Path, kind: FileKind | None = None) -> CheckedFile:
     """Check a file by the model of its kind and, if that finds nothing, by its reader."""
     if not path.exists():
         raise ConfigError(f"{plain(path)}: no such file; accepted: a file of the project, or a robot folder")
+    lines: dict[str, int] = {}
     try:
-        content = read_yaml(path, first=True)
+        content = read_yaml(path, first=True, lines=lines)
     except ConfigError as error:
         return CheckedFile(path, "unreadable" if kind is None else kind.name, (_with_line(path, error, {}),))
     kind = kind or kind_of(path, content)
     found: list[Rx90Error] = [*kind.faults(path, content)] or _faults_of(lambda: kind.read(path))
-    lines = _lines_as_shown(path) if found else {}
-    return CheckedFile(path, kind.name, tuple(_with_line(path, error, lines) for error in found))
+    shown = {plain(place): line for place, line in lines.items()} if found else {}
+    return CheckedFile(path, kind.name, tuple(_with_line(path, error, shown) for error in found))
 
 
 def _faults_of(read: Callable[[], object]) -> list[Rx90Error]:
@@ -124,10 +127,6 @@ def _faults_of(read: Callable[[], object]) -> list[Rx90Error]:
     except Rx90Error as error:
         return [error]
     return []
-
-
-def _lines_as_shown(path: Path) -> dict[str, int]:
-    return {plain(place): line for place, line in yaml_lines(path).items()}
 
 
 def _with_line(path: Path, error: Rx90Error, lines: Mapping[str, int]) -> str:
@@ -196,5 +195,8 @@ def _check_robot(folder: Path) -> list[CheckedFile]:
     together = []
     for error in faults:
         of = next((path for path in roles if str(error).startswith(f"{plain(path)}: ")), None)
-        together.append(str(error) if of is None else _with_line(of, error, _lines_as_shown(of)))
+        lines: dict[str, int] = {}
+        if of is not None:
+            read_yaml(of, lines=lines)
+        together.append(str(error) if of is None else _with_line(of, error, lines))
     return [*found, CheckedFile(folder, "robot folder", tuple(together))]
