@@ -220,7 +220,9 @@ def compare_bags(
     if not results:
         raise BagError(f"neither {plain(first.path)} nor {plain(second.path)} has a JointState message in the window")
     if set(scope.fields) < set(FIELDS) and not any(r.values or r.verdict is not Verdict.SAME for r in results):
-        raise BagError(f"fields {', '.join(scope.fields)}: no message has any of them; accepted: others")
+        parts = [series for bag in (first, second) for sets in bag.series.values() for series in sets]
+        recorded = listed(dict.fromkeys(field for series in parts for field in series.fields))
+        raise BagError(f"fields {', '.join(scope.fields)}: no message has any of them; accepted: some of {recorded}")
     skipped = tuple(sorted({topic.name for topic in every if not topic.is_joint_state}))
     notes = tuple(f"{plain(bag.path)}: {note}" for bag in (first, second) for note in bag.notes)
     return BagComparison(first.path, second.path, tuple(results), skipped, notes, shift)
