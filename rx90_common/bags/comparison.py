@@ -117,7 +117,6 @@ class BagComparison:
         path_b: the second one.
         topics: the comparison of each topic.
         skipped: names of the topics that are no JointState.
-        notes: remarks for the user about the reading of the bags.
         shift_ns: offset added to the stamps of the second one.
     """
 
@@ -125,7 +124,6 @@ class BagComparison:
     path_b: Path
     topics: tuple[TopicComparison, ...]
     skipped: tuple[str, ...]
-    notes: tuple[str, ...] = ()
     shift_ns: int = 0
 
     @property
@@ -224,8 +222,7 @@ def compare_bags(
         recorded = listed(dict.fromkeys(field for series in parts for field in series.fields))
         raise BagError(f"fields {', '.join(scope.fields)}: no message has any of them; accepted: some of {recorded}")
     skipped = tuple(sorted({topic.name for topic in every if not topic.is_joint_state}))
-    notes = tuple(f"{plain(bag.path)}: {note}" for bag in (first, second) for note in bag.notes)
-    return BagComparison(first.path, second.path, tuple(results), skipped, notes, shift)
+    return BagComparison(first.path, second.path, tuple(results), skipped, shift)
 
 
 def _compare_topic(
