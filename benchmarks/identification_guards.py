@@ -27,7 +27,7 @@ import math
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -362,15 +362,17 @@ class Recording:
 
 _UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 ARMS = {
-    "tx40": Recording(RX90_ELEMENTS[:6], (100.0, 50.0), 8.61, (7.24, 99.0), robot="tx40"),
-    "panda": Recording(tuple(f"panda_joint{k}" for k in range(1, 8)), (7.0, 2.5), 4.97, (0.74, 99.0)),
-    "tiago_4": Recording(tuple(f"arm_{k}_joint" for k in range(1, 5)), (5.0, 2.0), 2.28, (8.45, 99.0)),
-    "tiago_7": Recording(tuple(f"arm_{k}_joint" for k in range(1, 8)), (5.0, 2.0), 2.28, (8.01, 99.0)),
-    "ur10e": Recording(_UR, (10.0, 4.0), 12.93, (4.24, 99.0)),
+    "tx40": Recording(RX90_ELEMENTS[:6], (100.0, 50.0), 8.61, (7.24, 6.49), robot="tx40"),
+    "panda": Recording(tuple(f"panda_joint{k}" for k in range(1, 8)), (7.0, 2.5), 4.97, (0.74, 0.97)),
+    "tiago_4": Recording(tuple(f"arm_{k}_joint" for k in range(1, 5)), (5.0, 2.0), 2.28, (8.45, 7.71)),
+    "tiago_7": Recording(tuple(f"arm_{k}_joint" for k in range(1, 8)), (5.0, 2.0), 2.28, (8.01, 7.41)),
+    "ur10e": Recording(_UR, (10.0, 4.0), 12.93, (4.24, 3.69)),
 }
 MARGIN = 0.3
 """Points of % above today's error that are accepted."""
 TIAGO = 7.5
+KR300_STATED, KR300_RATIO = 3.3, 3.3 / 2.95
+"""% as the command states it, and over the independent fit in the same band."""
 KR300 = Recording(tuple(f"a{k}" for k in range(1, 7)), (10.0, 4.0), 339.12, (3.57, 99.0), times=2.0)
 WAM = Recording(tuple(f"j{k}" for k in range(1, 8)), (10.0, 4.0), 10.8, (99.0, 99.0))
 
@@ -465,8 +467,8 @@ def independent(job: Job, folder: Path) -> Measured:
 
 
 def resting(job: Job, folder: Path) -> Measured:
-    """Identify the arm of seven joints of which two move."""
-    result = recorded(job, folder, WAM)
+    """Identify the arm of seven joints of which two move: all of them, or these two alone."""
+    result = recorded(job, folder, WAM if job.number == 0 else replace(WAM, joints=("j2", "j4")))
     if "base" in result.values:
         found = Written(folder / "found" / "friction.yaml").identified("j2")
         result.values["tau_c j2"] = found["tau_c_positive"].value if "tau_c_positive" in found else math.nan
@@ -793,11 +795,9 @@ def _judge_gears(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
     for job, outcome in outcomes.items():
         values = outcome.values
         if job.number == 0:
-            yield _at_most("kr300: unseen, files (own band)", values.get("files", math.nan), 3.3)
-            stated = values.get("files stated", math.nan)
-            yield replace(_at_most("kr300: unseen, files (stated)", stated, 3.3), bound="(beside) <= 3.3 %", ok=True)
-            independent_error = values.get("independent", math.nan)
-            yield replace(_at_most("kr300: independent fit", independent_error, 3.3), bound="(beside)", ok=True)
+            most = KR300_RATIO * values.get("independent", math.nan)
+            yield _at_most("kr300: unseen, files (own band)", values.get("files", math.nan), most)
+            yield _at_most("kr300: unseen, files (stated)", values.get("files stated", math.nan), KR300_STATED)
             yield _at_most(
                 "kr300: heaviest link", values.get("heaviest", math.nan), KR300.times * KR300.heaviest, " kg"
             )
@@ -810,11 +810,13 @@ def _judge_gears(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
 
 
 def _judge_resting(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
-    for outcome in outcomes.values():
-        value = outcome.values.get("tau_c j2", math.nan)
-        yield Guard("wam: tau_c of j2", f"{value:.2f} Nm", "2.33 +- 0.5 Nm", abs(value - 2.33) <= 0.5, value)
-        yield _at_most("wam: unseen, base (stated)", outcome.values.get("base", math.nan), 8.0)
-        yield _verdicts("wam: refused or broken", [outcome])
+    for job, outcome in outcomes.items():
+        name = "wam" if job.number == 0 else "wam, --joints j2 j4"
+        if job.number == 0:
+            value = outcome.values.get("tau_c j2", math.nan)
+            yield Guard(f"{name}: tau_c of j2", f"{value:.2f} Nm", "2.33 +- 0.5 Nm", abs(value - 2.33) <= 0.5, value)
+            yield _at_most(f"{name}: unseen, base (stated)", outcome.values.get("base", math.nan), 8.0)
+        yield _verdicts(f"{name}: refused or broken", [outcome])
 
 
 def _judge_falling(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
@@ -870,7 +872,7 @@ ROWS = {
     "ramps": Row(ramps, _judge_ramps, dict.fromkeys(_RIGS, 8), {"source": 2}),
     "time": Row(seconds, _judge_time, dict.fromkeys(TIMES, 1), {"20 s of seven joints": 1}),
     "gears": Row(gears, _judge_gears, {"kr300": 3}, {"kr300": 3}),
-    "resting": Row(resting, _judge_resting, {"wam": 1}, {"wam": 1}),
+    "resting": Row(resting, _judge_resting, {"wam": 2}, {"wam": 2}),
     "falling": Row(falling, _judge_falling, {"arm": 5}, {"arm": 1}),
     "mutated": Row(mutated, _judge_mutated, {"log": 200}, {"log": 21}),
 }
@@ -899,29 +901,24 @@ def _jobs(row: str, options: argparse.Namespace) -> list[Job]:
     return jobs
 
 
-def _note_row(written: dict[str, Any], outcomes: dict[Job, Measured], guards: Sequence[Guard]) -> None:
-    """Add a row to what the JSON file holds, and print what was said wrongly."""
-    for job, outcome in outcomes.items():
-        key = f"{job.row} {job.name} {job.number}"
-        for text in outcome.wrong:
-            print(f"{key}: {text}")
-        written["measured"][key] = {
-            "values": outcome.values,
-            "intervals": len(outcome.held),
-            "held": sum(outcome.held),
-            "wrong": outcome.wrong,
-            "said": outcome.said,
-            "processor": outcome.processor,
-        }
-    for guard in guards:
-        stated = {"measured": guard.measured, "bound": guard.bound, "ok": bool(guard.ok), "value": guard.value}
-        written["guards"][guard.name] = stated
+def _judged(written: dict[str, Any]) -> list[Guard]:
+    """Return the table of all rows that were measured, now or before."""
+    by_row: dict[str, dict[Job, Measured]] = {row: {} for row in ROWS}
+    for key, values in written.items():
+        row, *name, number = key.split(" ")
+        if "intervals" in values:  # OLD
+            count = values.pop("intervals")
+            values["held"] = [True] * values["held"] + [False] * (count - values["held"])
+        by_row[row][Job(row, " ".join(name), int(number), "")] = Measured(**values)
+    return [guard for row, outcomes in by_row.items() if outcomes for guard in ROWS[row].judge(outcomes)]
 
 
 def main() -> int:
     """Measure, print the table, write the figures; return 1 where a bound is not held."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rows", nargs="+", choices=[*ROWS], default=[*ROWS], help="which (all)")
+    parser.add_argument(
+        "--rows", nargs="*", choices=[*ROWS], default=[*ROWS], help="which to measure (all); none: judge --output"
+    )
     parser.add_argument("--arms", type=int, default=0, help="measurements of each kind at most (as the rows have it)")
     parser.add_argument("--short", action="store_true", help="the short set")
     parser.add_argument("--recordings", type=Path, help="folder of real recordings")
@@ -929,22 +926,29 @@ def main() -> int:
     parser.add_argument("--beside", type=Path, help="JSON file of another tree, whose values are printed beside")
     options = parser.parse_args()
     known = json.loads(options.beside.read_text(encoding="utf-8")) if options.beside else {}
-    table: list[Guard] = []
-    written: dict[str, Any] = {"guards": {}, "measured": {}}
+    written: dict[str, Any] = {}
     if options.output and options.output.is_file():
-        written = json.loads(options.output.read_text(encoding="utf-8"))
+        written = json.loads(options.output.read_text(encoding="utf-8"))["measured"]
     whole = True
     for row in options.rows:
         jobs = _jobs(row, options)
         outcomes = in_processes(do, jobs, row) if jobs else {}
         whole = whole and len(outcomes) == len(jobs)
-        guards = [*ROWS[row].judge(outcomes)] if outcomes else []
-        _note_row(written, outcomes, guards)
+        written = {key: one for key, one in written.items() if not key.startswith(f"{row} ")}
+        written |= {f"{job.row} {job.name} {job.number}": asdict(outcome) for job, outcome in outcomes.items()}
+        for job, outcome in outcomes.items():
+            for text in outcome.wrong:
+                print(f"{job.row} {job.name} {job.number}: {text}")
         if options.output:
-            options.output.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
-        table += guards
+            options.output.write_text(json.dumps({"measured": written}) + "\n", encoding="utf-8")
         if not whole:
             break
+    table = _judged(written)
+    if options.output:
+        guards = {guard.name: asdict(guard) for guard in table}
+        options.output.write_text(
+            json.dumps({"guards": guards, "measured": written}, indent=1) + "\n", encoding="utf-8"
+        )
     others = {name: str(one["measured"]) for name, one in known.get("guards", {}).items()}
     rows = [
         (guard.name, guard.measured, others.get(guard.name, ""), guard.bound, "yes" if guard.ok else "NO")
