@@ -2,7 +2,8 @@
 
 The parts are tried one after the other, on all elements at once: with a part, each block of rows is predicted by the
 fit to the other blocks. An element keeps the part if that lowers the squares on its rows by more than one standard
-error over the blocks (the one-standard-error rule of Breiman et al. 1984).
+error over the blocks (the one-standard-error rule of Breiman et al. 1984), and if no parameter of the law ends at a
+bound: such a part imitates something else. Only omega_s may end at the top speed, where friction falls with speed.
 
 Leaving out a block takes one Gauss-Newton step from the fit to all rows, which is exact for linear parameters.
 """
@@ -16,7 +17,7 @@ import numpy as np
 from scipy.linalg import lstsq
 
 from rx90_common.base.arrays import Array
-from rx90_common.estimation.elements import FrictionRows, fit_laws, fitted_values
+from rx90_common.estimation.elements import FrictionRows, fit_laws, fitted_values, places
 from rx90_common.estimation.fit import Fit
 from rx90_common.estimation.law import Law, Part
 
@@ -33,6 +34,7 @@ class Trial:
         part: that was tried.
         gain: by which the held-out RMS error of the element's rows falls, as a share of it.
         deviation: standard error of the gain.
+        bound: the name of a parameter that ended at a bound; "" if none did.
     """
 
     element: int
@@ -40,10 +42,19 @@ class Trial:
     gain: float
     deviation: float
 
+    bound: str = ""
+
     @property
     def kept(self) -> bool:
         """Return whether the element keeps the part."""
-        return self.gain > self.deviation
+        return bool(self.gain > self.deviation and not self.bound)
+
+    @property
+    def reason(self) -> str:
+        """Return why it does or does not, in words."""
+        if self.bound:
+            return f"{self.bound} ends at a bound"
+        return f"left-out error {100.0 * self.gain:.2g} % less, with a standard error of {100.0 * self.deviation:.2g} %"
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +92,11 @@ def choose(
         richer = fit_laws(rows, candidates, weight, fitted_values(chosen, best.x))
         before = held_out_squares(best)
         after = held_out_squares(richer)
-        keeps = [
-            _trial(rows, number, part, before, after) for number, law in enumerate(chosen) if law != candidates[number]
-        ]
+        keeps = []
+        for number, place in enumerate(places(candidates)):
+            if candidates[number] != chosen[number]:
+                trial = _trial(rows, number, part, before, after)
+                keeps.append(replace(trial, bound=_at_bound(candidates[number], richer, place)))
         trials += keeps
         kept = {trial.element for trial in keeps if trial.kept}
         if kept:
@@ -92,7 +105,35 @@ def choose(
             known = [with_it[number] if number in kept else before_it[number] for number in range(len(chosen))]
             chosen = [candidates[number] if number in kept else law for number, law in enumerate(chosen)]
             best = fit_laws(rows, chosen, weight, known)
-    return Choice(tuple(chosen), fit_laws(rows, chosen, known=fitted_values(chosen, best.x)), tuple(trials))
+    best = fit_laws(rows, chosen, known=fitted_values(chosen, best.x))
+    return without_bound_parts(rows, Choice(tuple(chosen), best, tuple(trials)))
+
+
+def without_bound_parts(rows: FrictionRows, choice: Choice) -> Choice:
+    """Return the choice without the last part of each law that has a parameter at a bound, fitted anew."""
+    laws = []
+    for law, place in zip(choice.laws, places(choice.laws), strict=True):
+        parts = law.parts
+        if parts and _at_bound(law, choice.fit, place):
+            last = max(parts, key=list(Part).index)
+            parts = parts - {last}
+        laws.append(replace(law, parts=parts))
+    if tuple(laws) == choice.laws:
+        return choice
+    values = fitted_values(choice.laws, choice.fit.x)
+    known = [{name: own[name] for name in law.names} for law, own in zip(laws, values, strict=True)]
+    return without_bound_parts(rows, replace(choice, laws=tuple(laws), fit=fit_laws(rows, laws, known=known)))
+
+
+def _at_bound(law: Law, result: Fit, place: slice) -> str:
+    """Return the name of a parameter at a bound that it may not end at; "" if there is none."""
+    problem = result.problem
+    for number, name in enumerate(law.names, place.start):
+        at_top = problem.upper[number] - result.x[number] < result.x[number] - problem.lower[number]
+        falls = name == "omega_s" and at_top
+        if result.at_bound[number] and name not in ("c2", "c1") and not falls:
+            return name
+    return ""
 
 
 def _with(law: Law, part: Part) -> Law:

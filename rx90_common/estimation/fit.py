@@ -213,14 +213,16 @@ class Projected:
         least = np.inf
         for start in starts:
             x = np.clip(start, lower, upper)
-            jacobian = self.jacobian(x)[:, moved]
+            jacobian = self.jacobian(x)
+            shown = moved & np.any(jacobian != 0.0, axis=0)
+            jacobian = jacobian[:, shown]
             size = _lengths(jacobian)
-            value = jacobian @ x[moved] - self.residual(x)
-            step = lsq_linear(jacobian / size, value, (lower[moved] * size, upper[moved] * size))
+            value = jacobian @ x[shown] - self.residual(x)
+            step = lsq_linear(jacobian / size, value, (lower[shown] * size, upper[shown] * size))
             if step.cost < least:
                 least = float(step.cost)
                 best = x.copy()
-                best[moved] = step.x / size
+                best[shown] = step.x / size
         return best
 
     def _at(self, values: bytes) -> tuple[Array, Array]:
