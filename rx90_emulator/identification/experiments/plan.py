@@ -175,7 +175,7 @@ class PlanOptions:
     burst: float = 8.0
 
     def __post_init__(self) -> None:
-        from rx90_emulator.identification.sliding.fit import MIN_SPEEDS  # takes a while
+        from rx90_emulator.identification.sliding import MIN_SPEEDS  # takes a while
 
         if not MIN_SPEEDS <= self.speeds <= _MAX_SPEEDS:
             raise IdentificationError(f"{self.speeds} speeds; accepted: {MIN_SPEEDS} to {_MAX_SPEEDS}")
