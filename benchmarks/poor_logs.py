@@ -23,12 +23,12 @@ from benchmarks.random_arms import FrictionLaw, SyntheticArm, random_arm
 from benchmarks.report import arguments, in_processes, print_table
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import INTERRUPTED, IdentificationError
-from rx90_emulator.identification.checks import Recorded, suspicion
 from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record, without_shocks
 from rx90_emulator.identification.excitation.friction import identify_friction_parts, predicted_torque
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.sanity import Recorded, alarms
 
 CONDITIONS = ("good", "jitter", "gaps", "low rate", "few instants", "dead joint", "negated torque")
 RATE, LOW_RATE, RUNS = 200.0, 25.0, 3
@@ -91,9 +91,9 @@ def experiment(arguments: tuple[int, str]) -> Outcome:
     records = [without_shocks(log(arm, number, condition), arm.element_matrix)[0] for number in numbers]
     try:
         bandwidths, problem = choose_bandwidths(records, equations)
-        doubt = suspicion(rigid, Recorded.of(problem))[1]
-        if doubt:
-            raise IdentificationError(doubt)
+        doubts = alarms(rigid, Recorded.of(records, rigid))
+        if doubts:
+            raise IdentificationError(doubts[0])
     except IdentificationError as error:
         right = condition == "negated torque" and f"sign of the effort of {last}:" in str(error)
         return Outcome(wrong="" if right else f"refused: {error}")

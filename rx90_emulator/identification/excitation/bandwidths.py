@@ -24,7 +24,6 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.checks import ROWS_PER_PARAMETER
 from rx90_emulator.identification.excitation.filtering import Bandwidths, least_bandwidth
 from rx90_emulator.identification.excitation.fit import solve, time_blocks
 from rx90_emulator.identification.excitation.law import coulomb_viscous
@@ -34,6 +33,8 @@ from rx90_emulator.identification.records import JointRecord
 Equations = Callable[[Sequence[JointRecord], Bandwidths], ExcitationProblem]
 """Returns the equations of records that were filtered with these bandwidths."""
 
+ROWS_PER_PARAMETER = 2.0
+"""Of the simplest model, at least: fewer predict nothing."""
 _MIN_BANDWIDTH = 1e-6  # Hz
 _NARROWER = 3  # largest number of bandwidths tried beside the widest
 _MIN_RATIO = 2.0  # between two of them

@@ -20,8 +20,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.checks import ROWS_PER_PARAMETER, Recorded, suspicion
-from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
+from rx90_emulator.identification.excitation.bandwidths import ROWS_PER_PARAMETER, choose_bandwidths
 from rx90_emulator.identification.excitation.bodies import make_consistent, written_arm
 from rx90_emulator.identification.excitation.filtering import Bandwidths, recording_notes, without_shocks
 from rx90_emulator.identification.excitation.friction import (
@@ -48,6 +47,7 @@ from rx90_emulator.identification.identify import check_given_once, read_records
 from rx90_emulator.identification.options import SHIPPED_ROBOT, ExcitationTolerances, RobotOptions, model_parts
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import BagLayout, RecordedRobot
+from rx90_emulator.identification.sanity import Recorded, alarms, body_alarms, log_alarms, moved_bodies
 from rx90_emulator.identification.validation.prediction import (
     drive_torque,
     recorded_equations,
@@ -121,9 +121,7 @@ def identify_excitation(
     notes += [*recording_notes(records["excitation"], bandwidths), *log_warnings(problem, source.held)]
     parts = parts if fixed or len(problem) >= ROWS_PER_PARAMETER * problem.parameters else ()  # no choice by so few
     given = replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source))
-    suspects, doubt = suspicion(problem.arm, Recorded.of(problem), given, source.zero)
-    if any(what != "zero" for what in suspects.values()):
-        raise IdentificationError(doubt)
+    sanity = alarms(source.arm, Recorded.of(records["excitation"], source.arm), given, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
     progress("friction")
     friction = identify_friction_parts(problem, parts, known, progress, fixed=fixed)
@@ -131,6 +129,7 @@ def identify_excitation(
     consistency = make_consistent(problem, friction, source, robot)
     elements = simulated_elements(friction.elements, source.fallback)
     written = written_arm(problem, consistency)
+    bodies = moved_bodies(source.arm, written)
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
@@ -154,7 +153,8 @@ def identify_excitation(
         torques=fitted,
         validations=tuple(checks),
         trends=trends(fitted, friction.blocks.length),
-        doubt=doubt,
+        alarms=(*log_alarms(records), *sanity, *body_alarms(bodies)),
+        bodies=bodies,
         notes=tuple(notes),
         bags=tuple((use, record.bag) for use, some in records.items() for record in some),
     )

@@ -34,6 +34,7 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.robot import RecordedRobot
+from rx90_emulator.identification.sanity import MovedBodies
 from rx90_emulator.identification.validation.verdict import Criterion, RunTorques, torque_criteria
 
 UNITS = {"m": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m", "k": "Nm", "offset": "Nm"}
@@ -137,7 +138,8 @@ class ExcitationIdentification:
         validations: the same for runs that were not used, with a verdict.
         trends: drifts within a run.
         bags: the bags by use: excitation, validation.
-        doubt: which encoder zeros look wrong, in words; empty if none does.
+        bodies: what each joint moves, by the description and by the robot's files.
+        alarms: what looks wrong in the log or the result, a sentence each: a verdict is "confirmed, but ..." at most.
         notes: what was excluded or bridged in the recordings, and what they cannot determine.
     """
 
@@ -152,7 +154,8 @@ class ExcitationIdentification:
     validations: tuple[TorqueValidation, ...]
     trends: tuple[Trend, ...]
     bags: tuple[tuple[str, BagSource], ...]
-    doubt: str = ""
+    bodies: tuple[MovedBodies, ...]
+    alarms: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     @cached_property
@@ -205,8 +208,8 @@ class ExcitationIdentification:
 
     @property
     def confirmed(self) -> bool:
-        """Return whether every validation agrees; True without any."""
-        return all(check.passed for check in self.validations)
+        """Return whether every validation agrees, if there is any, and nothing looks wrong."""
+        return all(check.passed for check in self.validations) and not self.alarms
 
     @property
     def model(self) -> ModelRow:
