@@ -34,7 +34,7 @@ from rx90_emulator.identification.options import (
 )
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import RecordedRobot
-from rx90_emulator.identification.sliding.fit import SlidingFit
+from rx90_emulator.identification.sliding import SlidingFit
 from rx90_emulator.identification.validation.measured import (
     read_setpoints,
     run_along,
