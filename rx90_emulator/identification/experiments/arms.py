@@ -79,7 +79,7 @@ class PlannedArm:
         return cls(
             robot,
             RigidArm.from_setup(setup),
-            *_home(robot, home if poses is None else poses.home, "the robot's poses" if poses else "as given"),
+            *_home(robot, home if poses is None else poses.home.position, "the robot's poses" if poses else "as given"),
             controller.limits(robot),
             motor_names(len(robot.joint_names)),
             setup.drives.turning.turns,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import Annotated, Any
@@ -90,33 +90,17 @@ class PoseList(FileModel):
         return positions
 
 
-class PosesFile(FileModel):
+class Poses(FileModel):
     """Where the experiments of an identification take place."""
 
     home: HomePose
     sweeps: Annotated[PoseList, Field(description="Where the sweeps take place.")]
     validation: Annotated[PoseList, Field(description="Between which the validation moves.")]
 
-
-@dataclass(frozen=True)
-class Poses:
-    """Joint positions, rad, each of shape (n,).
-
-    Attributes:
-        home: where every experiment begins and ends.
-        sweeps: poses of the sweeps, at least one.
-        validation: poses between which the validation moves.
-    """
-
-    home: tuple[float, ...]
-    sweeps: tuple[tuple[float, ...], ...]
-    validation: tuple[tuple[float, ...], ...]
-
     @classmethod
     def load(cls, file: Path) -> Poses:
         """Read a poses file."""
-        content = read_model(PosesFile, file)
-        return cls(content.home.position, content.sweeps.positions, content.validation.positions)
+        return read_model(cls, file)
 
     @classmethod
     def of(cls, setup: Setup) -> Poses:
@@ -129,8 +113,8 @@ class Poses:
 
     def check(self, robot: RobotModel) -> None:
         """Check that an arm reaches the poses."""
-        poses = {"home": self.home} | {f"pose {i}": pose for i, pose in enumerate(self.sweeps, 1)}
-        poses |= {f"pose {i} of the validation": pose for i, pose in enumerate(self.validation, 1)}
+        poses = {"home": self.home.position} | {f"pose {i}": pose for i, pose in enumerate(self.sweeps.positions, 1)}
+        poses |= {f"pose {i} of the validation": pose for i, pose in enumerate(self.validation.positions, 1)}
         for what, pose in poses.items():
             if len(pose) != len(robot.joint_names):
                 accepted = f"accepted: {len(robot.joint_names)}, one for each joint"
@@ -204,7 +188,7 @@ def plan_experiments(
     poses = Poses.of(setup)
     how: dict[str, Any] = {} if speeds is None else {"speeds": speeds}
     if quick:
-        poses = replace(poses, sweeps=poses.sweeps[:1])
+        poses = poses.replaced(sweeps={"positions": poses.sweeps.positions[:1]})
         how = _QUICK | how
     return make_plan(setup.robot, setup.drives, PlanOptions(poses=poses, groups=tuple(groups), **how))
 
@@ -288,7 +272,7 @@ def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions |
     planned.append(_validation(robot, chosen))
     names: dict[str, str] = {}
     for name, _, motion, _ in planned:
-        _approach(robot, motion, chosen.poses.home)
+        _approach(robot, motion, chosen.poses.home.position)
         earlier = names.setdefault(file_stem(name), name)
         if earlier != name:
             raise IdentificationError(
@@ -309,8 +293,8 @@ def _sweeps(robot: RobotModel, drives: DriveParameters, options: PlanOptions, na
     The error by ripple that is synchronous with the sampling differs between speeds, not between poses, and changes its
     sign with the direction.
     """
-    motion = Motion(options.poses.home)
-    poses = options.poses.sweeps
+    motion = Motion(options.poses.home.position)
+    poses = options.poses.sweeps.positions
 
     def sweep(motion: Motion, speed: float) -> Motion:
         held = float(np.clip(options.travel / abs(speed), _MIN_HOLD_S, _MAX_HOLD_S))
@@ -340,8 +324,8 @@ def _sweeps(robot: RobotModel, drives: DriveParameters, options: PlanOptions, na
 
 def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction: Array) -> _Planned:
     """Return presliding cycles and micro-oscillations of a direction."""
-    motion = Motion(options.poses.home)
-    _approach(robot, motion, np.asarray(options.poses.sweeps[0]) - 0.03 * direction)
+    motion = Motion(options.poses.home.position)
+    _approach(robot, motion, np.asarray(options.poses.sweeps.positions[0]) - 0.03 * direction)
     motion.rest(0.2)
     # Sliding first: the deflection of the bristles then does not depend on the earlier motion.
     motion.sweep(direction, 0.05, 0.6, _ACCELERATION)
@@ -356,8 +340,8 @@ def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction:
 
 def _validation(robot: RobotModel, options: PlanOptions) -> _Planned:
     """Return moves of all joints at once that no other experiment contains: fast, slow, with reversals."""
-    motion = Motion(options.poses.home)
-    poses = options.poses.validation
+    motion = Motion(options.poses.home.position)
+    poses = options.poses.validation.positions
     for number, pose in enumerate(poses):
         share = _VALIDATION_SPEED_SHARES[number % len(_VALIDATION_SPEED_SHARES)]
         motion.move(pose, robot.max_velocity * share, _ACCELERATION)
