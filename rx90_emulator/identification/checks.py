@@ -13,12 +13,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 
 from rx90_common.base.arrays import Array, Index, Mask
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.fit import nonnegative, time_blocks
-from rx90_emulator.identification.excitation.problem import BaseGroups, ExcitationProblem, StandardColumns
 from rx90_emulator.identification.options import SHIPPED_ROBOT, RobotOptions
+from rx90_emulator.identification.rows.excitation import ExcitationProblem
+from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 
 ROWS_PER_PARAMETER = 2.0
 """Of the simplest model, at least: fewer predict nothing, and fit any sign."""
@@ -65,7 +66,7 @@ class Recorded:
         used = np.zeros(filtered[0].shape, np.bool_)
         used[problem.sample, problem.joint] = True
         block = np.zeros(len(used), np.intp)
-        block[problem.sample] = time_blocks(problem)
+        block[problem.sample] = problem.block
         return cls(np.stack(filtered[:3]), filtered[3], used, block)
 
 
@@ -123,7 +124,7 @@ def suspicion(
             dry = dry - basis @ (basis.T @ dry)
             left = target / sigma
             left = left - basis @ (basis.T @ left)
-            left = (left - dry @ nonnegative(dry.T @ dry, dry.T @ left)) * sigma
+            left = (left - dry @ nnls(dry, left)[0]) * sigma
         return left
 
     usual = np.tile([[1.0], [1.0], [0.0]], len(arm.names))

@@ -28,12 +28,12 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import counted
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Experiment, Kind
 from rx90_emulator.identification.experiments.workspace import Workspace
 from rx90_emulator.identification.options import ExcitationOptions
+from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 from rx90_emulator.loop.setup import Setup
 
 ROWS = 100.0

@@ -16,10 +16,10 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.checks import Recorded, suspicion
-from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
-from rx90_emulator.identification.excitation.identify import log_warnings
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation import log_warnings
 from rx90_emulator.identification.options import SHIPPED_ROBOT, RobotOptions
+from rx90_emulator.identification.rows.excitation import ExcitationProblem
+from rx90_emulator.identification.rows.filtering import Bandwidths, FilteredRun, filter_record
 
 GEAR, CONSTANT = [100.0, -80.0, 60.0], [0.2, 0.1, 0.1]
 
@@ -44,7 +44,7 @@ def turned_round(
     arm, runs = recorded
     signs = np.ones((2, len(arm.names)))
     signs[0, list(motion)] = signs[1, list(torque)] = -1.0
-    moved = ("position", "velocity", "torque_velocity", "acceleration")
+    moved = ("position", "velocity", "acceleration")
     turned = [{name: getattr(run, name) * signs[0] for name in moved} for run in runs]
     turned_runs = [replace(run, torque=run.torque * signs[1], **own) for run, own in zip(runs, turned, strict=True)]
     return ExcitationProblem.of(arm, turned_runs)
