@@ -22,11 +22,11 @@ from benchmarks.random_arms import FrictionLaw, SyntheticArm, random_arm
 from benchmarks.report import arguments, in_processes, print_table
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import INTERRUPTED, IdentificationError
-from rx90_emulator.identification.checks import Recorded, suspicion
 from rx90_emulator.identification.fitted import simplest_fit
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
 from rx90_emulator.identification.rows.filtering import Bandwidths, filter_record
+from rx90_emulator.identification.sanity import Recorded, alarms
 
 CONDITIONS = ("good", "jitter", "gaps", "low rate", "few instants", "dead joint", "negated torque")
 RATE, LOW_RATE, RUNS = 200.0, 25.0, 3
@@ -87,9 +87,9 @@ def experiment(arguments: tuple[int, str]) -> Outcome:
     try:
         bandwidths = Bandwidths.of(records)
         problem = ExcitationProblem.of(rigid, [run for record in records for run in filter_record(record, bandwidths)])
-        doubt = suspicion(rigid, Recorded.of(problem))[1]
-        if doubt:
-            raise IdentificationError(doubt)
+        doubts = alarms(rigid, Recorded.of(records, rigid))
+        if doubts:
+            raise IdentificationError(doubts[0])
     except IdentificationError as error:
         right = condition == "negated torque" and f"sign of the effort of {last}:" in str(error)
         return Outcome(wrong="" if right else f"refused: {error}")

@@ -22,7 +22,6 @@ from rx90_common.estimation.law import Part
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import make_consistent, written_arm
-from rx90_emulator.identification.checks import Recorded, suspicion
 from rx90_emulator.identification.fitted import (
     TRIED,
     FittedArm,
@@ -39,6 +38,7 @@ from rx90_emulator.identification.robot import BagLayout, RecordedRobot
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
 from rx90_emulator.identification.rows.filtering import Bandwidths, recording_notes
 from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
+from rx90_emulator.identification.sanity import Recorded, alarms, body_alarms, log_alarms, moved_bodies
 from rx90_emulator.identification.validation.prediction import (
     drive_torque,
     filtered_runs,
@@ -104,13 +104,12 @@ def identify_excitation(
     problem = recorded_equations(records["excitation"], source, bandwidths, rotors=rotors)
     notes = [*recording_notes(records["excitation"], bandwidths), *log_warnings(problem, source.held)]
     given = replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source))
-    suspects, doubt = suspicion(problem.arm, Recorded.of(problem), given, source.zero)
-    if any(suspect != "zero" for suspect in suspects.values()):
-        raise IdentificationError(doubt)
+    sanity = alarms(source.arm, Recorded.of(records["excitation"], source.arm), given, source.zero)
     progress("friction")
     fitted = fit_arm(problem, parts, progress, fixed=model is not None)
     progress("consistent inertias")
     consistency = make_consistent(problem, fitted, source, robot)
+    bodies = moved_bodies(source.arm, written_arm(problem, consistency))
     result = ExcitationIdentification(
         robot=source,
         options=robot,
@@ -121,7 +120,8 @@ def identify_excitation(
         consistency=consistency,
         torques=run_torques(problem, problem.torque - fitted.fit.residual),
         validations=(),
-        doubt=doubt,
+        bodies=bodies,
+        alarms=(*log_alarms(records), *sanity, *body_alarms(bodies)),
         notes=tuple(notes),
         bags=tuple((use, record.bag) for use, some in records.items() for record in some),
     )

@@ -145,7 +145,7 @@ def run_check(
         write_text(report, check_page(checks, friction))
         lines.append(f"report: {report}")
     print("\n".join(lines))
-    return all(check.passed for check in checks)
+    return all(check.passed and not check.alarms for check in checks)
 
 
 def _check_folder(folder: Path, *, force: bool) -> None:

@@ -16,6 +16,7 @@ from rx90_emulator.identification.options import ExcitationTolerances, RobotOpti
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
+from rx90_emulator.identification.sanity import MovedBodies
 from rx90_emulator.identification.validation.verdict import Criterion, RunTorques, torque_criteria
 
 UNITS = {"m": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m", "k": "Nm", "offset": "Nm"}
@@ -127,7 +128,8 @@ class ExcitationIdentification:
         torques: recorded and predicted, of each run that was used.
         validations: the same for runs that were not used, with a verdict.
         bags: the bags by use: excitation, validation.
-        doubt: which encoder zeros look wrong, in words; empty if none does.
+        bodies: what each joint moves, by the description and by the robot's files.
+        alarms: what looks wrong in the log or the result, a sentence each: a verdict is "confirmed, but ..." at most.
         notes: what was bridged in the recordings, and what they cannot determine.
     """
 
@@ -141,7 +143,8 @@ class ExcitationIdentification:
     torques: tuple[RunTorques, ...]
     validations: tuple[TorqueValidation, ...]
     bags: tuple[tuple[str, BagSource], ...]
-    doubt: str = ""
+    bodies: tuple[MovedBodies, ...]
+    alarms: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -211,8 +214,8 @@ class ExcitationIdentification:
 
     @property
     def confirmed(self) -> bool:
-        """Return whether every validation agrees; True without any."""
-        return all(check.passed for check in self.validations)
+        """Return whether every validation agrees, if there is any, and nothing looks wrong."""
+        return all(check.passed for check in self.validations) and not self.alarms
 
 
 def base_parameters(

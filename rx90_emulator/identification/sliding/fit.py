@@ -11,7 +11,6 @@ from scipy.stats import t as student
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.checks import Recorded, suspicion
 from rx90_emulator.identification.estimates import (
     NOT_IN_MODEL,
     SLIDING,
@@ -21,6 +20,7 @@ from rx90_emulator.identification.estimates import (
 )
 from rx90_emulator.identification.options import SLIDING_PARTS, model_parts
 from rx90_emulator.identification.records import BagSource, JointRecord
+from rx90_emulator.identification.sanity import Recorded, mistake_alarms
 from rx90_emulator.identification.sliding.plateaus import BagUse, Blocks, find_blocks
 from rx90_emulator.identification.sliding.quality import MISFIT_SD, CurvePoints, FitQuality
 from rx90_emulator.identification.sliding.solver import (
@@ -112,7 +112,7 @@ def identify_sliding(
         raise IdentificationError(f"{where}: {name} {lacking[name]}")
     motion = np.stack([blocks.position, blocks.velocity, blocks.acceleration])
     used = ~(~blocks.sliding @ (arm.element_matrix != 0.0)) & arm.identified
-    _, doubt = suspicion(arm, Recorded(motion, blocks.torque, used, blocks.plateau), zero=zero)
+    doubt = "; ".join(mistake_alarms(arm, Recorded(motion, blocks.torque, used, blocks.plateau), zero=zero))
     rows = sliding_rows(blocks, arm)
     free = np.zeros((len(names), SIZE), dtype=np.bool_)
     free[[name not in lacking for name in names], :EXPONENT] = True

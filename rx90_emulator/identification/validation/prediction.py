@@ -22,7 +22,6 @@ from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.checks import Recorded, suspicion
 from rx90_emulator.identification.options import (
     EMULATED,
     NO_TOLERANCES,
@@ -64,7 +63,7 @@ class Validation:
         tip_distance: of the simulated from the recorded tip, m, shape (k,).
         tolerances: limits for agreement.
         source: the bag.
-        doubt: which sign or zero looks wrong, in words, if the bag is compared with a given friction.
+        alarms: what looks wrong in the bag, a sentence each, if it is compared with a given friction.
         unit: of the torques, which are currents if the friction was identified from currents.
         notes: what was left out of the bag, if it is compared with a given friction.
     """
@@ -75,7 +74,7 @@ class Validation:
     tip_distance: Array
     tolerances: ValidationTolerances
     source: str
-    doubt: str = ""
+    alarms: tuple[str, ...] = ()
     unit: str = "Nm"
     notes: tuple[str, ...] = ()
 
@@ -114,7 +113,7 @@ class Validation:
     @property
     def passed(self) -> bool:
         """Return whether every compared quantity agrees."""
-        return all(one.passed for one in self.criteria)
+        return all(criterion.passed for criterion in self.criteria)
 
 
 def filtered_runs(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths) -> tuple[FilteredRun, ...]:
@@ -225,12 +224,12 @@ def validate(
     tip_time, distance = _tip_difference(robot, elements, record)
     if not isinstance(tolerances, ValidationTolerances):
         tolerances = replace(EMULATED if len(distance) else RECORDED, **tolerances)
-    doubt = ""
+    doubts = record.alarms
     if sliding is None:  # sweeps have been checked already
-        doubt = suspicion(robot.arm, Recorded.of(problem), robot.options, robot.zero)[1]
+        doubts += alarms(robot.arm, Recorded.of([record], robot.arm), robot.options, robot.zero)
     (torque,) = run_torques(problem, predicted)
     names = tuple(name for name in record.names if name not in robot.followed)
-    return Validation(names, torque, tip_time, distance, tolerances, str(record.source), doubt, record.unit, notes)
+    return Validation(names, torque, tip_time, distance, tolerances, str(record.source), doubts, record.unit, notes)
 
 
 def _error_of_weights(arm: RigidArm, sliding: SlidingFit, problem: ExcitationProblem) -> Array:
