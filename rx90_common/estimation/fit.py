@@ -28,8 +28,9 @@ from rx90_common.base.arrays import Array, Index, Mask
 
 REWEIGHTINGS = 3
 """Of iteratively reweighted least squares: a fourth changes values by less than a tenth of their deviations."""
-HUBER = 1.345
-"""Residual, in deviations of the noise, from which a row weighs less: 95 % efficient for normal noise."""
+HUBER = 2.5
+"""Residual, in deviations of the noise, from which a row weighs less. Of few rows with many parameters, whose noise is
+estimated low, a smaller one takes a fifth for outliers."""
 MAD_TO_DEVIATION = 1.4826
 """Standard deviation of normal noise over the median of its absolute value."""
 LEAST_NOISE = 1e-9

@@ -71,10 +71,13 @@ class Law:
         parts: beside Coulomb and viscous friction.
         signed: whether tau_c and rise have a value for each direction. Their difference is a constant torque, so data
             with an unknown offset cannot tell it.
+        balanced: whether tau_c has one value although the law is signed: several joints share the element, and the
+            difference of its directions is a constant torque that theirs contain.
     """
 
     parts: frozenset[Part] = frozenset()
     signed: bool = False
+    balanced: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -85,10 +88,10 @@ class Law:
     def sizes(self) -> tuple[str, ...]:
         """Return the names of the parameters that a steady torque is linear in, from 0 on."""
         torques = ["tau_c"]
+        if self.signed and not self.balanced:
+            torques = ["tau_c_positive", "tau_c_negative"]
         if Part.STRIBECK in self.parts:
-            torques.append("rise")
-        if self.signed:
-            torques = [f"{torque}_{sign}" for torque in torques for sign in ("positive", "negative")]
+            torques += ["rise_positive", "rise_negative"] if self.signed else ["rise"]
         damping = ["c1"] if Part.BRISTLE in self.parts else []
         return (*torques, "c2", *damping)
 
@@ -238,11 +241,12 @@ class Law:
             rows.append(row)
 
         for sign in ("positive", "negative"):
-            own = f"_{sign}" if self.signed else ""
-            state(f"tau_c_{sign}", values[f"tau_c_{sign}"], {f"tau_c{own}": 1.0})
+            coulomb = f"tau_c_{sign}" if f"tau_c_{sign}" in place else "tau_c"
+            rise = f"rise_{sign}" if self.signed else "rise"
+            state(f"tau_c_{sign}", values[f"tau_c_{sign}"], {coulomb: 1.0})
             if Part.STRIBECK in self.parts:
                 static = values[f"tau_c_{sign}"] + values[f"rise_{sign}"]
-                state(f"tau_s_{sign}", static, {f"tau_c{own}": 1.0, f"rise{own}": 1.0})
+                state(f"tau_s_{sign}", static, {coulomb: 1.0, rise: 1.0})
         state("c2", values["c2"], {"c2": 1.0})
         for name in self.shapes:
             if name != "stiffness":

@@ -44,7 +44,7 @@ from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.rows.filtering import Bandwidths
-from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
+from rx90_emulator.identification.sliding import SlidingFit, identify_sliding
 from rx90_emulator.identification.validation.prediction import Validation, validate
 
 _RATES = {"sliding": 250.0, "presliding": None, "excitation": 1000.0, "validation": 1000.0}

@@ -17,7 +17,7 @@ from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.style import COLOURS, GREY, INK
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.result import ExcitationIdentification
-from rx90_emulator.identification.sliding.quality import CurvePoints
+from rx90_emulator.identification.sliding import CurvePoints
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import JointTorque, RunTorques

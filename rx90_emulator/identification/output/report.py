@@ -81,7 +81,7 @@ def report_page(result: FrictionIdentification, friction_file: str) -> str:
     sliding = result.sliding
     presliding = result.presliding
     named = dict(zip(names, result.elements, strict=True))
-    curves = [(name, curve) for name, curve in zip(names, sliding.curves, strict=True) if len(curve.velocity)]
+    curves = [(name, curve) for name, curve in zip(names, sliding.curves, strict=True) if curve is not None]
     return _render(
         "identification.html.j2",
         result=result,

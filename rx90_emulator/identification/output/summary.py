@@ -72,7 +72,7 @@ def identification_summary(result: FrictionIdentification) -> str:
     lines += [f"not identifiable: {which(lacking)}: {reason}" for reason, lacking in result.unidentifiable.items()]
     if given_bristles := ", ".join(result.with_given_bristles):
         lines.append(f"bristles of {given_bristles}: as c0 those of {result.fallback_name}, assumed")
-    lines += [line for name, one in zip(names, sliding.quality, strict=True) if one for line in one.lines(name)]
+    lines += [quality.text(name) for name, quality in zip(names, sliding.quality, strict=True) if quality]
     lines += [f"warning: {sliding.doubt}"] if sliding.doubt else []
     lines += [f"{use.bag.path}: {use.text(names)}" for use in sliding.usage]
     return "\n".join([*lines, *(validation_verdict(check, result.scope) for check in result.validations)])

@@ -1,1 +1,1 @@
-"""Sources of rows: what recordings say about friction and the rigid body, as equations for a fit."""
+"""Sources of rows: what each kind of recording says about friction, as equations for `rx90_common.estimation`."""

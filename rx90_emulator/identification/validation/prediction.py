@@ -34,7 +34,7 @@ from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
 from rx90_emulator.identification.rows.filtering import Bandwidths, FilteredRun, filter_record, recording_notes
 from rx90_emulator.identification.sanity import Recorded, alarms
-from rx90_emulator.identification.sliding.fit import SlidingFit
+from rx90_emulator.identification.sliding import SlidingFit
 from rx90_emulator.identification.validation.measured import (
     read_setpoints,
     run_along,

@@ -244,7 +244,7 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     np.testing.assert_allclose(links + a * inertias.rotors + inertias.parameters[33:], expected, rtol=0.0, atol=1e-11)
     assert np.abs(inertias.shift).max() < 1e-6
     assert rest_of(texts["robot.urdf"]) == rest_of(urdf)
-    assert '<!-- kept --><link name="bare"/>' in texts["robot.urdf"]
+    assert '<!-- kept --><link name="bare" />' in texts["robot.urdf"]
     assert "recorded 20" in texts["robot.urdf"].partition("<link")[0]
 
 
