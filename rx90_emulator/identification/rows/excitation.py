@@ -12,7 +12,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
@@ -83,8 +82,7 @@ class ExcitationProblem:
             runs: of this arm.
             rotors: as in `StandardColumns`.
         """
-        bare = cls.without_columns(arm, runs, rotors=rotors)
-        return replace(bare, regressor=bare._base_columns())
+        return cls.without_columns(arm, runs, rotors=rotors).with_columns()
 
     def other(self, runs: Sequence[FilteredRun]) -> ExcitationProblem:
         """Return the equations of other runs of the same arm, for the same parameters and joints."""
@@ -94,9 +92,19 @@ class ExcitationProblem:
             raise IdentificationError(
                 f"{runs[0].source.path}: no joint of the excitation runs moves; accepted: runs in which one does"
             )
-        rows = {name: values[same] for name, values in bare._by_row.items()}
-        bare = replace(bare, columns=self.columns, base=self.base, **rows)
-        return replace(bare, regressor=bare._base_columns())
+        return replace(bare.of_rows(same), columns=self.columns, base=self.base).with_columns()
+
+    def of_rows(self, rows: Mask) -> ExcitationProblem:
+        """Return some of the rows, shape (r,)."""
+        return replace(
+            self,
+            run=self.run[rows],
+            joint=self.joint[rows],
+            place=self.place[rows],
+            reversal=self.reversal[rows],
+            torque=self.torque[rows],
+            regressor=self.regressor[rows],
+        )
 
     @classmethod
     def without_columns(cls, arm: RigidArm, runs: Sequence[FilteredRun], *, rotors: bool = True) -> ExcitationProblem:
@@ -133,17 +141,6 @@ class ExcitationProblem:
         return len(self.run)
 
     @property
-    def _by_row(self) -> dict[str, Any]:
-        return {
-            "run": self.run,
-            "joint": self.joint,
-            "place": self.place,
-            "reversal": self.reversal,
-            "torque": self.torque,
-            "regressor": self.regressor,
-        }
-
-    @property
     def names(self) -> tuple[str, ...]:
         """Return the names of the columns, shape (b,)."""
         return self.base.names
@@ -177,14 +174,13 @@ class ExcitationProblem:
         """
         phases = [_phase(run) for run in self.runs]
         length = sum(int(phase.max(initial=0)) + 1 for phase in phases) / TIME_BLOCKS
-        first = 0
-        blocks = []
+        blocks: list[Index] = []
+        starts: list[int] = []
         for number, phase in enumerate(phases):
             same = next((k for k in range(number) if _same_motion(self.runs[k], self.runs[number])), None)
-            blocks.append(np.asarray(phase // max(length, 1.0), dtype=np.intp) + first)
-            if same is not None:
-                blocks[-1] += blocks[same].min(initial=0) - first
-            first = 1 + max(int(block.max(initial=-1)) for block in blocks)
+            new = 1 + max((int(block.max(initial=-1)) for block in blocks), default=-1)
+            starts.append(new if same is None else starts[same])
+            blocks.append(np.asarray(phase // max(length, 1.0), dtype=np.intp) + starts[-1])
         return np.concatenate(blocks)[self.sample]
 
     def rows_of(self, along: Sequence[Array]) -> Array:
@@ -203,8 +199,8 @@ class ExcitationProblem:
         group = np.unique(group, return_inverse=True)[1]
         return FrictionRows(self.torque, self.regressor, elements, group, self.block)
 
-    def _base_columns(self) -> Array:
-        """Return the filtered columns of the base parameters, shape (r, b)."""
+    def with_columns(self) -> ExcitationProblem:
+        """Return the same rows with the filtered columns of the base parameters."""
         leading = list(self.base.leading)
         regressor = np.zeros((len(self), len(leading)))
         for number, run in enumerate(self.runs):
@@ -213,7 +209,7 @@ class ExcitationProblem:
                 here = np.flatnonzero((self.run == number) & (self.place >= rows.start) & (self.place < rows.stop))
                 filtered = run.parallel(values[:, :, leading])
                 regressor[here] = filtered[self.place[here] - rows.start, self.joint[here]]
-        return regressor
+        return replace(self, regressor=regressor)
 
 
 def _moving(arm: RigidArm, runs: Sequence[FilteredRun]) -> Mask:
