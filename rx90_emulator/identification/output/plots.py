@@ -10,17 +10,15 @@ from bokeh.models import ColumnDataSource, FixedTicker
 from bokeh.palettes import RdBu11, interp_palette
 from bokeh.plotting import figure
 from bokeh.transform import linear_cmap
-from scipy.signal import welch
 
 from rx90_common.base.arrays import Array
 from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.style import COLOURS, GREY, INK
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
-from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.sliding import CurvePoints
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
-from rx90_emulator.identification.validation.verdict import JointTorque, RunTorques
+from rx90_emulator.identification.validation.verdict import RunTorques
 
 _DRAWN_S = 60.0  # s of a run in a plot: more could not be resolved
 _RECORDED: Final = COLOURS[5]
@@ -137,14 +135,6 @@ def sliding_curve(name: str, curve: CurvePoints) -> list[figure]:
     return [above, below]
 
 
-def sliding_trend(name: str, curve: CurvePoints) -> figure:
-    """Show the residuals of an element along the motion, against the time."""
-    shown = chart(name, "time in the series, s", "residual, Nm", height=130)
-    shown.hspan([0.0], line_color=INK)
-    shown.scatter(curve.time, np.sign(curve.velocity) * (curve.torque - curve.fitted), color=COLOURS[0], size=5)
-    return shown
-
-
 def presliding_loop(name: str, position: Array, torques: Mapping[str, Array]) -> figure:
     """Show torques against position in the middle of a micro-motion: measured and simulated."""
     count = len(position)
@@ -153,21 +143,6 @@ def presliding_loop(name: str, position: Array, torques: Mapping[str, Array]) ->
     measured, simulated = torques
     _compared(shown, position[part] * 1e6, (measured, torques[measured][part]), (simulated, torques[simulated][part]))
     return shown
-
-
-def sliding_correlations(result: FrictionIdentification) -> list[figure]:
-    """Show the correlations of each element's parameters; the two regimes, fitted one after the other, have none."""
-    figures = []
-    pairs = zip(result.arm.element_names, result.sliding.estimates, result.presliding.estimates, strict=True)
-    for name, sliding, presliding in pairs:
-        names = (*sliding.parameters, *presliding.parameters)
-        first = len(sliding.parameters)
-        matrix = np.full((len(names), len(names)), np.nan)
-        matrix[:first, :first] = sliding.correlation
-        matrix[first:, first:] = presliding.correlation
-        if np.isfinite(matrix).any():
-            figures.append(correlation(names, matrix, name))
-    return figures
 
 
 def correlation(names: Sequence[str], values: Array, title: str = "") -> figure:
@@ -216,39 +191,6 @@ def excitation_run(run: RunTorques, unit: str) -> list[figure]:
         figures.append(shown)
     over_one_x(figures, _TIME)
     return figures
-
-
-def spectra(runs: Sequence[RunTorques], unit: str) -> list[figure]:
-    """Show the amplitude spectra of measured torque and residual of each joint."""
-    figures = []
-    for number, name in enumerate(runs[0].names):
-        joints = [run.joints[number] for run in runs if len(run.joints[number].time) > 1]
-        title = name if joints else f"{name}: stands still"
-        shown = chart(title, "frequency, Hz", f"{unit}/√Hz", height=140, x_axis_type="log", y_axis_type="log")
-        if joints:
-            measured = _spectrum(joints, [joint.recorded for joint in joints])
-            shown.line(*measured, name="measured", color=_RECORDED, line_width=1.8)
-            shown.line(*_spectrum(joints, [joint.residual for joint in joints]), name="difference", color=_PREDICTED)
-        figures.append(shown)
-    return figures
-
-
-def _spectrum(joints: Sequence[JointTorque], values: Sequence[Array]) -> tuple[Array, Array]:
-    """Return frequencies, Hz, and the root of the mean spectral density of all runs; 0 where a joint stands still."""
-    series = []
-    step = min(float(np.median(np.diff(joint.time))) for joint in joints)
-    for joint, own in zip(joints, values, strict=True):
-        place = np.rint((joint.time - joint.time[0]) / step).astype(np.intp)
-        even = np.zeros(place[-1] + 1)
-        even[place] = own
-        series.append(even)
-    weights = [len(even) for even in series]
-    length = min(max(weights), max(64, round(20.0 / step)))
-    found = [
-        welch(even, 1.0 / step, nperseg=min(length, len(even)), nfft=length, detrend="constant") for even in series
-    ]
-    density = np.average([power for _, power in found], axis=0, weights=weights)
-    return found[0][0][1:-1], np.sqrt(density[1:-1])
 
 
 def residual_by_speed(result: ExcitationIdentification, unit: str) -> list[figure]:

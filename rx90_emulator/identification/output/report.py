@@ -96,9 +96,7 @@ def report_page(result: FrictionIdentification, friction_file: str) -> str:
         checks=_checks(result.validations),
         friction_file=friction_file,
         curves=[plots.sliding_curve(name, curve) for name, curve in curves],
-        trends=[plots.sliding_trend(name, curve) for name, curve in curves],
         loops=[plots.presliding_loop(joint, *loop) for joint, loop in presliding.loops.items()],
-        correlations=plots.sliding_correlations(result),
     )
 
 
@@ -141,10 +139,8 @@ def excitation_page(
         runs=[*(("fitted", run) for run in result.torques), *(("not used", run) for run in checked)],
         drawn=[(run, plots.excitation_run(run, result.unit)) for run in (checked[:2] or [longest])],
         curves=plots.friction_curves(result, result.unit),
-        spectra=plots.spectra(checked or result.torques, result.unit),
         by_speed=plots.residual_by_speed(result, result.unit),
         by_time=plots.residual_by_time(result.torques, friction.blocks.length, result.unit),
         correlation=plots.correlation(names, correlation),
         close=sorted(close, key=lambda pair: -abs(pair[2]))[:20],
-        runs_named=[run.source.path.name for run in checked or result.torques],
     )

@@ -174,7 +174,7 @@ def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Call
     page = (outcome.folder / "report.html").read_text(encoding="utf-8")
     assert page.count('<figure class="plot') >= 6
     assert len(page) < 3e6
-    for part in ("Spectra", "Residual against speed", "Residual against time", "Models of friction", "Correlation",
+    for part in ("Residual against speed", "Residual against time", "Models of friction", "Correlation",
                  "Physically consistent", "Filters"):  # fmt: skip
         assert part in page
     assert "nan" not in re.sub(r"<(svg|script).*?</\1>", "", page, flags=re.DOTALL).lower().split()
