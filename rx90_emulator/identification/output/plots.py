@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker
-from bokeh.palettes import RdBu11, interp_palette
 from bokeh.plotting import figure
-from bokeh.transform import linear_cmap
 
 from rx90_common.base.arrays import Array
 from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.style import COLOURS, GREY, INK
-from rx90_emulator.identification.excitation.result import ExcitationIdentification
+from rx90_emulator.identification.result import ExcitationIdentification
 from rx90_emulator.identification.sliding import CurvePoints
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
@@ -145,32 +143,6 @@ def presliding_loop(name: str, position: Array, torques: Mapping[str, Array]) ->
     return shown
 
 
-def correlation(names: Sequence[str], values: Array, title: str = "") -> figure:
-    """Show correlations from -1 to 1, (k, k), as colours; nothing where they are NaN."""
-    count = len(names)
-    row, column = np.nonzero(np.isfinite(values))
-    known = np.array(names)
-    shown = chart(
-        title,
-        height=None,
-        aspect_ratio=1,
-        max_width=900 if count > 12 else 420,
-        x_range=list(names),
-        y_range=list(names[::-1]),
-    )
-    source = ColumnDataSource({"x": known[column].tolist(), "y": known[row].tolist(), "value": values[row, column]})
-    colour = linear_cmap("value", interp_palette(RdBu11, 256), -1.0, 1.0)
-    squares = shown.rect("x", "y", 1, 1, source=source, line_color=None, fill_color=colour)
-    shown.add_layout(squares.construct_color_bar(width=10), "right")
-    shown.axis.major_label_text_font_size = f"{6 if count > 30 else 8 if count > 12 else 11}px"
-    shown.xaxis.major_label_orientation = np.pi / 2.0
-    shown.grid.grid_line_color = None
-    (hover,) = shown.hover
-    hover.tooltips = [("", "@y"), ("", "@x"), ("correlation", "@value{%.6g}")]
-    hover.formatters = {"@value": "printf"}
-    return shown
-
-
 def _start(run: RunTorques) -> float:
     return min((float(joint.time[0]) for joint in run.joints if len(joint.time)), default=0.0)
 
@@ -193,47 +165,6 @@ def excitation_run(run: RunTorques, unit: str) -> list[figure]:
     return figures
 
 
-def residual_by_speed(result: ExcitationIdentification, unit: str) -> list[figure]:
-    """Show the mean residual against the velocity of each element, with 95 % intervals."""
-    figures = []
-    for one in result.speeds:
-        shown = chart(one.element, _SPEED, unit, height=140)
-        shown.hspan([0.0], line_color=_DIFFERENCE)
-        if len(one.velocity):
-            bars = _INTERVAL * np.nan_to_num(one.deviation)
-            name = "mean of a bin, 95 %"
-            shown.line(one.velocity, one.residual, name=name, color=COLOURS[0])
-            low = one.residual - bars
-            high = one.residual + bars
-            shown.segment(one.velocity, low, one.velocity, high, name=name, color=COLOURS[0])
-            shown.scatter(one.velocity, one.residual, name=name, color=COLOURS[0], size=5)
-        figures.append(shown)
-    return figures
-
-
-def residual_by_time(runs: Sequence[RunTorques], block: float, unit: str) -> list[figure]:
-    """Show the mean of the residual against the motion over blocks of time, s, each run with its colour."""
-    figures = []
-    for number, joint_name in enumerate(runs[0].names):
-        shown = chart(joint_name, _TIME, unit, height=140)
-        shown.hspan([0.0], line_color=_DIFFERENCE)
-        for which, run in enumerate(runs):
-            joint = run.joints[number]
-            if not len(joint.time):
-                continue
-            name = run.source.path.name if 1 < len(runs) <= len(COLOURS) else None
-            colour = COLOURS[which % len(COLOURS)]
-            place = ((joint.time - _start(run)) / block).astype(np.intp)
-            count = np.bincount(place)
-            used = np.flatnonzero(count)
-            means = np.bincount(place, joint.residual * np.sign(joint.velocity))[used] / count[used]
-            middle = (used + 0.5) * block
-            shown.line(middle, means, name=name, color=colour)
-            shown.scatter(middle, means, name=name, color=colour)
-        figures.append(shown)
-    return figures
-
-
 def friction_curves(result: ExcitationIdentification, unit: str) -> list[figure]:
     """Show the friction torque of each element against its velocity, its band, and means of the measured torque.
 
@@ -241,32 +172,33 @@ def friction_curves(result: ExcitationIdentification, unit: str) -> list[figure]
     same number of samples.
     """
     problem = result.problem
-    residual = problem.torque - result.friction.predicted
+    residual = result.fitted.fit.residual
     joints = np.flatnonzero(problem.arm.identified)
     figures = []
-    for number, curve in enumerate(result.friction.curves()):
-        shown = chart(curve.element, _SPEED, unit, height=180)
+    for number, name in enumerate(problem.arm.element_names):
+        low, high = result.fitted.speeds[number]
+        if high == 0.0:
+            continue
+        shown = chart(name, _SPEED, unit, height=180)
         shown.hspan([0.0], line_color=_DIFFERENCE)
         shown.vspan([0.0], line_color=_DIFFERENCE)
         has_own_joint = number < len(joints)  # a coupled element has no joint of its own
         rows = np.flatnonzero((problem.joint == joints[number]) & ~problem.reversal) if has_own_joint else joints[:0]
         velocity = problem.velocity[rows, number]
-        residual_torque = residual[rows]
-        low, high = (curve.velocity.min(), curve.velocity.max()) if len(curve.velocity) else (0.0, 0.0)
-        points = []
+        speeds = np.linspace(low, high, 100)
         for sign in (-1.0, 1.0):
-            side = sign * curve.velocity > 0.0
-            low_side, high_side = (bound[side] for bound in curve.band)
-            shown.varea(curve.velocity[side], low_side, high_side, name="95 %", fill_color=COLOURS[5], fill_alpha=0.35)
-            shown.line(curve.velocity[side], curve.torque[side], name="identified", color=COLOURS[0], line_width=1.6)
-            one_sign = np.flatnonzero(sign * velocity > 0.0)
-            for part in np.array_split(one_sign[np.argsort(velocity[one_sign])], _SPEED_BINS // 2):
-                if len(part) >= _MIN_BIN_SAMPLES and low <= (speed := velocity[part].mean()) <= high:
-                    points.append(
-                        (speed, np.interp(speed, curve.velocity, curve.torque) + residual_torque[part].mean())
-                    )
-        if points:
-            x, y = np.array(points).T
-            shown.scatter(x, y, name="measured", color=COLOURS[1], size=5)
+            torque, deviation = result.fitted.curve(number, sign * speeds)
+            band = _INTERVAL * deviation
+            shown.varea(
+                sign * speeds, torque - band, torque + band, name="95 %", fill_color=COLOURS[5], fill_alpha=0.35
+            )
+            shown.line(sign * speeds, torque, name="identified", color=COLOURS[0], line_width=1.6)
+            side = np.flatnonzero((sign * velocity > low) & (sign * velocity < high))
+            parts = np.array_split(side[np.argsort(velocity[side])], _SPEED_BINS // 2)
+            filled = [part for part in parts if len(part) >= _MIN_BIN_SAMPLES]
+            if filled:
+                means = np.array([velocity[part].mean() for part in filled])
+                measured = result.fitted.curve(number, means)[0] + [residual[rows[part]].mean() for part in filled]
+                shown.scatter(means, measured, name="measured", color=COLOURS[1], size=5)
         figures.append(shown)
     return figures

@@ -12,15 +12,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from bokeh.plotting import figure
 
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
-from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.output import plots, summary
 from rx90_emulator.identification.records import in_unit
+from rx90_emulator.identification.result import ExcitationIdentification
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 
@@ -100,9 +99,6 @@ def report_page(result: FrictionIdentification, friction_file: str) -> str:
     )
 
 
-_MAX_CORRELATION = 0.95  # correlation from which two parameters are listed
-
-
 def excitation_page(
     result: ExcitationIdentification, date: datetime, versions: Mapping[str, str], files: Sequence[str]
 ) -> str:
@@ -114,19 +110,12 @@ def excitation_page(
         versions: of interpreter and libraries.
         files: names of the robot's files, and last a sentence about them.
     """
-    friction = result.friction
     rows = [summary.friction_columns(one.estimates) for one in result.elements]
     shown = dict.fromkeys(name for row in rows for name, one in row.items() if one.identifiable)
     units = {name: FRICTION_UNITS.get(plain) or FRICTION_UNITS.get(f"{plain}_positive", "")
              for name in shown if (plain := name.rstrip("+-"))}  # fmt: skip
     checked = [one.torques for one in result.validations]
     longest = max(result.torques, key=lambda run: run.source.duration)
-    deviation = np.sqrt(np.maximum(np.diag(friction.fit.covariance), 0.0))
-    known = np.flatnonzero(np.isfinite(deviation) & (deviation > 0.0))
-    names = [friction.names[k] for k in known.tolist()]
-    correlation = friction.fit.covariance[np.ix_(known, known)] / np.outer(deviation[known], deviation[known])
-    close = [(names[i], names[j], float(correlation[i, j]))
-             for i, j in np.argwhere(np.triu(np.abs(correlation) > _MAX_CORRELATION, 1))]  # fmt: skip
     return _render(
         "excitation.html.j2",
         date,
@@ -139,8 +128,4 @@ def excitation_page(
         runs=[*(("fitted", run) for run in result.torques), *(("not used", run) for run in checked)],
         drawn=[(run, plots.excitation_run(run, result.unit)) for run in (checked[:2] or [longest])],
         curves=plots.friction_curves(result, result.unit),
-        by_speed=plots.residual_by_speed(result, result.unit),
-        by_time=plots.residual_by_time(result.torques, friction.blocks.length, result.unit),
-        correlation=plots.correlation(names, correlation),
-        close=sorted(close, key=lambda pair: -abs(pair[2]))[:20],
     )

@@ -28,14 +28,6 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.description.urdf import UrdfFile
 from rx90_common.exchange.topics import MOTOR_STATES, motor_names
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_emulator.identification.excitation.filtering import (
-    Bandwidths,
-    FilteredRun,
-    filter_record,
-    low_pass,
-    low_pass_taps,
-)
-from rx90_emulator.identification.excitation.problem import element_states
 from rx90_emulator.identification.options import MeasuredLayout, MeasuredTolerances
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import (
@@ -46,6 +38,14 @@ from rx90_emulator.identification.robot import (
     recorded_topic,
     topic_names,
     with_signals,
+)
+from rx90_emulator.identification.rows.excitation import element_states
+from rx90_emulator.identification.rows.filtering import (
+    Bandwidths,
+    FilteredRun,
+    filter_record,
+    low_pass,
+    low_pass_taps,
 )
 from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
 from rx90_emulator.loop.closed_loop import run_setpoints
