@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -16,13 +16,12 @@ from rx90_emulator.identification.result import ExcitationIdentification
 from rx90_emulator.identification.sliding import CurvePoints
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
-from rx90_emulator.identification.validation.verdict import RunTorques
+from rx90_emulator.identification.validation.verdict import TorquePrediction
 
 _DRAWN_S = 60.0  # s of a run in a plot: more could not be resolved
 _RECORDED: Final = COLOURS[5]
 _PREDICTED: Final = COLOURS[1]
 _DIFFERENCE: Final = COLOURS[6]
-_TIME = "time since the first motion, s"
 _SPEED = "velocity of the element, rad/s"
 _INTERVAL = 1.96  # standard deviations, 95 %
 _DRAWN_SHARE = 20  # one of so many parts of a micro-oscillation is drawn: more loops would cover each other
@@ -36,41 +35,32 @@ def _compared(shown: figure, time: Array, recorded: tuple[str, Array], predicted
     shown.line(time, predicted[1], name=predicted[0], color=_PREDICTED, line_width=1.1)
 
 
-def validation(check: Validation) -> list[figure]:
-    """Show the torques of a validation, and the distance of the tips if there is one."""
-    torque = check.torque
+def torques(torque: TorquePrediction, names: Sequence[str], unit: str, predicted: str = "predicted") -> list[figure]:
+    """Show the first minute of measured and predicted torques, and their difference where a joint moves."""
+    time = torque.time - torque.time[0]
+    rows = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
     figures = []
-    for k, name in enumerate(check.names):
-        shown = chart(name, "", check.unit, height=120)
-        _compared(shown, torque.time, ("recorded", torque.recorded[:, k]), ("predicted", torque.predicted[:, k]))
-        shown.line(torque.time, torque.difference[:, k], name="difference", color=_DIFFERENCE)
-        figures.append(shown)
-    if len(check.tip_distance):
-        shown = chart("tips", "", "distance, µm", height=120)
-        shown.line(check.tip_time, check.tip_distance * 1e6, color=COLOURS[0])
+    for k, name in enumerate(names):
+        shown = chart(name, "", unit, height=120)
+        _compared(shown, time[rows], ("measured", torque.recorded[rows, k]), (predicted, torque.predicted[rows, k]))
+        shown.line(time[rows], torque.difference[rows, k], name="difference", color=_DIFFERENCE)
         figures.append(shown)
     over_one_x(figures, "time, s")
     return figures
 
 
-def measured_torques(result: MeasuredComparison) -> list[figure]:
-    """Show measured and simulated torques."""
-    torque = result.agreement
-    time = result.time - result.time[0]
-    rows = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
-    figures = []
-    for k, name in enumerate(result.names):
-        shown = chart(name, "", "Nm", height=120)
-        _compared(shown, time[rows], ("measured", torque.recorded[rows, k]), ("simulated", torque.predicted[rows, k]))
-        shown.line(time[rows], torque.difference[rows, k], name="difference", color=_DIFFERENCE)
-        figures.append(shown)
-    over_one_x(figures, "time since the comparison began, s")
-    return figures
+def tips(check: Validation) -> list[figure]:
+    """Show the distance of the tips, if there is one."""
+    if not len(check.tip_distance):
+        return []
+    shown = chart("tips", "time, s", "distance, µm", height=120)
+    shown.line(check.tip_time, check.tip_distance * 1e6, color=COLOURS[0])
+    return [shown]
 
 
 def measured_positions(result: MeasuredComparison) -> list[figure]:
     """Show measured and simulated positions, each beside their difference."""
-    time = result.time - result.time[0]
+    time = result.torque.time - result.torque.time[0]
     rows = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
     figures = []
     for k, name in enumerate(result.names):
@@ -141,28 +131,6 @@ def presliding_loop(name: str, position: Array, torques: Mapping[str, Array]) ->
     measured, simulated = torques
     _compared(shown, position[part] * 1e6, (measured, torques[measured][part]), (simulated, torques[simulated][part]))
     return shown
-
-
-def _start(run: RunTorques) -> float:
-    return min((float(joint.time[0]) for joint in run.joints if len(joint.time)), default=0.0)
-
-
-def excitation_run(run: RunTorques, unit: str) -> list[figure]:
-    """Show the torques of the first part of a run, with gaps where a joint stands still."""
-    figures = []
-    for name, joint in zip(run.names, run.joints, strict=True):
-        count = max(1, int(np.searchsorted(joint.time, _start(run) + _DRAWN_S)))
-        time, _, recorded, predicted = (values[:count] for values in joint)
-        steps = np.diff(time)
-        gaps = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1 if len(steps) else np.empty(0, dtype=np.intp)
-        rows = (time - _start(run), recorded, predicted, recorded - predicted)
-        time, recorded, predicted, residual = (np.insert(values, gaps, np.nan) for values in rows)
-        shown = chart(name, "", unit, height=120)
-        _compared(shown, time, ("measured", recorded), ("predicted", predicted))
-        shown.line(time, residual, name="difference", color=_DIFFERENCE)
-        figures.append(shown)
-    over_one_x(figures, _TIME)
-    return figures
 
 
 def friction_curves(result: ExcitationIdentification, unit: str) -> list[figure]:
