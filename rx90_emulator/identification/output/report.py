@@ -40,7 +40,10 @@ def _render(template: str, date: datetime | None = None, unit: str = "Nm", **val
 
 def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, list[figure]]]:
     """Return validations with the names of their bags, and their plots."""
-    return [(check, Path(check.source).name, plots.validation(check)) for check in checks]
+    return [
+        (check, Path(check.source).name, [*plots.torques(check.torque, check.names, check.unit), *plots.tips(check)])
+        for check in checks
+    ]
 
 
 def check_page(checks: Sequence[Validation], friction_file: str) -> str:
@@ -65,7 +68,7 @@ def measured_page(result: MeasuredComparison, files: tuple[str, ...]) -> str:
         "measured.html.j2",
         result=result,
         files=files,
-        torques=plots.measured_torques(result),
+        torques=plots.torques(result.torque, result.names, "Nm", "simulated"),
         positions=plots.measured_positions(result),
     )
 
@@ -95,9 +98,7 @@ def report_page(result: FrictionIdentification, friction_file: str) -> str:
         checks=_checks(result.validations),
         friction_file=friction_file,
         curves=[plots.sliding_curve(name, curve) for name, curve in curves],
-        trends=[plots.sliding_trend(name, curve) for name, curve in curves],
         loops=[plots.presliding_loop(joint, *loop) for joint, loop in presliding.loops.items()],
-        correlations=plots.sliding_correlations(result),
     )
 
 
@@ -128,8 +129,6 @@ def excitation_page(
         friction=list(zip(result.problem.arm.element_names, rows, strict=True)),
         shown=list(units.items()),
         runs=[*(("fitted", run) for run in result.torques), *(("not used", run) for run in checked)],
-        drawn=[(run, plots.excitation_run(run, result.unit)) for run in (checked[:2] or [longest])],
+        drawn=[(run, plots.torques(run, run.names, result.unit)) for run in (checked[:2] or [longest])],
         curves=plots.friction_curves(result, result.unit),
-        spectra=plots.spectra(checked or result.torques, result.unit),
-        runs_named=[run.source.path.name for run in checked or result.torques],
     )

@@ -136,11 +136,12 @@ def measured_verdict(result: MeasuredComparison) -> str:
 
 def measured_summary(result: MeasuredComparison) -> str:
     """Return set-points, filters and lag, a row for each joint, and the verdict."""
+    torque = result.torque
     head = "joint", "torque RMS", "of measured", "worst", "of largest", "compared", "position RMS", "worst"
     rows = [
-        (name, f"{_number(result.torque_rms[k])} Nm", _number(result.torque_share[k], ".2%"),
-         f"{_number(result.torque_worst[k])} Nm", _number(result.worst_share[k], ".2%"),
-         f"{result.compared_share[k]:.0%}",
+        (name, f"{_number(torque.rms[k])} Nm", _number(torque.rms_share[k], ".2%"),
+         f"{_number(torque.worst[k])} Nm", _number(torque.worst_share[k], ".2%"),
+         f"{torque.compared[:, k].mean():.0%}",
          f"{1e3 * result.position_rms[k]:.3f} mrad", f"{1e3 * result.position_worst[k]:.3f} mrad")
         for k, name in enumerate(result.names)
     ]  # fmt: skip

@@ -163,7 +163,7 @@ def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Call
     page = (outcome.folder / "report.html").read_text(encoding="utf-8")
     assert page.count('<figure class="plot') >= 6
     assert len(page) < 3e6
-    for part in ("Spectra", "Parts of friction", "Physically consistent", "Filters"):
+    for part in ("Parts of friction", "Physically consistent", "Filters"):
         assert part in page
     assert "nan" not in re.sub(r"<(svg|script).*?</\1>", "", page, flags=re.DOTALL).lower().split()
     check_report(outcome.folder / "report.html")
