@@ -22,7 +22,6 @@ from rx90_common.friction import FrictionElement
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
     PARAMETERS,
-    ElementEstimate,
     IdentifiedElement,
     ParameterEstimate,
     with_passive_fading,
@@ -111,7 +110,8 @@ class FittedArm:
         if self.speeds[number][1] == 0.0:
             return dict.fromkeys(PARAMETERS, ParameterEstimate.unknown("at rest in all runs"))
         values, slopes = law.natural(self.fit.x[place])
-        deviation = np.sqrt(np.diag(slopes @ self.covariance[place, place] @ slopes.T))
+        variance = np.diag(slopes @ self.covariance[place, place] @ slopes.T)
+        deviation = np.sqrt(np.maximum(variance, 0.0))
         known = ~(slopes[:, ~self.determined[place]] != 0.0).any(axis=1)
         estimates = {}
         for name, value, size, determined in zip(values, values.values(), deviation, known, strict=True):
@@ -121,16 +121,6 @@ class FittedArm:
             if name not in estimates:
                 estimates[name] = ParameterEstimate.unknown(self._missing(number, _PART_OF[name]))
         return {name: estimates[name] for name in PARAMETERS}
-
-    def element_covariance(self, number: int) -> Array:
-        """Return the covariance of an element's estimates, in the order of PARAMETERS, shape (p, p)."""
-        place = places(self.laws)[number]
-        values, slopes = self.laws[number].natural(self.fit.x[place])
-        own = slopes @ self.covariance[place, place] @ slopes.T
-        order = [PARAMETERS.index(name) for name in values]
-        covariance = np.zeros((len(PARAMETERS),) * 2)
-        covariance[np.ix_(order, order)] = own
-        return covariance
 
     def _missing(self, number: int, part: Part) -> str:
         """Return why an element does not have a part."""
@@ -226,24 +216,15 @@ def identified_elements(
     return tuple(elements)
 
 
-def element_estimates(problem: ExcitationProblem, fitted: FittedArm) -> tuple[ElementEstimate, ...]:
-    """Return the estimates of all elements with their correlations."""
-    sources = tuple(run.source for run in problem.runs)
-    return tuple(
-        ElementEstimate.of(name, fitted.estimates(number), fitted.element_covariance(number), sources)
-        for number, name in enumerate(fitted.arm.element_names)
-    )
-
-
 def _element(fitted: FittedArm, number: int, other: FrictionElement | None, least: float) -> FrictionElement:
     """Return an element; `other`, or the `least` Coulomb torque and assumed bristles, replace what is missing."""
     law = fitted.laws[number]
     x = fitted.fit.x[places(fitted.laws)[number]]
     if fitted.speeds[number][1] == 0.0:
-        law = Law()
-        x = np.array([0.0, 0.0])
         if other is not None:
             return other
+        law = Law()
+        x = np.zeros(len(law.names))
     coulomb = law.names.index("tau_c")
     if x[coulomb] <= 0.0:
         x = x.copy()
