@@ -17,7 +17,7 @@ from rx90_common.base.quoting import quoted
 
 COULOMB_VISCOUS = "coulomb-viscous"
 SLIDING_PARTS = ("viscous-exponent", "stribeck-rise")
-MODEL_PARTS = (*SLIDING_PARTS, "bristle", "bristle-damping")
+MODEL_PARTS = (*SLIDING_PARTS, "bristle")
 """Parts that a friction model may have beside Coulomb and viscous friction, by their names in tables."""
 
 
@@ -27,8 +27,6 @@ def model_parts(model: Sequence[str], accepted: Sequence[str] = MODEL_PARTS) -> 
     if unknown or not model:
         found = quoted(unknown[0]) if unknown else "no part"
         raise ConfigError(f"--model: {found}; accepted: {', '.join((COULOMB_VISCOUS, *accepted))}")
-    if "bristle-damping" in model and "bristle" not in model:
-        raise ConfigError("--model: bristle-damping without bristle; accepted: both, or neither")
     return tuple(name for name in accepted if name in model)
 
 

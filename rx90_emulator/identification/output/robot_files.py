@@ -30,14 +30,14 @@ from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_emulator.identification.arm import RigidArm, all_joints
+from rx90_emulator.identification.bodies import central
 from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate, digits
-from rx90_emulator.identification.excitation.bodies import central
-from rx90_emulator.identification.excitation.choice import CrossValidation
-from rx90_emulator.identification.excitation.result import ASSUMED, ExcitationIdentification, misfits
+from rx90_emulator.identification.fitted import ASSUMED
 from rx90_emulator.identification.output.assumed_files import assumed_files
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.summary import bodies_warnings, in_currents
 from rx90_emulator.identification.records import in_unit
+from rx90_emulator.identification.result import ExcitationIdentification
 from rx90_emulator.identification.validation.verdict import RunTorques
 
 
@@ -243,7 +243,7 @@ def robot_texts(
             bandwidths=result.problem.runs[0].bandwidths,
             unit=result.unit,
             warnings=notes,
-            speeds=dict(zip(elements, result.speed_ranges, strict=True)),
+            speeds=dict(zip(elements, result.fitted.speeds, strict=True)),
         ),
     }
     if base is None:
@@ -357,16 +357,9 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         date: of the identification.
         versions: of interpreter and libraries.
     """
-    friction = result.friction
+    fitted = result.fitted
     bandwidths = result.problem.runs[0].bandwidths
     bodies = result.consistency.inertias
-
-    def checked(prefix: str, check: CrossValidation | None) -> dict[str, Any]:
-        if check is None:
-            return {}
-        numbers = {"relative_error": check.relative, "gain": check.gain, "gain_deviation": check.gain_deviation}
-        return {f"cross_validated_by_{prefix}": _rounded(numbers)}
-
     content: dict[str, Any] = {
         "date": date.isoformat(timespec="seconds"),
         "versions": dict(versions),
@@ -384,19 +377,21 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             name: {parameter: _estimate(estimate) for parameter, estimate in one.estimates.items()}
             for name, one in zip(result.problem.arm.element_names, result.elements, strict=True)
         },
-        "models": [
-            {"name": row.name, "parameters": row.parameters, "relative_error": digits(row.relative_all)}
-            | checked("blocks", row.by_blocks)
-            | {"kept": row.kept, "reason": row.reason}
-            | checked("runs", row.by_runs)
-            for row in friction.models
+        "trials": [
+            {
+                "element": result.problem.arm.element_names[trial.element],
+                "part": trial.part.value,
+                "kept": trial.kept,
+                "reason": trial.reason,
+            }
+            for trial in fitted.trials
         ],
         "fit": {run.source.path.name: _torques(run) for run in result.torques},
         "validation": {
             one.torques.source.path.name: {
                 "confirmed": one.passed,
                 **_torques(one.torques),
-                "relative_with_consistent_inertias": digits(one.consistent.total_share),
+                "simplest": _torques(one.simplest),
                 "by_files": _torques(one.files),
             }
             for one in result.validations
@@ -409,22 +404,18 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             ],
         },
     }
-    variance = friction.fit.covariance.diagonal()
-    deviation = np.sqrt(np.where((variance > 0.0) & np.isfinite(variance), variance, np.nan))
-    correlation = (friction.fit.covariance / np.outer(deviation, deviation)).tolist()
+    deviation = np.where(fitted.determined, fitted.deviation, np.nan)
+    correlation = (fitted.covariance / np.outer(deviation, deviation)).tolist()
     content |= {
         "not_determined": list(result.undetermined),
-        "misfits": misfits(result.speeds),
-        "drifts": [one.text for one in result.trends],
         "remarks": [
             *in_currents(result),
             *result.notes,
-            *friction.remarks,
             *result.warnings,
             *bodies_warnings(result),
         ],
         "correlation": {
-            "names": list(friction.names),
+            "names": list(fitted.names),
             "matrix": [[None if math.isnan(share) else round(share, 3) for share in row] for row in correlation],
         },
     }
@@ -445,9 +436,11 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
 
 
 def _torques(run: RunTorques) -> dict[str, Any]:
-    columns = zip(run.rms.tolist(), run.share.tolist(), run.chi_square.tolist(), strict=True)
-    figures = [_rounded(dict(zip(("rms", "relative", "chi_square"), row, strict=True))) for row in columns]
-    # Of torques that were smoothed before, which have next to no noise, chi^2 tells nothing, nor shares of no torque.
+    figures = [
+        _rounded({"rms": rms, "relative": share})
+        for rms, share in zip(run.rms.tolist(), run.share.tolist(), strict=True)
+    ]
+    # A joint without torque has no share of it.
     figures = [{key: value for key, value in row.items() if not value > LARGEST} for row in figures]
     joints = {name: row for name, row in zip(run.names, figures, strict=True) if "rms" in row}
     return {"relative": digits(run.total_share), "joints": joints}
