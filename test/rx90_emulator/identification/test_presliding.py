@@ -130,7 +130,7 @@ def test_a_fit_without_noise(fourth: tuple[Setup, list[Any]]) -> None:
     assert not first.identifiable
     assert np.isnan(first.value)
     assert "micro-oscillation" in first.reason
-    spreads = [100.0 * sliding_covariance(element) for element in setup.friction.elements]
+    spreads = [1000.0 * sliding_covariance(element) for element in setup.friction.elements]
     known, assumed = (one.estimates[3].parameters for one in (fit, fitted(setup, records, spreads)))
     for name in ("c0", "c1"):
         assert assumed[name].value == known[name].value
