@@ -40,7 +40,7 @@ from rx90_emulator.identification.options import (
     RobotOptions,
     model_parts,
 )
-from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
+from rx90_emulator.identification.presliding import PreslidingFit, identify_presliding
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.rows.filtering import Bandwidths
@@ -381,9 +381,7 @@ def identify_records(
         known = [_element(one, bristles, other) for one, other in zip(slides.estimates, fallback, strict=True)]
         seven = len(SLIDING)  # presliding does not depend on a viscous exponent
         covariances = [estimate.covariance()[:seven, :seven] for estimate in slides.estimates]
-        cycles = identify_presliding(
-            presliding, arm, known, robot.options.torque_delay, covariances, robot.plant_period
-        )
+        cycles = identify_presliding(presliding, arm, known, robot.options.torque_delay, covariances)
     else:
         reason = "no bag with micro-oscillations was given"
         cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names))
