@@ -225,7 +225,7 @@ def _identified(arm: SyntheticArm, logs: Sequence[JointLog], folder: Path, ignor
     result = Measured({}, [], [], said.processor)
     if said.broken:
         result.wrong.append(said.broken)
-    if said.code not in {0, 1}:
+    if not (folder / "found" / "parameters.yaml").is_file():
         result.wrong.append(_refused(said))
         return result
     if said.code == 1 and ignored is None:
@@ -439,7 +439,7 @@ def recorded(job: Job, folder: Path, arm: Recording | None = None, signals: str 
     logs = sorted(source.glob("fit*.csv"))
     said = excitation(logs, [source / "unseen.csv"], source / signals, folder / "found", _options(arm, source))
     result = Measured({"code": said.code}, [], [said.broken] if said.broken else [], said.processor)
-    if said.code not in {0, 1}:
+    if not (folder / "found" / "parameters.yaml").is_file():
         result.wrong.append(_refused(said))
         return result
     written = Written(folder / "found" / "friction.yaml")
@@ -465,7 +465,7 @@ def independent(job: Job, folder: Path) -> Measured:
         [source / "fit.csv"], [], source / "signals.yaml", folder / "found", [*_options(arm, source), *PLAIN_MODEL]
     )
     result = Measured({}, [], [said.broken] if said.broken else [], said.processor)
-    if said.code:
+    if not (folder / "found" / "parameters.yaml").is_file():
         result.wrong.append(_refused(said))
         return result
     written = Written(folder / "found" / "friction.yaml")
@@ -501,7 +501,9 @@ def ramps(job: Job, folder: Path) -> Measured:
     """Measure an emulated rig with the command, and compare f_c, f_v and J with what is true."""
     rig = source_rig() if job.name == "source" else random_rig(1, job.number, job.name)
     file = folder / "rig.yaml"
-    file.write_text(model_text(rig), encoding="utf-8")
+    content = yaml.safe_load(model_text(rig))
+    content.pop("file", None)  # where the rig was read
+    file.write_text(yaml.safe_dump(content), encoding="utf-8")
     said = run_warm([*RAMP, "--rig", file, "--seed", str(10_000 + job.number), OUTPUT, folder / "ramps"])
     result = Measured({}, [], [said.broken] if said.broken else [], said.processor)
     if not (folder / "ramps" / "estimates.yaml").is_file():
@@ -585,7 +587,7 @@ def falling(job: Job, folder: Path) -> Measured:
         files[:-1], files[-1:], folder / "signals.yaml", folder / "found", ["--urdf", folder / "arm.urdf"]
     )
     result = Measured({}, [], [said.broken] if said.broken else [], said.processor)
-    if said.code not in {0, 1}:
+    if not (folder / "found" / "parameters.yaml").is_file():
         result.wrong.append(_refused(said))
         return result
     written = Written(folder / "found" / "friction.yaml")
