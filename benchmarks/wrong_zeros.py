@@ -21,7 +21,7 @@ from benchmarks.excitation_coverage import Case
 from benchmarks.excitation_runs import MISFIT, NOISE, Disturbances
 from benchmarks.random_arms import SyntheticArm, random_arm
 from benchmarks.report import arguments, merge, print_table
-from rx90_emulator.identification.checks import Recorded, suspicion
+from rx90_emulator.identification.sanity import Recorded, find_mistakes
 
 CONDITIONS = {"noise": NOISE, "misfit": MISFIT}
 RATE = 250.0
@@ -72,14 +72,14 @@ def main() -> int:
         joint, turn = int(rng.integers(1, len(arm.links) - 1)), rng.choice([-0.5, 0.5]) * np.pi
         for condition, disturbances in CONDITIONS.items():
             case = Case.of(arm, disturbances, RATE, 1, seed)
-            runs = Recorded.of(case.problem([case.run(0), case.run(1)]))
+            runs = Recorded.of([case.run(0).record(arm), case.run(1).record(arm)], case.rigid)
             for name, recorded in (("excitation", runs), ("sweeps", sweeps(seed, arm, disturbances))):
                 key = f"zeros_{name}_{condition}"
-                alarms[key].append(bool(suspicion(case.rigid, recorded)[0]))
+                alarms[key].append(bool(find_mistakes(case.rigid, recorded)[0]))
                 motion = recorded.motion.copy()
                 motion[0, :, joint] += turn
-                suspects, _ = suspicion(case.rigid, replace(recorded, motion=motion))
-                found[key].append(suspects == {joint: "zero"})
+                mistakes, _ = find_mistakes(case.rigid, replace(recorded, motion=motion))
+                found[key].append([(mistake.quantity, mistake.motors) for mistake in mistakes] == [("zero", (joint,))])
     rows = [(key, f"{np.mean(alarms[key]):.0%}", f"{np.mean(found[key]):.0%}") for key in alarms]
     print_table(("recording", "alarms with right zeros", "quarter turns named"), rows)
     merge({f"{key}_false": float(np.mean(said)) for key, said in alarms.items()})

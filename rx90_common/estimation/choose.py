@@ -1,9 +1,10 @@
 """Choose the law of each element by its error in blocks of data that the fit did not see.
 
-The parts are tried one after the other, on all elements at once: with a part, each block of rows is predicted by the
+All elements begin with all parts, because what one part explains another one imitates where it is missing. Then one
+part after the other, the last first, is left out of all elements at once, and each block of rows is predicted by the
 fit to the other blocks. An element keeps the part if that lowers the squares on its rows by more than one standard
-error over the blocks (the one-standard-error rule of Breiman et al. 1984), and if no parameter of the law ends at a
-bound: such a part imitates something else. Only omega_s may end at the top speed, where friction falls with speed.
+error over the blocks (the one-standard-error rule of Breiman et al. 1984), and if none of the part's parameters ends at
+a bound. Only omega_s may end at the top speed, where friction falls with speed.
 
 Leaving out a block takes one Gauss-Newton step from the fit to all rows, which is exact for linear parameters.
 """
@@ -23,6 +24,15 @@ from rx90_common.estimation.law import Law, Part
 
 MOST_FOLDS = 20
 """Blocks are joined to so many folds at most."""
+
+
+_OWN: dict[Part, tuple[str, ...]] = {
+    Part.STRIBECK: ("rise", "omega_s", "tau_c"),
+    Part.STRIBECK_EXPONENT: ("delta",),
+    Part.EXPONENT: ("alpha", "c2", "tau_c"),
+    Part.BRISTLE: ("stiffness",),
+}
+"""The parameters by which a part is judged. An exponent near its lower bound, or a rise, may stand in for tau_c."""
 
 
 @dataclass(frozen=True)
@@ -76,71 +86,69 @@ def choose(
 
     Args:
         rows: the equations.
-        parts: to try, in this order.
-        laws: to begin with, such as Coulomb and viscous friction for each element.
+        parts: to try, in the order of their plausibility: the last is left out first.
+        laws: that each element has at least, such as Coulomb and viscous friction.
         progress: called with the name of each part before its trial.
     """
     chosen = list(laws)
+    for part in parts:
+        chosen = [replace(law, parts=law.parts | {part}) for law in chosen]
+    progress("all parts")
     best = fit_laws(rows, chosen)
     weight = best.weight
     trials = []
-    for part in parts:
+    for part in reversed(parts):
         progress(part.value)
-        candidates = [_with(law, part) for law in chosen]
-        if candidates == chosen:
-            continue
-        richer = fit_laws(rows, candidates, weight, fitted_values(chosen, best.x))
-        before = held_out_squares(best)
-        after = held_out_squares(richer)
-        keeps = []
-        for number, place in enumerate(places(candidates)):
-            if candidates[number] != chosen[number]:
-                trial = _trial(rows, number, part, before, after)
-                keeps.append(replace(trial, bound=_at_bound(candidates[number], richer, place)))
-        trials += keeps
-        kept = {trial.element for trial in keeps if trial.kept}
-        if kept:
-            before_it = fitted_values(chosen, best.x)
-            with_it = fitted_values(candidates, richer.x)
-            known = [with_it[number] if number in kept else before_it[number] for number in range(len(chosen))]
-            chosen = [candidates[number] if number in kept else law for number, law in enumerate(chosen)]
-            best = fit_laws(rows, chosen, weight, known)
+        candidates = [_without(law, part) for law in chosen]
+        simpler = fit_laws(rows, candidates, weight, _known(chosen, candidates, best))
+        error = held_out_squares(best)
+        simpler_error = held_out_squares(simpler)
+        kept = []
+        for number, place in enumerate(places(chosen)):
+            trial = _trial(rows, number, part, simpler_error, error)
+            trial = replace(trial, bound=_at_bound(chosen[number], part, best, place))
+            trials.append(trial)
+            kept.append(chosen[number] if trial.kept else candidates[number])
+        if kept != chosen:
+            best = fit_laws(rows, kept, weight, _known(chosen, kept, best))
+            chosen = kept
     best = fit_laws(rows, chosen, known=fitted_values(chosen, best.x))
     return without_bound_parts(rows, Choice(tuple(chosen), best, tuple(trials)))
 
 
 def without_bound_parts(rows: FrictionRows, choice: Choice) -> Choice:
-    """Return the choice without the last part of each law that has a parameter at a bound, fitted anew."""
+    """Return the choice without the parts that have a parameter at a bound, fitted anew, the last part first."""
     laws = []
     for law, place in zip(choice.laws, places(choice.laws), strict=True):
-        parts = law.parts
-        if parts and _at_bound(law, choice.fit, place):
-            last = max(parts, key=list(Part).index)
-            parts = parts - {last}
-        laws.append(replace(law, parts=parts))
+        bad = [part for part in Part if part in law.parts and _at_bound(law, part, choice.fit, place)]
+        laws.append(_without(law, bad[-1]) if bad else law)
     if tuple(laws) == choice.laws:
         return choice
-    values = fitted_values(choice.laws, choice.fit.x)
-    known = [{name: own[name] for name in law.names} for law, own in zip(laws, values, strict=True)]
-    return without_bound_parts(rows, replace(choice, laws=tuple(laws), fit=fit_laws(rows, laws, known=known)))
+    result = fit_laws(rows, laws, known=_known(choice.laws, laws, choice.fit))
+    return without_bound_parts(rows, replace(choice, laws=tuple(laws), fit=result))
 
 
-def _at_bound(law: Law, result: Fit, place: slice) -> str:
-    """Return the name of a parameter at a bound that it may not end at; "" if there is none."""
+def _known(before: Sequence[Law], laws: Sequence[Law], result: Fit) -> list[dict[str, float]]:
+    """Return the fitted parameters that simpler laws have, too, element by element."""
+    values = fitted_values(before, result.x)
+    return [{name: own[name] for name in law.names} for law, own in zip(laws, values, strict=True)]
+
+
+def _at_bound(law: Law, part: Part, result: Fit, place: slice) -> str:
+    """Return the name of a parameter of a part that ends at a bound which it may not end at; "" if there is none."""
     problem = result.problem
     for number, name in enumerate(law.names, place.start):
         at_top = problem.upper[number] - result.x[number] < result.x[number] - problem.lower[number]
         falls = name == "omega_s" and at_top
-        if result.at_bound[number] and name not in ("c2", "c1") and not falls:
+        if result.at_bound[number] and name.startswith(_OWN[part]) and not falls:
             return name
     return ""
 
 
-def _with(law: Law, part: Part) -> Law:
-    """Return the law with one more part, or the law itself if it cannot have it."""
-    if part is Part.STRIBECK_EXPONENT and Part.STRIBECK not in law.parts:
-        return law
-    return replace(law, parts=law.parts | {part})
+def _without(law: Law, part: Part) -> Law:
+    """Return the law without a part; the Stribeck exponent goes with the rise."""
+    gone = {part, Part.STRIBECK_EXPONENT} if part is Part.STRIBECK else {part}
+    return replace(law, parts=law.parts - gone)
 
 
 def folds(result: Fit) -> Array:

@@ -34,7 +34,7 @@ estimated low, a smaller one takes a fifth for outliers."""
 MAD_TO_DEVIATION = 1.4826
 """Standard deviation of normal noise over the median of its absolute value."""
 LEAST_NOISE = 1e-9
-"""Noise of a group over its largest target, at least: keeps the weights finite for data without noise."""
+"""Noise of a group over the largest target, at least: keeps the weights finite for data without noise."""
 RANK = 1e-9
 """Length of a column's new part over that of the column, below which it is a combination of the others."""
 NEAR_BOUND = 1e-3
@@ -146,9 +146,9 @@ def fit(problem: Problem, weight: Array | None = None) -> Fit:
     if weight is not None:
         return _fitted(problem, problem.start, weight)
     groups = int(problem.group.max(initial=-1)) + 1
-    floor = np.array([_largest(problem.target[problem.group == g]) for g in range(groups)]) * LEAST_NOISE
+    least = max(LEAST_NOISE * float(np.abs(problem.target).max(initial=0.0)), np.finfo(np.float64).tiny ** 0.25)
     spread = np.array([np.std(problem.target[problem.group == g]) for g in range(groups)])
-    noise = np.maximum(spread, np.maximum(floor, np.finfo(np.float64).tiny ** 0.25))
+    noise = np.maximum(spread, least)
     x = problem.start
     weight = 1.0 / noise[problem.group] ** 2
     for _ in range(REWEIGHTINGS):
@@ -156,14 +156,10 @@ def fit(problem: Problem, weight: Array | None = None) -> Fit:
         x = result.x
         size = np.abs(result.residual)
         noise = np.array([_noise(size[problem.group == g]) for g in range(groups)])
-        noise = np.maximum(noise, np.maximum(floor, np.finfo(np.float64).tiny ** 0.25))
+        noise = np.maximum(noise, least)
         over = HUBER * noise[problem.group] / np.maximum(size, np.finfo(np.float64).tiny)
         weight = np.minimum(1.0, over) / noise[problem.group] ** 2
     return replace(_fitted(problem, x, weight), noise=noise, outlying=over < 1.0)
-
-
-def _largest(values: Array) -> float:
-    return float(np.abs(values).max(initial=0.0))
 
 
 def _noise(size: Array) -> float:

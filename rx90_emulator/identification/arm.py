@@ -203,6 +203,10 @@ class RigidArm:
         joints = list(self.model.joints)[1:]
         return np.array([width[joint.idx_q] if joint.nq == 1 else 0.0 for joint in joints])
 
+    def speeds(self) -> Array:
+        """Return the joints' greatest speeds by the URDF, rad/s, shape (n,); 0 where it has none."""
+        return np.asarray(np.where(np.isfinite(self.model.velocityLimit), self.model.velocityLimit, 0.0))
+
     def inertial_scale(self) -> Array:
         """Return how large errors of the inertial parameters can be at most, shape (10 n,), SI units.
 

@@ -31,7 +31,6 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
     with_passive_fading,
 )
-from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.experiments.plan import IdentificationBags, read_emulated, read_index
 from rx90_emulator.identification.options import (
     NO_TOLERANCES,
@@ -44,6 +43,7 @@ from rx90_emulator.identification.options import (
 from rx90_emulator.identification.presliding import PreslidingFit, identify_presliding
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import RecordedRobot
+from rx90_emulator.identification.rows.filtering import Bandwidths
 from rx90_emulator.identification.sliding import SlidingFit, identify_sliding
 from rx90_emulator.identification.validation.prediction import Validation, validate
 
@@ -51,6 +51,8 @@ _RATES = {"sliding": 250.0, "presliding": None, "excitation": 1000.0, "validatio
 """Rate, Hz, that records are averaged to, by use: plateaus are averaged anyway, a validation compares below 40 Hz, and
 the motion of an arm has no content near 1 kHz."""
 _MAX_TRAVEL_SHARE = 2.0  # of a joint's range: no offset of the zero explains more travel
+_MAX_SPEED_SHARE = 20.0  # of a joint's limit: descriptions state 1 rad/s where an arm does 5
+_LEAST_TRAVEL = 5e-3  # rad, of the joint that moves most
 _MAX_SHARED = 0.02  # of a validation's travel: two runs of a noiseless engine may begin with the same samples
 
 
@@ -95,8 +97,9 @@ class FrictionIdentification:
 
     @property
     def confirmed(self) -> bool:
-        """Return whether every validation agrees; True without any."""
-        return all(check.passed for check in self.validations)
+        """Return whether every validation agrees, if there is any, and nothing looks wrong."""
+        agrees = all(check.passed and not check.alarms for check in self.validations)
+        return agrees and not self.sliding.doubt
 
     @property
     def identified_elements(self) -> tuple[str, ...]:
@@ -266,8 +269,7 @@ def _bandwidths(file: FrictionFile, where: str) -> Bandwidths | None:
         raise IdentificationError(
             f"{where}: identification.bandwidths is {plain(str(found))}; accepted: position and torque above 0 Hz"
         )
-    recorded = found.get("recorded_velocity") is True
-    return Bandwidths(numbers[0], numbers[1], "those of the identified runs", recorded)
+    return Bandwidths(numbers[0], numbers[1], "those of the identified runs")
 
 
 def check_given_once(bags: Mapping[str, Sequence[Path]]) -> None:
@@ -298,12 +300,7 @@ def read_records(
     for use, path, layout in layouts:
         progress(path.name)
         record = read_record(path, layout, _RATES[use], currents=currents).of_joints(robot.arm.names)
-        for name, travel, width in zip(record.names, np.ptp(record.position, axis=0), robot.arm.ranges(), strict=True):
-            if 0.0 < _MAX_TRAVEL_SHARE * width < travel:  # angles in degrees, or of the motor
-                raise IdentificationError(
-                    f"{path}: {name} moves through {travel:.3g} rad, in its URDF through {width:.3g} rad at most; "
-                    "accepted: angles of the joints in rad, or of the motors with their --gear"
-                )
+        _check_motion(record, robot.arm, still=use not in ("excitation", "validation"))
         records[use].append(record)
     units = {record.unit: record.source for some in records.values() for record in some}
     if len(units) > 1:
@@ -314,6 +311,28 @@ def read_records(
     for record in records["validation"]:
         _check_unseen(record, used)
     return records
+
+
+def _check_motion(record: JointRecord, arm: RigidArm, *, still: bool) -> None:
+    """Refuse motions beyond the description, which are in another unit, and runs in which no joint moves."""
+    where = record.source
+    if not still and np.ptp(record.position, axis=0).max() < _LEAST_TRAVEL:
+        raise IdentificationError(f"{where}: no joint moves; accepted: runs in which the joints move")
+    speeds = np.quantile(np.abs(record.velocity), 0.99, axis=0)
+    travels = np.ptp(record.position, axis=0)
+    limits = zip(record.names, travels, arm.ranges(), speeds, arm.speeds(), strict=True)
+    for name, travel, width, speed, fastest in limits:
+        if 0.0 < _MAX_TRAVEL_SHARE * width < travel:
+            raise IdentificationError(
+                f"{where}: {name} moves through {travel:.3g} rad, in its URDF through {width:.3g} rad at most, which "
+                "looks like deg or angles of the motor; accepted: angles of the joints in rad, or of the motors with "
+                "their --gear"
+            )
+        if 0.0 < _MAX_SPEED_SHARE * fastest < speed:
+            raise IdentificationError(
+                f"{where}: {name} moves at {speed:.3g} rad/s, by its URDF at {fastest:.3g} rad/s at most, which looks "
+                "like a time in another unit; accepted: s, rad and rad/s"
+            )
 
 
 def _check_unseen(record: JointRecord, used: Sequence[JointRecord]) -> None:

@@ -6,8 +6,9 @@ record = read_record("bag", layout)
 from __future__ import annotations
 
 import hashlib
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from functools import cached_property
@@ -38,7 +39,16 @@ _BANDWIDTH_HZ = 40.0  # Hz, of velocities differentiated from positions
 _MAX_VELOCITY_RATIO = 2.0  # largest ratio between a velocity and the change of its position
 # s of a comparison of the two; rad/s, RMS, below which they are not compared
 _COMPARED_S = 0.1
-_REST_SPEED = 1e-2
+_COMPARED_SPEED = 1e-2
+_UNITS = {
+    180.0 / math.pi: ", so it looks like deg/s",
+    math.pi / 180.0: ", so the position looks like deg",
+    30.0 / math.pi: ", so it looks like rpm",
+    1e3: ", so the time looks like ms",
+    1e6: ", so the time looks like us",
+    1e9: ", so the time looks like ns",
+}
+"""What a velocity over the change of a position, without these units, looks like."""
 _MIN_DISTINCT_VELOCITIES = 1000  # distinct velocities, below which they count as quantised
 _MAX_VALUE = 1e9  # rad, rad/s, Nm or A
 _STORAGE = (".mcap", ".db3", ".bag")
@@ -122,6 +132,7 @@ class JointRecord:
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
         no_velocity: why the velocities are differences of positions; empty where they were recorded.
         shocks: begin and end of the times whose torque is not the arm's, s.
+        alarms: what looks wrong in the log and was mended, a sentence each.
         content: for the comparison with other logs; None for a record that was not read from a file.
         unit: of the torques, as in BagSource.
     """
@@ -137,6 +148,7 @@ class JointRecord:
     outliers: int = 0
     no_velocity: str = "none were recorded"
     shocks: tuple[tuple[float, float], ...] = ()
+    alarms: tuple[str, ...] = ()
     content: Content | None = None
     unit: str = "Nm"
 
@@ -162,6 +174,17 @@ class JointRecord:
         return BagSource(
             self.source, self.sha256, duration, self.missing, self.outliers, float(self.time[0]), self.unit
         )
+
+
+_REST_SPEED = 0.05  # rad/s, and share of the fastest joint's speed: below both a joint rests
+
+
+def moving(velocity: Array) -> Mask:
+    """Return which joints do not rest throughout, shape (n,), by their velocities, rad/s, shape (m, n)."""
+    if not len(velocity):
+        return np.zeros(velocity.shape[1], np.bool_)
+    usual = np.quantile(np.abs(velocity), 0.9, axis=0)
+    return np.asarray(usual > _REST_SPEED * np.clip(usual.max(initial=0.0), 1e-3, 1.0))
 
 
 def block_means(values: NDArray[Any], size: int) -> Array:
@@ -261,6 +284,19 @@ def read_record(
         if most > _MAX_VALUE or 0.0 < most < least:
             accepted = f"{least:g} to {_MAX_VALUE:g}" if least else f"up to {_MAX_VALUE:g}"
             raise IdentificationError(f"{where}: the largest {name} is {most:.3g}; accepted: {accepted}")
+    names = (*layout.messages, *layout.followed)
+    alarms = []
+    held = repeated_samples(fields["position"])
+    if held is not None:
+        changes = np.count_nonzero(held) / (time[-1] - time[0])
+        alarms.append(
+            f"{path}: the positions change {changes:.3g} times a second, in {len(time) / (time[-1] - time[0]):.3g} "
+            "samples; the first sample with each is used; accepted: a log with a new position in each sample"
+        )
+        time = time[held]
+        fields = {name: values[held] for name, values in fields.items()}
+    if layout.turns is None:
+        alarms += [f"{path}: {alarm}" for alarm in _unwrap(names, time, fields["position"])]
     no_velocity = JointRecord.no_velocity
     if "velocity" not in fields:
         fields["velocity"] = _differentiated(time, fields["position"])
@@ -269,22 +305,31 @@ def read_record(
         fewest = min(_MIN_DISTINCT_VELOCITIES, len(time) / 4)
         poor = [k for k, column in enumerate(velocity.T) if len(np.unique(column)) < fewest]
         velocity[:, poor] = _differentiated(time, fields["position"][:, poor])
-        no_velocity = f"those of {listed([layout.messages[k] for k in poor])} have few values" if poor else ""
-        _check_velocity(where, layout, time, fields["position"], velocity)
+        no_velocity = f"those of {listed([names[k] for k in poor])} have few values" if poor else ""
+        _check_velocity(where, names, time, fields["position"], velocity)
     content = Content.of(fields["position"], fields["effort"])
     joints = layout.joint_side({name: values[:, :own] for name, values in fields.items()})
     together = {name: np.hstack([values, fields[name][:, own:]]) for name, values in joints.items()}
     size = 1 if rate is None or len(time) < 2 else round((len(time) - 1) / (time[-1] - time[0]) / rate)
-    columns = time, together["position"], together["velocity"], together["effort"]
-    time, position, velocity, torque = (block_means(values, max(size, 1)) for values in columns)
+    size = max(size, 1)
     outliers = len(series.stamp_ns) - len(good)
-    names = (*layout.names, *layout.followed)
     kind = "A" if unit == "A" and layout.torque_constant is None else "Nm"
     missing = _missing(series.time)
     return JointRecord(
-        names, time, position, velocity, torque, path, digest(path), missing, outliers, no_velocity,
-        content=content, unit=kind,
-    )  # fmt: skip
+        (*layout.names, *layout.followed),
+        block_means(time, size),
+        block_means(together["position"], size),
+        block_means(together["velocity"], size),
+        block_means(together["effort"], size),
+        path,
+        digest(path),
+        missing,
+        outliers,
+        no_velocity,
+        alarms=tuple(alarms),
+        content=content,
+        unit=kind,
+    )
 
 
 def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
@@ -304,6 +349,45 @@ def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
     if len(rows) == 0:
         raise IdentificationError(f"{where} carries no message with finite numbers alone")
     return np.asarray(rows[~(spikes(series.fields["position"][rows]) | spikes(series.fields["effort"][rows]))])
+
+
+_LEAST_STEPS = 5.0  # of an encoder between samples, above which it moves too fast to repeat a position
+
+
+def repeated_samples(position: Array) -> Mask | None:
+    """Return which samples are new where each position is repeated, as in a log faster than its source, else None.
+
+    Where the arm rests, as many samples are kept.
+
+    Args:
+        position: shape (m, n).
+    """
+    steps = np.abs(np.diff(position, axis=0))
+    changed = np.append(True, steps.any(axis=1))
+    lengths = np.diff(np.flatnonzero(changed))
+    if len(lengths) < 2 or np.median(lengths) < 2.0:
+        return None
+    least = np.min(steps, axis=0, where=steps > 0.0, initial=np.inf)
+    if np.median((steps[changed[1:]] / least).max(axis=1)) < _LEAST_STEPS:
+        return None
+    count = np.arange(len(changed))
+    since = count - np.maximum.accumulate(np.where(changed, count, 0))
+    return np.asarray(since % math.ceil(1.5 * float(np.median(lengths))) == 0)
+
+
+def _unwrap(names: Sequence[str], time: Array, position: Array) -> Iterator[str]:
+    """Continue positions, in place, where they jump by whole turns from a sample to the next; yield what was done."""
+    near = np.diff(time) < 3.5 * np.median(np.diff(time)) if len(time) > 1 else np.zeros(0, np.bool_)
+    for name, column in zip(names, position.T, strict=True):
+        turns = np.where(near, np.rint(np.diff(column) / math.tau), 0.0)
+        jumps = np.flatnonzero(turns)
+        if len(jumps):
+            first = int(jumps[0]) + 1
+            column[1:] -= math.tau * np.cumsum(turns)
+            yield (
+                f"the position of {quoted(name)} jumps by 2 pi at sample {first}, {time[first] - time[0]:.6g} s after "
+                f"the first, and {len(jumps)} times in all; it is continued; accepted: positions that do not wrap"
+            )
 
 
 def _missing(time: Array) -> int:
@@ -330,7 +414,7 @@ def _differentiated(time: Array, position: Array) -> Array:
     return np.column_stack([np.interp(time, even, column) for column in slope.T])
 
 
-def _check_velocity(where: str, layout: BagLayout, time: Array, position: Array, velocity: Array) -> None:
+def _check_velocity(where: str, names: Sequence[str], time: Array, position: Array, velocity: Array) -> None:
     """Refuse velocities whose integrals over a window differ from the change of position in size or sign."""
     size = max(1, round(_COMPARED_S * (len(time) - 1) / max(time[-1] - time[0], 1e-9)))
     edges = np.arange(0, len(time), size)
@@ -340,10 +424,11 @@ def _check_velocity(where: str, layout: BagLayout, time: Array, position: Array,
     distance = np.diff(position[edges], axis=0)[whole]
     integral = np.diff(travelled[edges], axis=0)[whole]
     power = (distance**2).sum(axis=0)
-    for k in np.flatnonzero(power > len(distance) * (_REST_SPEED * _COMPARED_S) ** 2).tolist():
+    for k in np.flatnonzero(power > len(distance) * (_COMPARED_SPEED * _COMPARED_S) ** 2).tolist():
         factor = float(distance[:, k] @ integral[:, k] / power[k])
         if not 1.0 / _MAX_VELOCITY_RATIO < factor < _MAX_VELOCITY_RATIO:
+            looks = next((text for unit, text in _UNITS.items() if 0.9 < factor / unit < 1.1), "")
             raise IdentificationError(
-                f"{where}: the velocity of {quoted((*layout.messages, *layout.followed)[k])} is {factor:.3g} times the "
-                "change of its position; accepted: rad and rad/s, of the same sign"
+                f"{where}: the velocity of {quoted(names[k])} is {factor:.3g} times the change of its position{looks}; "
+                "accepted: s, rad and rad/s, of the same sign"
             )

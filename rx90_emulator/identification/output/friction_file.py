@@ -24,9 +24,9 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
     digits,
 )
-from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.records import BagSource, in_unit
+from rx90_emulator.identification.rows.filtering import Bandwidths
 
 _REMARKS = """\
 #
@@ -87,7 +87,6 @@ def elements_text(
         identification["unit"] = unit
     if bandwidths is not None:
         identification["bandwidths"] = {"position": float(bandwidths.position), "torque": float(bandwidths.torque)}
-        identification["bandwidths"] |= {"recorded_velocity": True} if bandwidths.recorded_velocity else {}
     if result is not None:
         curves = zip(names, result.sliding.curves, strict=True)
         sizes = {name: np.abs(curve.velocity) for name, curve in curves if curve is not None}

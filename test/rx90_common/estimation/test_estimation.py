@@ -196,7 +196,7 @@ def test_each_element_gets_the_parts_that_it_has() -> None:
     plain = element(tau_s=5.0)
     truths = [plain, element(), element(tau_s=5.0, alpha=0.6), element(tau_c=1.0, tau_s=3.0, omega_s=1.5, c2=0.0)]
     rows = sweeps(truths, noise=0.005, common=0.005)
-    chosen = choose(rows, [Part.STRIBECK, Part.STRIBECK_EXPONENT, Part.EXPONENT], [Law()] * 4)
+    chosen = choose(rows, [Part.STRIBECK, Part.EXPONENT, Part.STRIBECK_EXPONENT], [Law()] * 4)
     parts = [law.parts for law in chosen.laws]
     assert Part.STRIBECK in parts[1]
     assert Part.STRIBECK in parts[3]

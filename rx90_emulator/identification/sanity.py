@@ -1,0 +1,478 @@
+"""Whether a log can be one of the described arm: gears and units, signs, zeros, swapped columns, delay of the torque.
+
+A result with an alarm is at most "confirmed, but ...": a model with a mistake often predicts an unseen run well, for
+that has the same mistake.
+
+The simplest model (rigid body, Coulomb and viscous friction of 0 or more) is fitted to the motion and torque of a log,
+and again with each usual mistake undone: a sign or a quarter turn of one motor, opposite quarter turns or swapped
+columns of two, a delay of all torques. The mistake that clearly explains the torque better is named, and the search
+goes on with it undone. Of mistakes that explain it equally well, as of an arm that moves like its mirror image, one is
+named; a mistake that the rigid body compensates, such as the zero of a vertical first axis, is never found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from scipy.interpolate import CubicSpline
+from scipy.optimize import nnls
+from scipy.signal import butter, sosfiltfilt
+
+from rx90_common.base.arrays import Array, Index, Mask
+from rx90_common.base.quoting import listed
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.options import SHIPPED_ROBOT, RobotOptions
+from rx90_emulator.identification.records import JointRecord, block_means, moving
+
+_BAND_HZ = 5.0  # of the low-pass of motion and torque: arms move below it
+_MOST_INSTANTS = 500  # evenly spread over all runs
+_BLOCK_S = 2.0  # s, within which errors count as correlated
+_SLOW_SPEED = 0.05  # rad/s, and a tenth of an element's usual speed: below both its torque is that of its bristles
+LAGS = np.arange(-20, 21) * 5e-3
+"""By how much the torque may be late, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Motion and torque of n joints at m instants, through the same low-pass.
+
+    Attributes:
+        motion: position, velocity and acceleration, rad and s, shape (3, m, n).
+        torque: Nm, shape (m, n).
+        used: where no friction element that acts on the joint rests, shape (m, n).
+        block: number of the stretch within which errors are correlated, shape (m,).
+        later: the torque that was recorded later by each of LAGS, Nm, shape (l, m, n); None for plateaus.
+    """
+
+    motion: Array
+    torque: Array
+    used: Mask
+    block: Index
+    later: Array | None = None
+
+    @classmethod
+    def of(cls, records: Sequence[JointRecord], arm: RigidArm) -> Recorded:
+        """Return the filtered motion and torque of some instants of records."""
+        duration = sum(float(record.time[-1] - record.time[0]) for record in records)
+        step = max(duration / _MOST_INSTANTS, 0.25 / _BAND_HZ)
+        parts = [_filtered(record, step) for record in records]
+        motion = np.concatenate([motion for motion, _ in parts], axis=1)
+        later = np.concatenate([torque for _, torque in parts], axis=1)
+        velocity = motion[1] @ arm.element_matrix.T
+        usual = np.quantile(np.abs(velocity), 0.9, axis=0) if len(velocity) else np.zeros(velocity.shape[1])
+        slow = (np.abs(velocity) < np.minimum(_SLOW_SPEED, 0.1 * usual)) | ~moving(velocity)
+        used = ~(slow @ (arm.element_matrix != 0.0)) & arm.identified
+        block = (np.arange(len(used)) * step / _BLOCK_S).astype(np.intp)
+        return cls(motion, later[len(LAGS) // 2], used, block, later)
+
+
+def _filtered(record: JointRecord, step: float) -> tuple[Array, Array]:
+    """Return the motion, (3, m, n), and the torque at all lags, (l, m, n), at instants that are `step` s apart."""
+    size = max(1, round(1.0 / (40.0 * _BAND_HZ * max(record.period, 1e-9))))
+    stamp = block_means(record.time, size)
+    position = block_means(record.position, size)
+    torque = block_means(record.torque, size)
+    rate = 1.0 / max(size * record.period, 1e-9)
+    band = min(_BAND_HZ, 0.1 * rate)
+    margin = 1.0 / band + float(LAGS[-1])
+    count = math.floor((record.time[-1] - record.time[0] - 2.0 * margin) / step)
+    if count < 1:
+        return np.empty((3, 0, position.shape[1])), np.empty((len(LAGS), 0, position.shape[1]))
+    even = np.arange(stamp[0], stamp[-1], 1.0 / rate)
+    series = np.column_stack([np.interp(even, stamp, column) for column in np.hstack([position, torque]).T])
+    sections = butter(2, band, fs=rate, output="sos")
+    curve = CubicSpline(even, sosfiltfilt(sections, series, axis=0))
+    n = position.shape[1]
+    at = record.time[0] + margin + step * np.arange(count)
+    gap = np.flatnonzero(np.diff(record.time) > 4.0 * record.period)
+    at = at[[not np.any((record.time[gap] < t + margin) & (record.time[gap + 1] > t - margin)) for t in at]]
+    motion = np.stack([curve(at)[:, :n], curve(at, 1)[:, :n], curve(at, 2)[:, :n]])
+    return motion, np.stack([curve(at + lag)[:, n:] for lag in LAGS])
+
+
+class Mistake(NamedTuple):
+    """What may be wrong with the messages of one motor, of two or of all, by what undoes it.
+
+    Attributes:
+        quantity: in words.
+        motors: indices.
+        gear: factor of the gear, which turns motion and torque round.
+        constant: factor of the torque constant.
+        turn: to be added to the zero of the joint, rad, and to be subtracted from that of the second one.
+        swapped: whether positions, and whether efforts of the two are each other's.
+        delay: by how much all torques are late, s.
+    """
+
+    quantity: str
+    motors: tuple[int, ...] = ()
+    gear: float = 1.0
+    constant: float = 1.0
+    turn: float = 0.0
+    swapped: tuple[bool, bool] = (False, False)
+    delay: float = 0.0
+
+    def positions(self, count: int) -> Array:
+        """Return right positions for given ones of so many motors, shape (n, n)."""
+        return self._matrix(count, self.gear, swapped=self.swapped[0])
+
+    def efforts(self, count: int) -> Array:
+        """Return right efforts for given ones, shape (n, n)."""
+        return self._matrix(count, self.gear * self.constant, swapped=self.swapped[1])
+
+    @property
+    def turns(self) -> Array:
+        """Return what is to be added to the zero of each of the motors' joints, rad."""
+        return self.turn * np.array([1.0, -1.0])[: len(self.motors)]
+
+    def text(self, names: Sequence[str]) -> str:
+        """Return it in words."""
+        if self.delay:
+            return f"{self.quantity} by {1e3 * self.delay:.0f} ms"
+        return f"{self.quantity} of {' and '.join(names[motor] for motor in self.motors)}"
+
+    def _matrix(self, count: int, sign: float, *, swapped: bool) -> Array:
+        matrix = np.eye(count)
+        motors = list(self.motors)
+        if swapped:
+            matrix[motors] = matrix[motors[::-1]]
+        matrix[motors] *= sign
+        return matrix
+
+
+def _mistakes(motors: Sequence[int]) -> Iterator[Mistake]:
+    """Yield mistakes, the usual before the rare."""
+    for motor in motors:
+        yield Mistake("sign of the effort", (motor,), constant=-1.0)
+        yield Mistake("sign of the gear", (motor,), gear=-1.0)
+        yield Mistake("sign of the position", (motor,), gear=-1.0, constant=-1.0)
+        for quarters in (-1, 1, 2):
+            yield Mistake("zero", (motor,), turn=0.5 * math.pi * quarters)
+    for pair in pairwise(motors):
+        for quarters in (-1, 1):
+            yield Mistake("zeros", pair, turn=0.5 * math.pi * quarters)
+    for pair in combinations(motors, 2):
+        yield Mistake("order of the columns", pair, swapped=(True, True))
+        yield Mistake("order of the efforts", pair, swapped=(False, True))
+        yield Mistake("order of the positions", pair, swapped=(True, False))
+
+
+class _SimplestModel:
+    """Rigid body, Coulomb and viscous friction at the used rows of a motion.
+
+    Args:
+        arm: n joints; its inertias are not used.
+        motion: shape (3, m, n).
+        used: shape (m, n).
+        size: usual torque of each joint, which weighs its r rows, Nm, shape (n,).
+    """
+
+    def __init__(self, arm: RigidArm, motion: Array, used: Mask, size: Array) -> None:
+        row, joint = np.nonzero(used)
+        n = len(arm.names)
+        turns = arm.coupling
+        self._used = used
+        self._weight = 1.0 / size[joint]
+        links = arm.regressor(*motion)
+        rotors = (motion[2] @ turns.T)[:, None, :] * turns.T
+        springs = np.sin(motion[0])[:, :, None] * np.eye(n)[:, arm.spring != 0.0]
+        offsets = np.broadcast_to(np.eye(n), (len(used), n, n))
+        rigid = np.concatenate([links, rotors, springs, offsets], axis=2)[used] * self._weight[:, None]
+        length = np.linalg.norm(rigid, axis=0)
+        directions, share, _ = np.linalg.svd(rigid[:, length > 0.0] / length[length > 0.0], full_matrices=False)
+        self._basis = directions[:, share > 1e-6 * share[0]]
+        velocity = motion[1] @ arm.element_matrix.T
+        friction = np.hstack([np.sign(velocity), velocity])[row] * np.tile(arm.element_matrix.T, 2)[joint]
+        self._dry = self._beside(friction * self._weight[:, None])
+
+    @property
+    def parameters(self) -> int:
+        """Return how many it has."""
+        return int(self._basis.shape[1] + self._dry.shape[1])
+
+    def residual(self, torque: Array) -> Array:
+        """Return what a fit leaves of a torque, (m, n), in usual torques of the joints, shape (r,)."""
+        left = self._beside(torque[self._used] * self._weight)
+        return np.asarray(left - self._dry @ nnls(self._dry, left)[0])
+
+    def _beside(self, values: Array) -> Array:
+        return np.asarray(values - self._basis @ (self._basis.T @ values))
+
+
+# what an undone mistake must explain: standard errors over blocks, and squared error as a share of what remains
+_CLEAR_SE = 3.0
+_MIN_GAIN = 0.4
+_ROWS_PER_PARAMETER = 8.0  # with 2 to 6, 7 % of right signs looked wrong, with more none
+
+
+class _Trials:
+    """The torque of a log as the simplest model explains it, with mistakes undone one after the other."""
+
+    def __init__(self, arm: RigidArm, recorded: Recorded, options: RobotOptions) -> None:
+        row, self._joint = np.nonzero(recorded.used)
+        self._block = recorded.block[row]
+        self._arm = arm
+        self._used = recorded.used
+        moved = recorded.used.any(axis=0)
+        self.joints = np.flatnonzero(moved).tolist()
+        self._size = np.sqrt(np.mean(recorded.torque**2, axis=0, where=recorded.used | ~moved)) + 1e-9
+        identified = np.flatnonzero(arm.identified)
+        gear = np.ones(len(arm.names))
+        gear[identified] = 1.0 if options.gear is None else options.gear
+        constant = np.ones(len(arm.names))
+        constant[identified] = 1.0 if options.torque_constant is None else options.torque_constant
+        self._turns = gear[:, None] * arm.coupling
+        self._push = self._turns.T * constant
+        self._motion = recorded.motion
+        self._torque = recorded.torque
+        self._later = recorded.later
+        self.model = self._fitted(recorded.motion)
+        self.residual = self.model.residual(recorded.torque)
+
+    def undo(self, mistakes: Iterable[Mistake]) -> Mistake | None:
+        """Undo the mistake that explains the torque best, and return it, if it does so clearly."""
+        trials = [(self._without(mistake), mistake) for mistake in mistakes]
+        if not trials:
+            return None
+        # Of mistakes that explain it equally well, the first.
+        (residual, model), mistake = min(trials, key=lambda trial: round(self._unlikelihood(trial[0][0]), 3))
+        if not self._clear(self.residual / self._errors(residual), residual / self._errors(residual)):
+            return None
+        self._motion = self._moved(mistake)
+        efforts = self._pushed(mistake)
+        self._torque = self._late(mistake) @ efforts
+        self._later = None if self._later is None or mistake.delay else self._later @ efforts
+        self.model = model
+        self.residual = residual
+        return mistake
+
+    def _clear(self, before: Array, after: Array) -> bool:
+        """Return whether residuals, in errors, are clearly less after than before: in sum, or in nearly all blocks."""
+        rows = np.bincount(self._block)
+        blocks = rows > 0.5 * rows.mean()
+        first = np.bincount(self._block, before**2)[blocks] + 1e-9
+        second = np.bincount(self._block, after**2)[blocks] + 1e-9
+        falls = first - second, np.log(first / second)
+        errors = [float(np.std(fall)) / math.sqrt(len(fall)) for fall in falls]
+        clear = any(float(np.mean(fall)) > _CLEAR_SE * error for fall, error in zip(falls, errors, strict=True))
+        return clear and float(np.sum(before**2 - after**2)) > _MIN_GAIN * len(after)
+
+    @property
+    def unexplained(self) -> float:
+        """Return the RMS of the residual, each joint's in parts of its own torque."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    def delays(self) -> Iterator[Mistake]:
+        """Yield delays of the torque that can be tried."""
+        if self._later is not None:
+            yield from (Mistake("delay of the torques", delay=float(lag)) for lag in LAGS)
+
+    def _without(self, mistake: Mistake) -> tuple[Array, _SimplestModel]:
+        """Return the residual and the model with a mistake undone."""
+        moves = mistake.turn or (mistake.positions(len(self._turns)) != np.eye(len(self._turns))).any()
+        model = self._fitted(self._moved(mistake)) if moves else self.model
+        return model.residual(self._late(mistake) @ self._pushed(mistake)), model
+
+    def _moved(self, mistake: Mistake) -> Array:
+        positions = mistake.positions(len(self._turns))
+        motion = self._motion @ np.linalg.solve(self._turns, positions @ self._turns).T
+        motion[0][:, list(mistake.motors)] -= mistake.turns
+        return motion
+
+    def _pushed(self, mistake: Mistake) -> Array:
+        """Return what turns rows of joint torques into those with right efforts, shape (n, n)."""
+        return np.asarray(np.linalg.solve(self._push.T, mistake.efforts(len(self._turns)).T @ self._push.T))
+
+    def _late(self, mistake: Mistake) -> Array:
+        if self._later is None or not mistake.delay:
+            return self._torque
+        return np.asarray(self._later[int(np.argmin(np.abs(LAGS - mistake.delay)))])
+
+    def _fitted(self, motion: Array) -> _SimplestModel:
+        return _SimplestModel(self._arm, motion, self._used, self._size)
+
+    def _unlikelihood(self, residual: Array) -> float:
+        """Return minus the logarithm of the likelihood, a row."""
+        return float(np.log(self._errors(residual)).mean())
+
+    def _errors(self, residual: Array) -> Array:
+        """Return the RMS of the residual of each row's joint, shape (r,)."""
+        squares = np.bincount(self._joint, residual**2) / np.maximum(np.bincount(self._joint), 1)
+        return np.asarray(np.sqrt(squares)[self._joint] + 1e-9)
+
+
+def find_mistakes(
+    arm: RigidArm, recorded: Recorded, options: RobotOptions = SHIPPED_ROBOT
+) -> tuple[list[Mistake], str]:
+    """Return the mistakes that clearly explain a log better, and in words how much better; none of a short log.
+
+    Args:
+        arm: of the same joints.
+        recorded: as the options say.
+        options: the given gears and torque constants.
+    """
+    mistakes: list[Mistake] = []
+    if not recorded.used.any():
+        return mistakes, ""
+    trials = _Trials(arm, recorded, options)
+    if np.count_nonzero(recorded.used) < _ROWS_PER_PARAMETER * trials.model.parameters:
+        return mistakes, ""
+    before = trials.unexplained
+    unnamed = trials.joints
+    while mistake := trials.undo([*trials.delays(), *_mistakes(unnamed)]):
+        mistakes.append(mistake)
+        unnamed = [joint for joint in unnamed if joint not in mistake.motors]
+    return mistakes, f"{before:.1%} of the torques are unexplained, with this undone {trials.unexplained:.1%}"
+
+
+def mistake_alarms(
+    arm: RigidArm, recorded: Recorded, options: RobotOptions = SHIPPED_ROBOT, zero: Array | None = None
+) -> tuple[str, ...]:
+    """Return in a sentence which mistakes `find_mistakes` finds, and what to write instead.
+
+    Args:
+        arm: of the same joints.
+        recorded: as the options say.
+        options: the given gears and torque constants.
+        zero: the given zeros, rad, shape (n,); by default 0.
+    """
+    mistakes, gain = find_mistakes(arm, recorded, options)
+    if not mistakes:
+        return ()
+    joints = np.flatnonzero(arm.identified).tolist()
+    gear = np.array(options.gear or np.ones(len(joints)))
+    constant = np.array(options.torque_constant or np.ones(len(joints)))
+    zeros = np.zeros(len(joints)) if zero is None else zero[joints].copy()
+    accepted = []
+    for mistake in mistakes:
+        motors = [joints.index(motor) for motor in mistake.motors]
+        gear[motors] *= mistake.gear
+        constant[motors] *= mistake.constant
+        zeros[motors] += mistake.turns
+        if any(mistake.swapped):
+            accepted.append("names or columns of these two in the other order")
+        if mistake.delay:
+            accepted.append("stamps of the time when the torques acted")
+    if any(mistake.gear < 0.0 for mistake in mistakes):
+        accepted.append(_option("gear", gear))
+    if any(mistake.constant < 0.0 for mistake in mistakes):
+        accepted.append(_option("torque-constant", constant))
+    if any(mistake.turn for mistake in mistakes):
+        accepted.append(_option("zero", zeros.round(6) + 0.0))
+    wrong = " and ".join(mistake.text(arm.names) for mistake in mistakes)
+    accepted.append("there or in the signal map, or a payload or spring in the model")
+    return (f"wrong {wrong}: {gain}; accepted: {', '.join(accepted)}",)
+
+
+def _option(name: str, values: Array) -> str:
+    return f"--{name} {' '.join(f'{value:.6g}' for value in values)}"
+
+
+_FORGOTTEN_GEAR = 10.0  # described over recorded torque: friction makes it less, a forgotten gear 30 to 300
+
+
+def unit_alarms(arm: RigidArm, recorded: Recorded) -> tuple[str, ...]:
+    """Return in a sentence at which joints the recorded torque is far too small for the described bodies.
+
+    Args:
+        arm: with the description's inertias; without any there is no alarm.
+        recorded: of its joints.
+    """
+    described = arm.torque(*recorded.motion)
+    ratios = {}
+    for joint, used in enumerate(recorded.used.T):
+        size = float(np.linalg.norm(recorded.torque[used, joint]))
+        ratio = float(np.linalg.norm(described[used, joint])) / max(size, 1e-9)
+        if ratio > _FORGOTTEN_GEAR:
+            ratios[arm.names[joint]] = f"{ratio:.2g}"
+    # A gear is forgotten at all joints or at none; a single effort may be dead.
+    if 2 * len(ratios) <= np.count_nonzero(recorded.used.any(axis=0)):
+        return ()
+    return (
+        f"the torque of {listed(list(ratios))} is {', '.join(ratios.values())} times smaller than the described bodies "
+        "need; accepted: --gear for states of the motors, --torque-constant with the gears' ratios for torques of the "
+        "motors beside angles of the joints, or a description of this arm",
+    )
+
+
+class MovedBodies(NamedTuple):
+    """What a joint moves: each pair by the description and by the result.
+
+    Attributes:
+        joint: its name.
+        mass: kg.
+        moment: mass times distance of its centre from the axis, in the zero pose, kg m.
+        inertia: about the axis, in the zero pose, rotor included, kg m^2.
+    """
+
+    joint: str
+    mass: tuple[float, float]
+    moment: tuple[float, float]
+    inertia: tuple[float, float]
+
+
+def moved_bodies(described: RigidArm, result: RigidArm) -> tuple[MovedBodies, ...]:
+    """Return what each joint moves by the description and by the result."""
+    before = _moved(described)
+    after = _moved(result)
+    return tuple(
+        MovedBodies(name, *((float(before[row, joint]), float(after[row, joint])) for row in range(3)))
+        for joint, name in enumerate(described.names)
+    )
+
+
+def _moved(arm: RigidArm) -> Array:
+    """Return mass, first moment and inertia of what each joint moves, shape (3, n)."""
+    model = arm.model
+    data = model.createData()
+    zero = pin.neutral(model)
+    pin.centerOfMass(model, data, zero)
+    mass = np.array(data.mass)[1:]
+    inertia = np.diag(pin.crba(model, data, zero) + arm.rotor)
+    axes = pin.computeJointJacobians(model, data, zero)[3:].T
+    frames = list(data.oMi)[1:]
+    centres = [frame.rotation @ centre for frame, centre in zip(frames, list(data.com)[1:], strict=True)]
+    return np.stack([mass, mass * np.linalg.norm(np.cross(axes, centres), axis=1), inertia])
+
+
+_MASS_RATIO = 4.0  # of what a joint moves by the result to the described
+
+
+def body_alarms(bodies: Sequence[MovedBodies]) -> tuple[str, ...]:
+    """Return in a sentence that most joints move far more, or far less, than described; a payload is at the last."""
+    ratios = np.array([moved.mass[1] / moved.mass[0] if moved.mass[0] > 0.0 else 1.0 for moved in bodies])
+    for far in (ratios > _MASS_RATIO, ratios < 1.0 / _MASS_RATIO):
+        if 2 * np.count_nonzero(far) > len(bodies):
+            masses = [
+                f"{moved.joint} {moved.mass[1]:.3g} kg ({moved.mass[0]:.3g} kg described)"
+                for moved, named in zip(bodies, far.tolist(), strict=True)
+                if named
+            ]
+            return (
+                f"the bodies of the result are not the described ones: {', '.join(masses)}; accepted: gears, units and "
+                "torque constants with which they agree, or a description of this arm",
+            )
+    return ()
+
+
+def log_alarms(records: Mapping[str, Sequence[JointRecord]]) -> tuple[str, ...]:
+    """Return what was mended in the reading of records, by use, a sentence each."""
+    return tuple(alarm for logs in records.values() for record in logs for alarm in record.alarms)
+
+
+def alarms(
+    arm: RigidArm,
+    recorded: Recorded,
+    options: RobotOptions = SHIPPED_ROBOT,
+    zero: Array | None = None,
+) -> tuple[str, ...]:
+    """Return what clearly looks wrong in a log, a sentence each; arguments as in `mistake_alarms`.
+
+    Where gears are forgotten, no body explains the torques of two joints, and nothing else can be told.
+    """
+    return unit_alarms(arm, recorded) or mistake_alarms(arm, recorded, options, zero)
