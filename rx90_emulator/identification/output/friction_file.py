@@ -24,6 +24,7 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
     digits,
 )
+from rx90_emulator.identification.fitted import ASSUMED
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.records import BagSource, in_unit
 from rx90_emulator.identification.rows.filtering import Bandwidths
@@ -42,7 +43,8 @@ _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have
 
 def friction_text(result: FrictionIdentification) -> str:
     """Return the text of the file of an identification from sweeps; errors as in `elements_text`."""
-    return elements_text(result.arm.element_names, result.elements, result.fallback_name, result=result)
+    fallback_name = result.fallback_name or ASSUMED
+    return elements_text(result.arm.element_names, result.elements, fallback_name, result=result)
 
 
 def elements_text(
