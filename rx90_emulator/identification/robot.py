@@ -102,6 +102,8 @@ def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMa
             )
     mapped = maps[0].messages if maps else {}
     for key in mapped:
+        if not hasattr(options, key):
+            raise ConfigError(f"{plain(maps[0].path)}: {key} is of no use here; accepted: without it")
         if getattr(options, key) not in (None, False):
             raise ConfigError(f"{_option(key)} beside {key} in {plain(maps[0].path)}; accepted: one of them")
     return replace(options, **mapped), given
