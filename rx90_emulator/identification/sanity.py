@@ -257,12 +257,14 @@ class _Trials:
         """Return whether a residual is clearly less than the one now: in sum, or in nearly all blocks."""
         errors = self._errors(residual)
         rows = np.bincount(self._block)
-        squares = [np.bincount(self._block, (values / errors) ** 2) + 1e-9 for values in (self.residual, residual)]
-        now, then = (square[rows > 0.5 * rows.mean()] for square in squares)
+        whole = rows > 0.5 * rows.mean()
+        now = np.bincount(self._block, (self.residual / errors) ** 2)[whole] + 1e-9
+        then = np.bincount(self._block, (residual / errors) ** 2)[whole] + 1e-9
         clear = False
         for fall in (now - then, np.log(now / then)):
             clear |= float(np.mean(fall)) > _CLEAR_SE * float(np.std(fall)) / math.sqrt(len(fall))
-        return clear and float(np.sum(squares[0] - squares[1])) > _MIN_GAIN * len(residual)
+        gain = float(np.sum((self.residual**2 - residual**2) / errors**2))
+        return clear and gain > _MIN_GAIN * len(residual)
 
     def _fitted(self, motion: Array) -> _SimplestModel:
         return _SimplestModel(self._arm, motion, self._used, self._size)
