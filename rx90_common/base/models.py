@@ -33,6 +33,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError
 
+from rx90_common.base.arrays import MAX_JOINTS
 from rx90_common.base.config import read_yaml, yaml_text
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.quoting import nearest, plain, question, quoted
@@ -42,9 +43,6 @@ AnyModel = TypeVar("AnyModel", bound="Model")
 Item = TypeVar("Item")
 Place: TypeAlias = tuple[str | int, ...]
 Provenance: TypeAlias = Literal["published", "derived", "assumed", "identified"]
-
-MAX_JOINTS: Final = 7
-"""Joints that an arm may have."""
 
 _REFUSED: Final = "refused"
 _UNKNOWN_KEY: Final = "extra_forbidden"

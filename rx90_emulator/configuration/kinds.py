@@ -11,7 +11,6 @@ from pydantic import ConfigDict, Field, ValidationError
 
 from friction_bench.rig.rig_file import RigFile, load_rig
 from rx90_common.bags.mapping import LogMapping, SignalMapFile
-from rx90_common.bags.tolerance import TolerancesFile, load_rules
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import FileModel, JsonSchema, Model, Named, fault_lines, json_schema, quantity, read_model
 from rx90_common.base.quoting import plain
@@ -98,7 +97,6 @@ KINDS = (
         lambda path: load_trajectory(path, read_model(TrajectoryFile, path, first=True).joint_names),
     ),
     FileKind("log_mapping", SignalMapFile, LogMapping.load),
-    FileKind("tolerances", TolerancesFile, load_rules),
     FileKind("correction", CorrectionHead, load_correction),
     FileKind("experiments", ExperimentsFile, lambda path: read_index(path.parent)),
 )

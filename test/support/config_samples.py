@@ -26,18 +26,12 @@ time: {column: 1, unit: ms}
 topics:
   joint_states:
     names: [shoulder, elbow]
-    position: {columns: [2, 3], unit: counts, counts_per_turn: [4096, 8192], file: 2}
+    position: {columns: [2, 3], unit: turns, factor: [0.25, 0.125]}
     velocity: {columns: [dq1, dq2], unit: rad/s}
     effort: {columns: [i1, i2], unit: A, factor: -1.5}
 delimiter: ;
 decimal: ','
 header: 2
-""",
-    "tolerances": """\
-"*": {velocity: 1.0e-6}
-joint_states:
-  position: 1.0e-9
-  joints: {joint_1: {position: 1.0e-8, effort: 2}}
 """,
     "node_parameters": """\
 /**/rx90_sim:

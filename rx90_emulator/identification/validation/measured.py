@@ -18,9 +18,8 @@ from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
-from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.arrays import MAX_JOINTS, Array, Mask
 from rx90_common.base.errors import ConfigError, IdentificationError, TrajectoryError, check_type
-from rx90_common.base.models import MAX_JOINTS
 from rx90_common.base.quoting import counted, listed
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.drives import load_drives

@@ -23,7 +23,7 @@ import rclpy
 from rclpy.node import Node
 from rx90_common.base.errors import ConfigError
 from rx90_common.exchange import lifecycle
-from rx90_common.exchange.parameters import NodeModel, NodeParameters, checked
+from rx90_common.exchange.parameters import NodeModel, NodeParameters
 from rx90_common.base.models import quantity
 from typing import Annotated
 
@@ -33,7 +33,7 @@ class Parameters(NodeModel):
 class Stub:
     def __init__(self):
         self.node = Node("stub", automatically_declare_parameters_from_overrides=True)
-        self.value = checked(Parameters, NodeParameters(self.node).values).value
+        self.value = Parameters.of(NodeParameters(self.node).values).value
         if self.value == 2.0:
             raise ConfigError("value is 2; accepted: less")
         self.running = True
