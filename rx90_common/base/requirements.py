@@ -23,6 +23,7 @@ SOURCES = {
     "distributed": Source("distributed"),
     "ezdxf": Source("ezdxf"),
     "jinja2": Source("Jinja2", "python3-jinja2"),
+    "lark": Source("lark"),
     "llvmlite": Source("numba"),
     "lz4": Source("rosbags"),
     "markdown_it": Source("markdown-it-py"),
