@@ -18,6 +18,7 @@ from rx90_emulator.cli.options import (
     new_file,
     new_folder,
     number,
+    whole_number,
 )
 
 if TYPE_CHECKING:
@@ -44,7 +45,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--inputs", type=Path, metavar="FILE", help="YAML of times at which inputs change")
     parser.add_argument("--monitor-speed", type=_PERCENT, default=100.0, metavar="PERCENT", help="(%(default)g)")
     parser.add_argument(
-        "--planning", type=int, choices=_PERIODS, default=16, help="ms from one planned set-point to the next (16)"
+        "--planning",
+        type=whole_number,
+        choices=_PERIODS,
+        default=16,
+        help="ms from one planned set-point to the next (16)",
     )
     parser.add_argument(
         "--idle", type=POSITIVE, default=60.0, metavar="S", help="longest time without a motion, s (60)"
