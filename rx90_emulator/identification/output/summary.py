@@ -141,7 +141,7 @@ def measured_summary(result: MeasuredComparison) -> str:
     rows = [
         (name, f"{_number(torque.rms[k])} Nm", _number(torque.rms_share[k], ".2%"),
          f"{_number(torque.worst[k])} Nm", _number(torque.worst_share[k], ".2%"),
-         f"{torque.compared[:, k].mean():.0%}",
+         f"{result.compared_share[k]:.0%}",
          f"{1e3 * result.position_rms[k]:.3f} mrad", f"{1e3 * result.position_worst[k]:.3f} mrad")
         for k, name in enumerate(result.names)
     ]  # fmt: skip
