@@ -24,6 +24,7 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
     digits,
 )
+from rx90_emulator.identification.fitted import ASSUMED
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.records import BagSource, in_unit
 from rx90_emulator.identification.rows.filtering import Bandwidths
@@ -78,7 +79,7 @@ def friction_text(result: FrictionIdentification) -> str:
         sweeps={use.bag: use.text(names) for use in sliding.usage},
         fit={name: fit.content for name, fit in zip(names, sliding.quality, strict=True) if fit is not None},
     )
-    return elements_text(names, result.elements, result.fallback_name, facts)
+    return elements_text(names, result.elements, result.fallback_name or ASSUMED, facts)
 
 
 def elements_text(

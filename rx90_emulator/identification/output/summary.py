@@ -98,7 +98,7 @@ def validation_verdict(check: Validation, scope: str = "") -> str:
     behind = f" by a bag that the fit did not use; {scope}" if scope else ""
     confirmed = _WITH_ALARM if check.alarms else _CONFIRMED
     words = (confirmed[0] + behind, confirmed[1] + behind)
-    return verdict(f"validation {check.source}", words, *torque, *tips)
+    return verdict(f"validation {check.source}", words, *torque, *check.remarks, *tips)
 
 
 def check_summary(checks: Sequence[Validation]) -> str:

@@ -67,13 +67,12 @@ def mimicking(hinge: Hinge, folder: Path) -> list[object]:
 
 REFUSED_CASES = {
     "slow": (lambda h, _: ["--sliding", h.bag, "--presliding", h.bag], "100 samples per second; accepted: 500 or more"),
-    "no_presliding": (options("--fallback", "none"), "no bag with micro-oscillations, .*, or --fallback FILE"),
     "driven": (sliding(torque=lambda h: -h.torque), "hinge: the torque does not oppose the motion"),
     "motor_angles": (
         sliding(position=lambda h: 1e3 * h.position, velocity=lambda h: 1e3 * h.velocity),
         r"hinge moves through \d+ rad, in its URDF through 6 rad at most, which looks like deg or .*--gear",
     ),
-    "unstamped": (sliding(header=False), "every stamp is 0.0* s; accepted: .*--record-time"),
+    "unstamped": (sliding(header=False), "every stamp is 0.0* s; accepted: .*record_time: true"),
     "checked_by_itself": (
         lambda h, f: ["--sliding", h.bag, "--validation", shutil.copytree(h.bag, f / "copy")],
         "copy: also used for the identification as .*run",
