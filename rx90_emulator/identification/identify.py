@@ -6,7 +6,7 @@ Records -> sliding regime -> presliding regime -> result -> validation.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -91,20 +91,10 @@ class FrictionIdentification:
         return FrictionSet(self.arm.element_names, self.lugre)
 
     @property
-    def with_given_bristles(self) -> tuple[str, ...]:
-        """Return the elements whose bristles are those of the fallback, of another kind than LuGre's."""
-        return tuple(name for name, one in self._named() if one.given_bristles)
-
-    @property
     def confirmed(self) -> bool:
         """Return whether every validation agrees, if there is any, and nothing looks wrong."""
         agrees = all(check.passed and not check.alarms for check in self.validations)
         return agrees and not self.sliding.doubt
-
-    @property
-    def identified_elements(self) -> tuple[str, ...]:
-        """Return the elements with at least one identified parameter."""
-        return tuple(name for name, one in self._named() if any(each.identifiable for each in one.estimates.values()))
 
     @property
     def scope(self) -> str:
@@ -112,24 +102,6 @@ class FrictionIdentification:
         identifiable = [each.identifiable for one in self.elements for each in one.estimates.values()]
         assumed = identifiable.count(False)
         return f"{assumed} of {len(identifiable)} values are assumed" if assumed else ""
-
-    @property
-    def unidentifiable(self) -> dict[str, dict[str, list[str]]]:
-        """Return the parameters that the bags do not identify, by reason and element."""
-        lacking: dict[str, dict[str, list[str]]] = {}
-        for name, one in self._named():
-            for parameter, estimate in one.estimates.items():
-                if not estimate.identifiable:
-                    lacking.setdefault(estimate.reason, {}).setdefault(name, []).append(parameter)
-        return lacking
-
-    def _named(self) -> Iterator[tuple[str, IdentifiedElement]]:
-        return zip(self.arm.element_names, self.elements, strict=True)
-
-
-def shown_parameters(result: FrictionIdentification) -> tuple[str, ...]:
-    """Return the parameters to show in tables: the viscous exponent only where an element has one."""
-    return tuple(name for name in PARAMETERS if any(name in one.estimates for one in result.elements))
 
 
 def identify_friction(
