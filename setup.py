@@ -78,7 +78,7 @@ setup(
         "mcap>=1.2,<2",
         "pyarrow>=18,<27",
         "PyYAML>=6.0.1,<7",
-        "pydantic>=2.11,<2.15",
+        "pydantic>=2.14,<2.15",
         "matplotlib>=3.6,<3.12",
         "Jinja2>=3.1.2,<4",
         "bokeh>=3.9,<3.10",

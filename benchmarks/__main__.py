@@ -42,6 +42,7 @@ COMMANDS = {
     "excitation_time": "identification_time excitation",
     "wrong_zeros": "wrong_zeros",
     "poor_logs": "poor_logs",
+    "identification_guards": "identification_guards --short",
     "transmission": "transmission",
     "published_friction": "published_friction",
     "bristles": "bristles",

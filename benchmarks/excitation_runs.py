@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.signal import lfilter
@@ -17,7 +18,9 @@ from benchmarks.random_arms import SyntheticArm
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.arrays import Array
-from rx90_emulator.identification.records import JointRecord
+
+if TYPE_CHECKING:
+    from rx90_emulator.identification.records import JointRecord
 
 Motion = tuple[Array, Array, Array]
 """Position, velocity and acceleration, each of shape (m, n)."""
@@ -144,6 +147,8 @@ class ExcitationRun:
 
     def record(self, arm: SyntheticArm) -> JointRecord:
         """Return the run as it is read from a bag."""
+        from rx90_emulator.identification.records import JointRecord  # logs need nothing of the identification
+
         digest = hashlib.sha256(self.name.encode()).hexdigest()
         return JointRecord(arm.names, self.time, self.position, self.velocity, self.torque, Path(self.name), digest)
 

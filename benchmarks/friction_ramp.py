@@ -19,12 +19,12 @@ from __future__ import annotations
 import math
 import sys
 from dataclasses import dataclass, field
-from functools import cache
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.random_rigs import random_rig, shipped_rig, truth_of
 from benchmarks.report import accepted, arguments, in_processes, print_table
 from friction_bench.experiment.identification import IntervalEstimate, RampFriction, evaluate, identify_ramps
 from friction_bench.experiment.job import plan_from, run_planned, run_ramp
@@ -33,7 +33,7 @@ from friction_bench.experiment.session import near_limits
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort, native_library
 from friction_bench.rig.plant import SLICE, RigJoint, Shaft, joint_record, shaft_of, turn, turn_with_joint
-from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, Emulation, JointFriction, LuGreJoint, Rig, load_rig
+from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, Emulation, JointFriction, Rig, load_rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.share import SOURCE_RIG, config_path
@@ -56,8 +56,6 @@ COVERAGE = (0.90, 0.99)
 BIAS = 0.01
 KINDS = ("Coulomb-viscous", "LuGre")
 SPREAD = "source's rig"
-HEAVIEST = 0.11
-"""Break-away torque of the heaviest random rigs, Nm: the ramps end at 0.15 and 0.16 Nm."""
 SLICES = 20
 """Slices of 1 ms in a tick."""
 
@@ -84,7 +82,7 @@ class Cell:
 
     def rig(self) -> Rig:
         """Return the shipped rig with this friction and inertia, without a joint."""
-        rig = _shipped()
+        rig = shipped_rig()
         assert rig.emulation is not None
         load = (self.inertia - rig.emulation.motor.rotor_inertia) * rig.gear.ratio**2 * rig.gear.efficiency
         return rig.replaced(
@@ -104,11 +102,6 @@ class GridOutcome(NamedTuple):
     """The source's f_c less the truth, Nm."""
     inertia_times_a: float
     """J a, mean over the ramps, Nm."""
-
-
-@cache
-def _shipped() -> Rig:
-    return load_rig(config_path("rig/gm8224.yaml"))
 
 
 def grid() -> list[Cell]:
@@ -239,48 +232,6 @@ class Outcome:
     refusal: str = ""
 
 
-def random_rig(seed: int, number: int, kind: str) -> Rig:
-    """Return the shipped rig with random friction and inertia; equal numbers share all but the joint's law."""
-    rig = _shipped()
-    assert rig.emulation is not None
-    rng = np.random.default_rng((seed, number))
-
-    def between(low: float, high: float) -> float:
-        return float(np.exp(rng.uniform(math.log(low), math.log(high))))
-
-    ratio, torque = rig.gear.ratio, rig.gear.ratio * rig.gear.efficiency
-    own, viscous = between(0.006, 0.05), between(4e-4, 1.2e-3)
-    inertia, more = between(6e-6, 6e-5), between(1e-5, 2e-4)
-    coulomb, slope = between(0.01, 0.05) * torque, viscous * between(0.1, 0.6) * torque * ratio
-    rise = min(rng.uniform(1.05, 1.6), (HEAVIEST - own) * torque / coulomb)
-    bristle, damping = between(2e-4, 1e-3), between(3e-4, 3e-3)
-    stribeck, exponent = between(0.02, 0.2), rng.uniform(0.7, 2.0)
-    joint: JointFriction | LuGreJoint = JointFriction(model="coulomb_viscous", coulomb=coulomb, viscous=slope)
-    if kind == "LuGre":
-        stiffness = coulomb / bristle
-        element = FrictionElement.of(
-            {
-                "tau_c": coulomb,
-                "tau_s": coulomb * max(rise, 1.0),
-                "omega_s": stribeck,
-                "delta": exponent,
-                "c0": stiffness,
-                "c1": damping * stiffness,
-                "c2": slope,
-                "omega_d": 1.0,
-            }
-        )
-        joint = LuGreJoint(model="lugre", lugre=element)
-    return rig.replaced(
-        emulation={
-            "motor_friction": {"coulomb": own, "viscous": viscous},
-            "load_inertia": (inertia - rig.emulation.motor.rotor_inertia) * ratio * torque,
-            "joint_inertia": more * ratio * torque,
-            "joint_friction": joint,
-        }
-    )
-
-
 def measure(rig: Rig, seed: int) -> list[RampRecord]:
     """Return all ramps of a measurement as `friction_ramp` runs them."""
     quick = QuickRig(rig, seed)
@@ -293,18 +244,6 @@ def measure(rig: Rig, seed: int) -> list[RampRecord]:
 
         run_planned(one, rig.ramps, loaded, lambda first: plan_from(first, rig.ramps, rig))
     return records
-
-
-def truth_of(rig: Rig, loaded: bool) -> Array:
-    """Return the true f_c, f_v and J at the motor."""
-    assert rig.emulation is not None
-    shaft = shaft_of(rig, loaded)
-    values = np.array([shaft.coulomb, shaft.viscous, shaft.inertia])
-    if loaded and isinstance(rig.emulation.joint, FrictionElement):
-        torque = rig.gear.ratio * rig.gear.efficiency
-        joint = rig.emulation.joint
-        values += joint.tau_c.positive / torque, joint.c2 / (torque * rig.gear.ratio), 0.0
-    return values
 
 
 def random_experiment(job: tuple[int, int, str]) -> Outcome:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from benchmarks.random_friction import random_friction
 from benchmarks.report import arguments, merge, print_table
 from benchmarks.synthetic_sweeps import (
     STEADY_TORQUE,
@@ -27,7 +28,6 @@ from benchmarks.synthetic_sweeps import (
     measured_sliding,
     outcomes,
     random_bristles,
-    random_friction,
     recorded,
     run_presliding,
     sliding_covariance,

@@ -144,28 +144,6 @@ def measured(
     return JointRecord(setup.robot.joint_names, time, position, velocity, disturbed, Path("synthetic"), "0" * 64)
 
 
-def random_friction(base: FrictionSet, rng: np.random.Generator) -> FrictionSet:
-    """Return elements with every parameter moved at random, each sign of the velocity by itself."""
-    elements = []
-    for name, element in zip(base.names, base.elements, strict=True):
-        up, down = rng.uniform(0.7, 1.4, 2) * element.tau_c.positive
-        if name == "joint_5_6":
-            down = up  # the difference is a constant torque that joints 5 and 6 may as well have
-        rise = rng.uniform(0.2, 0.5, 2)
-        elements.append(
-            FrictionElement(
-                tau_c={"positive": up, "negative": down},
-                tau_s={"positive": up * (1 + rise[0]), "negative": down * (1 + rise[1])},
-                omega_s=element.omega_s * rng.uniform(0.7, 1.5),
-                delta=rng.uniform(0.8, 1.8),
-                c0=element.c0,
-                c1=element.c1,
-                c2=element.c2 * rng.uniform(0.6, 1.5),
-            )
-        )
-    return FrictionSet(base.names, tuple(elements))
-
-
 SCALES = (0.5, 1.5)
 """Every parameter of every element is scaled by a factor of its own between these."""
 _SLIDING_ERROR = {"tau_c": 3e-3, "tau_s": 3e-3, "omega_s": 1e-2, "delta": 1.5e-2, "c2": 4e-3}

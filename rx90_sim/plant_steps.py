@@ -158,6 +158,8 @@ def plant_steps(
 
 def _ratio(element: FrictionElement) -> float:
     """Return how many times the friction torque of one direction is that of the other."""
+    if element.curve is not None:
+        return element.curve.ratio
     torques = [(torque.positive, torque.negative) for torque in (element.tau_c, element.tau_s)]
     return max(max(both) / min(both) for both in torques)
 

@@ -32,7 +32,6 @@ from rx90_common.exchange.lifecycle import spin as spin_node
 from rx90_common.exchange.parameters import (
     NodeModel,
     NodeParameters,
-    checked,
     named_parameters,
     parameter_values,
     refuse_unknown_parameters,
@@ -71,29 +70,24 @@ class BenchParameters(NodeModel):
         ),
     ]
 
+    @classmethod
+    def completed(cls, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what is given, by name, and for the rest what the rig's file says.
 
-def bench_content(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the parameters come to, unchecked: what is given, by name, and for the rest what the rig's file says.
-
-    Raises:
-        ConfigError: for a rig's file that is none, and a torque beyond its scale.
-    """
-    name = given.get("rig", SHIPPED_RIG)
-    if not isinstance(name, str):
-        raise ConfigError(f"parameter rig is {quoted(name)}; accepted: a text")
-    rig = load_rig(resolve_config(name))
-    ramps = rig.ramps
-    content = {"baud": rig.baud, "ramp_slope": ramps.slopes[0], "ramp_end_torque": ramps.end_torque, **given}
-    torque = content["ramp_end_torque"]
-    if isinstance(torque, float) and torque > rig.torque.dac_full_scale:
-        most = f"{rig.torque.dac_full_scale:g}"
-        raise ConfigError(f"parameter ramp_end_torque is {torque:g}; accepted: a number in [0, {most}]")
-    return content
-
-
-def bench_parameters(given: Mapping[str, Any]) -> BenchParameters:
-    """Return the node's parameters for what it was given, by name."""
-    return checked(BenchParameters, bench_content(given))
+        Raises:
+            ConfigError: for a rig's file that is none, and a torque beyond its scale.
+        """
+        name = given.get("rig", SHIPPED_RIG)
+        if not isinstance(name, str):
+            raise ConfigError(f"parameter rig is {quoted(name)}; accepted: a text")
+        rig = load_rig(resolve_config(name))
+        ramps = rig.ramps
+        content = {"baud": rig.baud, "ramp_slope": ramps.slopes[0], "ramp_end_torque": ramps.end_torque, **given}
+        torque = content["ramp_end_torque"]
+        if isinstance(torque, float) and torque > rig.torque.dac_full_scale:
+            most = f"{rig.torque.dac_full_scale:g}"
+            raise ConfigError(f"parameter ramp_end_torque is {torque:g}; accepted: a number in [0, {most}]")
+        return content
 
 
 class BenchNode:
@@ -106,7 +100,7 @@ class BenchNode:
         with named_parameters():
             self.node = node = Node("friction_bench", automatically_declare_parameters_from_overrides=True)
         own = NodeParameters(node)
-        parameters = bench_parameters(own.values)
+        parameters = BenchParameters.of(own.values)
         own.declare(parameters)
         self.rig = load_rig(resolve_config(parameters.rig))
         port = parameters.port
@@ -150,7 +144,7 @@ class BenchNode:
 
     def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         try:
-            bench_parameters(
+            BenchParameters.of(
                 {**parameter_values(self.node), **{parameter.name: parameter.value for parameter in parameters}}
             )
         except Rx90Error as error:

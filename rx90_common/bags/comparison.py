@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
-from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.mapping import LogMapping
-from rx90_common.bags.reading import read_joint_bag, series_topics_text
+from rx90_common.bags.reading import JointBag, read_joint_bag, series_topics_text
 from rx90_common.bags.recorded import START, TRAJECTORY, time_shift
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.bags.topics import FIELDS, absolute
@@ -36,21 +35,17 @@ class Verdict(IntEnum):
 
 @dataclass(frozen=True)
 class Side:
-    """What one of two series has and the other lacks, or has twice.
+    """What one of two series has and the other lacks.
 
     Attributes:
-        missing: stamps inside the common range that the other one lacks.
-        first_missing_ns: the first of them.
+        missing: messages inside the common range that the other one lacks.
+        first_missing_ns: stamp of the first of them.
         outside: messages before or after the common range.
-        repeats: exact repetitions of a message, which were dropped.
-        ambiguous: messages whose stamp an earlier one with other content has.
     """
 
     missing: int
     first_missing_ns: int | None
     outside: int
-    repeats: int
-    ambiguous: int
 
 
 @dataclass(frozen=True)
@@ -122,7 +117,6 @@ class BagComparison:
         path_b: the second one.
         topics: the comparison of each topic.
         skipped: names of the topics that are no JointState.
-        notes: remarks for the user about the reading of the bags.
         shift_ns: offset added to the stamps of the second one.
     """
 
@@ -130,7 +124,6 @@ class BagComparison:
     path_b: Path
     topics: tuple[TopicComparison, ...]
     skipped: tuple[str, ...]
-    notes: tuple[str, ...] = ()
     shift_ns: int = 0
 
     @property
@@ -161,25 +154,19 @@ class Scope:
     align: int | str = 0
 
     def __post_init__(self) -> None:
-        unknown = [field for field in self.fields if field not in FIELDS]
-        if unknown or not self.fields:
-            what = f"field {quoted(unknown[0])}" if unknown else "no fields to compare"
-            raise BagError(f"{what}; accepted: {', '.join(FIELDS)}")
-        if self.start_ns is not None and self.end_ns is not None and self.start_ns > self.end_ns:
-            window = f"{self.start_ns / NANOSECONDS:g} s to {self.end_ns / NANOSECONDS:g} s"
-            raise BagError(f"time window from {window}; accepted: a start before the end")
+        if not self.fields or not set(self.fields) <= set(FIELDS):
+            raise BagError(f"fields {listed(self.fields) or 'none'}; accepted: some of {', '.join(FIELDS)}")
         if isinstance(self.align, str) and self.align not in (START, TRAJECTORY):
             raise BagError(f"align is {quoted(self.align)}; accepted: {START}, {TRAJECTORY}, or ns")
 
     def cut(self, series: JointSeries) -> JointSeries:
         """Return the part of a series that is compared."""
-        stamps = series.stamp_ns
-        no_bounds = np.iinfo(np.int64)
-        inside = (stamps >= (no_bounds.min if self.start_ns is None else self.start_ns)) & (
-            stamps <= (no_bounds.max if self.end_ns is None else self.end_ns)
-        )
-        left_out = {field: None for field in series.fields if field not in self.fields}
-        part: JointSeries = replace(series, **left_out)  # type: ignore[arg-type]  # fields alone
+        inside = np.ones(len(series.stamp_ns), dtype=np.bool_)
+        if self.start_ns is not None:
+            inside &= series.stamp_ns >= self.start_ns
+        if self.end_ns is not None:
+            inside &= series.stamp_ns <= self.end_ns
+        part = series.only(self.fields)
         return part if inside.all() else part.take(inside)
 
 
@@ -206,71 +193,60 @@ def compare_bags(
     scope = scope or Scope()
     check_type(tolerances=(tolerances, Tolerances), scope=(scope, Scope))
     chosen = None if scope.topics is None else [absolute(topic) for topic in scope.topics]
-    bag_a = read_joint_bag(path_a, chosen, mapping=mapping)
-    bag_b = read_joint_bag(path_b, chosen, mapping=mapping)
-    bags = (bag_a, bag_b)
-    every = [topic for bag in bags for topic in bag.topics]
-    there = {topic.name for topic in every if topic.is_joint_state}
-    for bag in bags:
+    first = read_joint_bag(path_a, chosen, mapping=mapping)
+    second = read_joint_bag(path_b, chosen, mapping=mapping)
+    for bag in (first, second):
         if not any(topic.count for topic in bag.topics):
             raise BagError(f"{plain(bag.path)}: holds no messages")
         if not any(topic.is_joint_state for topic in bag.topics):
-            others = listed(sorted({topic.name for topic in bag.topics}))
-            raise BagError(f"{plain(bag.path)}: holds no JointState topic, only {others}")
-    wanted = sorted(there) if chosen is None else chosen
-    for topic in wanted:
+            raise BagError(f"{plain(bag.path)}: holds no JointState topic, only {listed(t.name for t in bag.topics)}")
+    every = [*first.topics, *second.topics]
+    there = sorted({topic.name for topic in every if topic.is_joint_state})
+    for topic in chosen or ():
         if topic not in there:
             raise BagError(f"topic {plain(topic)} is in neither bag; {series_topics_text(every)}")
-    shift = time_shift(scope.align, bag_a, bag_b)
-    found_a = bag_a.series
-    found_b = bag_b.moved(shift).series
-    series = [one for found in (found_a, found_b) for some in found.values() for one in some]
-    joints = {topic: {name for one in series if one.topic == topic for name in one.names} for topic in wanted}
+    shift = time_shift(scope.align, first, second)
+    second = second.moved(shift)
+    joints: dict[str, set[str]] = {topic: set() for topic in chosen or there}
+    for bag in (first, second):
+        for topic, sets in bag.series.items():
+            joints[topic].update(name for series in sets for name in series.names)
     tolerances.check(there, joints)
-    results = [
-        result
-        for topic in wanted
-        for result in _compare_topic(topic, (found_a.get(topic), found_b.get(topic)), tolerances, scope)
-    ]
+    results: list[TopicComparison] = []
+    for topic in joints:
+        results += _compare_topic(topic, (first, second), tolerances, scope)
     if not results:
-        neither = " nor ".join(plain(bag.path) for bag in bags)
-        raise BagError(f"neither {neither} has a JointState message in the time window")
+        raise BagError(f"neither {plain(first.path)} nor {plain(second.path)} has a JointState message in the window")
     if set(scope.fields) < set(FIELDS) and not any(r.values or r.verdict is not Verdict.SAME for r in results):
-        # Bags would be the same by stamps alone.
-        recorded = listed(dict.fromkeys(field for one in series for field in one.fields)) or "none"
+        parts = [series for bag in (first, second) for sets in bag.series.values() for series in sets]
+        recorded = listed(dict.fromkeys(field for series in parts for field in series.fields))
         raise BagError(f"fields {', '.join(scope.fields)}: no message has any of them; accepted: some of {recorded}")
     skipped = tuple(sorted({topic.name for topic in every if not topic.is_joint_state}))
-    notes = tuple(f"{plain(bag.path)}: {note}" for bag in bags for note in bag.notes)
-    return BagComparison(bag_a.path, bag_b.path, tuple(results), skipped, notes, shift)
+    return BagComparison(first.path, second.path, tuple(results), skipped, shift)
 
 
 def _compare_topic(
-    topic: str, found: tuple[list[JointSeries] | None, ...], tolerances: Tolerances, scope: Scope
+    topic: str, bags: tuple[JointBag, JointBag], tolerances: Tolerances, scope: Scope
 ) -> list[TopicComparison]:
-    """Compare each set of joints of a topic; `found` is that of each bag, None where the bag lacks the topic."""
-    first, second = (
-        {frozenset(series.names): series for series in map(scope.cut, some or []) if len(series.stamp_ns)}
-        for some in found
-    )
+    """Compare each set of joints of a topic; a single one of each bag even where they differ."""
+    sets: list[dict[frozenset[str], JointSeries]] = []
+    for bag in bags:
+        parts = [scope.cut(series) for series in bag.series.get(topic, ())]
+        sets.append({frozenset(part.names): part for part in parts if len(part.stamp_ns)})
+    first, second = sets
     if not first and not second:
         return [] if scope.topics is None else [_incomparable(topic, "no message of it is in either bag")]
-    if not first or not second:
-        lacking = 1 if first else 0
-        what = "the topic is not" if found[lacking] is None else "no message of it is"
-        window = " within the time window" if found[lacking] else ""
-        return [_incomparable(topic, f"{what} in the {_BAGS[lacking]} bag{window}")]
-    pairs: list[tuple[JointSeries | None, JointSeries | None]] = []
-    for joints in [joints for joints in first if joints in second]:
-        pairs.append((first.pop(joints), second.pop(joints)))
-    pairs += zip_longest(first.values(), second.values())  # those with other joints, in their order
+    if len(first) == len(second) == 1:
+        (series_a,) = first.values()
+        (series_b,) = second.values()
+        return [compare_series(series_a, series_b, tolerances, scope)]
     results = []
-    for a, b in pairs:
-        alone = a or b
-        if a is not None and b is not None:
-            results.append(compare_series(a, b, tolerances, scope))
-        elif alone is not None:
-            where = _BAGS[alone is b]
-            results.append(_incomparable(topic, f"only the {where} bag has messages of {listed(alone.names)}"))
+    for joints in dict.fromkeys([*first, *second]):
+        if joints in first and joints in second:
+            results.append(compare_series(first[joints], second[joints], tolerances, scope))
+        else:
+            where = _BAGS[joints in second]
+            results.append(_incomparable(topic, f"only the {where} bag has messages of {listed(sorted(joints))}"))
     return results
 
 
@@ -288,22 +264,13 @@ def compare_series(
         return _incomparable(a.topic, f"no joint in common: {listed(a.names)} against {listed(b.names)}")
     alignment = align(a, b)
     if not len(alignment.stamp_ns):
-        spans = " against ".join(
-            f"{len(t)} from {t.min() / NANOSECONDS:.9f} to {t.max() / NANOSECONDS:.9f} s" if len(t) else "none"
-            for t in (a.stamp_ns, b.stamp_ns)
-        )
-        return _incomparable(a.topic, f"no stamp in common: {spans}; bags that began at other times can be aligned")
+        return _incomparable(a.topic, "no stamp in common; bags that began at other times can be aligned")
     reasons: list[str] = []
-    for series, compared, where in ((a, b, "first"), (b, a, "second")):
-        lacking = (
-            listed(name for name in series.names if name not in compared.names),
-            ", ".join(field for field in series.fields if field not in compared.fields),
-        )
-        reasons += [f"only the {where} bag has {what}" for what in lacking if what]
-    units = [plain(one.units["effort"]) for one in (a, b) if "effort" in one.fields]
-    if len(set(units)) > 1:
-        reasons.append("effort is in {} in the first bag and in {} in the second, and not compared".format(*units))
-    for side, where in zip((alignment.a, alignment.b), _BAGS, strict=True):
+    for where, series, compared, side in (("first", a, b, alignment.a), ("second", b, a, alignment.b)):
+        lacking = [name for name in series.names if name not in compared.names]
+        lacking += [field for field in series.fields if field not in compared.fields]
+        if lacking:
+            reasons.append(f"only the {where} bag has {listed(lacking)}")
         if side.first_missing_ns is not None:
             reasons.append(
                 f"only the {where} bag has {counted(side.missing, 'message')} of the common range, "
@@ -311,15 +278,19 @@ def compare_series(
             )
         if side.outside and not scope.common_range:
             reasons.append(f"only the {where} bag has {counted(side.outside, 'message')} outside the common range")
+    both = [field for field in a.fields if field in b.fields]
+    if "effort" in both and a.units["effort"] != b.units["effort"]:
+        both.remove("effort")
+        units = f"{plain(a.units['effort'])} in the first bag and in {plain(b.units['effort'])} in the second"
+        reasons.append(f"effort is in {units}, and not compared")
     values: list[ValueDifference] = []
-    for field in FIELDS:
-        if field in a.fields and field in b.fields and a.units[field] == b.units[field]:
-            columns_a = a.fields[field][alignment.rows_a]
-            columns_b = b.fields[field][alignment.rows_b]
-            for joint in joints:
-                pair = columns_a[:, a.names.index(joint)], columns_b[:, b.names.index(joint)]
-                tolerance = tolerances.of(a.topic, joint, field)
-                values.append(_difference(joint, field, a.units[field], *pair, alignment.stamp_ns, tolerance))
+    for field in both:
+        for joint in joints:
+            tolerance = tolerances.of(a.topic, joint, field)
+            column_a = _column(a, field, joint, alignment.rows_a)
+            column_b = _column(b, field, joint, alignment.rows_b)
+            unit = a.units[field]
+            values.append(_difference(joint, field, unit, column_a, column_b, alignment.stamp_ns, tolerance))
     verdict = Verdict.DIFFERS if reasons or any(value.beyond for value in values) else Verdict.SAME
     return TopicComparison(
         a.topic, joints, len(alignment.stamp_ns), alignment.range_ns, alignment.a, alignment.b, tuple(values),
@@ -327,11 +298,13 @@ def compare_series(
     )  # fmt: skip
 
 
+def _column(series: JointSeries, field: str, joint: str, rows: NDArray[np.intp]) -> Array:
+    return np.ascontiguousarray(series.fields[field][rows, series.names.index(joint)])
+
+
 def _difference(
     joint: str, field: str, unit: str, a: Array, b: Array, stamp_ns: Int64Array, tolerance: float
 ) -> ValueDifference:
-    a = np.ascontiguousarray(a)
-    b = np.ascontiguousarray(b)
     finite = np.isfinite(a) & np.isfinite(b)
     equal_bits = a.view(np.int64) == b.view(np.int64)
     # Without a tolerance, two NaN with other bits are not the same.
@@ -373,38 +346,41 @@ def align(a: JointSeries, b: JointSeries) -> Alignment:
     Several messages with one stamp: exact repetitions count once; different ones are paired in their order,
     the first with the first and so on.
     """
-    (rows_a, keys_a) = _keys(a)
-    (rows_b, keys_b) = _keys(b)
-    stamps = keys_a["stamp"], keys_b["stamp"]
-    alone = not (keys_a["occurrence"].any() or keys_b["occurrence"].any())  # stamps alone are sorted faster
-    left, right = stamps if alone else (keys_a, keys_b)
-    _, *matched = np.intersect1d(left, right, assume_unique=True, return_indices=True)
-    low, high = (max(int(t[0]) for t in stamps), min(int(t[-1]) for t in stamps)) if all(map(len, stamps)) else (1, 0)
-    sides = []
-    for series, keys, rows in zip((a, b), (keys_a, keys_b), matched, strict=True):
-        inside = (keys["stamp"] >= low) & (keys["stamp"] <= high)
-        missing = np.setdiff1d(np.flatnonzero(inside), rows)
-        first = int(keys["stamp"][missing[0]]) if len(missing) else None
-        repeats = len(series.stamp_ns) - len(keys)
-        ambiguous = int((keys["occurrence"] > 0).sum())
-        sides.append(Side(len(missing), first, int((~inside).sum()), repeats, ambiguous))
-    common = (low, high) if low <= high else None
-    return Alignment(rows_a[matched[0]], rows_b[matched[1]], stamps[0][matched[0]], common, *sides)
+    rows_a, keys_a = _keys(a)
+    rows_b, keys_b = _keys(b)
+    _, matched_a, matched_b = np.intersect1d(keys_a, keys_b, assume_unique=True, return_indices=True)
+    stamp_a = a.stamp_ns[rows_a]
+    stamp_b = b.stamp_ns[rows_b]
+    common = None
+    if (
+        len(stamp_a)
+        and len(stamp_b)
+        and (low := max(stamp_a[0], stamp_b[0])) <= (high := min(stamp_a[-1], stamp_b[-1]))
+    ):
+        common = int(low), int(high)
+    return Alignment(
+        rows_a[matched_a], rows_b[matched_b], stamp_a[matched_a], common,
+        _side(stamp_a, matched_a, common), _side(stamp_b, matched_b, common),
+    )  # fmt: skip
+
+
+def _side(stamp_ns: Int64Array, matched: NDArray[np.intp], common: tuple[int, int] | None) -> Side:
+    low, high = common or (0, -1)
+    inside = (stamp_ns >= low) & (stamp_ns <= high)
+    missing = stamp_ns[np.setdiff1d(np.flatnonzero(inside), matched)]
+    return Side(len(missing), int(missing[0]) if len(missing) else None, int((~inside).sum()))
 
 
 def _keys(series: JointSeries) -> tuple[NDArray[np.intp], NDArray[np.void]]:
     """Return the rows that are no repetitions, by stamp, and their stamps and numbers among those with the same."""
     rows = np.argsort(series.stamp_ns, kind="stable")
     stamp = series.stamp_ns[rows]
+    if (np.diff(stamp) == 0).any():
+        bits = np.column_stack([stamp, *(values[rows].view(np.int64) for values in series.fields.values())])
+        _, first = np.unique(bits, axis=0, return_index=True)
+        rows = rows[np.sort(first)]
+        stamp = series.stamp_ns[rows]
     keys = np.zeros(len(rows), dtype=_KEY)
-    keep = np.ones(len(rows), dtype=np.bool_)
     keys["stamp"] = stamp
-    occurrences: dict[bytes, int] = {}
-    again = np.append(False, stamp[1:] == stamp[:-1])
-    for i in np.flatnonzero(again | np.append(again[1:], False)).tolist():  # all those that share a stamp
-        content = b"".join(values[rows[i]].tobytes() for values in series.fields.values())
-        if not again[i]:
-            occurrences = {}
-        keep[i] = content not in occurrences
-        keys["occurrence"][i] = occurrences.setdefault(content, len(occurrences))
-    return rows[keep], keys[keep]
+    keys["occurrence"] = np.arange(len(rows)) - np.searchsorted(stamp, stamp)
+    return rows, keys

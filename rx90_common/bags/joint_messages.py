@@ -16,10 +16,8 @@ from rx90_common.base.quoting import counted
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
 from rx90_common.exchange.cdr_stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN, cdr_stamps_ns
 
-Deserialize = Callable[[bytes], Any]
-
 _BLOCK = 8192  # messages; a few MB at a time, whatever the bag's size
-_MAX_LAYOUTS = 8  # of one topic; messages of further ones are deserialised one by one
+_MAX_LAYOUTS = 8  # in a block; messages of further ones are deserialised one by one
 _MAX_SLACK = 15  # unused bytes that serialisers may leave at the end
 
 
@@ -28,44 +26,6 @@ class _Content(NamedTuple):
 
     names: tuple[str, ...]
     fields: tuple[str, ...]
-
-
-class _Layout:
-    """Where the parts of little-endian CDR messages lie that have the content of a given one.
-
-    Each part is aligned to its size, counted behind the encapsulation; the padding between them may hold anything.
-    """
-
-    def __init__(self, content: _Content, frame_id: str, sample: bytes) -> None:
-        fixed = list(range(ENCAPSULATION))
-        numbers: list[int] = []
-        texts = [len(text.encode()) + 5 for text in (frame_id, *content.names)]  # a length before, a NUL behind
-        parts = [(size, 4, fixed) for size in (texts[0], 4, *texts[1:])]
-        for field in FIELDS:
-            parts.append((4, 4, fixed))
-            if field in content.fields:
-                parts.append((8 * len(content.names), 8, numbers))
-        end = HEAD
-        for size, alignment, places in parts:
-            end += -(end - ENCAPSULATION) % alignment
-            places.extend(range(end, end + size))
-            end += size
-        self.content = content
-        self.end = end
-        self._fixed = np.array(fixed)
-        self._numbers = np.array(numbers, dtype=np.intp)
-        self.fits_sample = sample[:ENCAPSULATION] == LITTLE_ENDIAN and 0 <= len(sample) - end <= _MAX_SLACK
-        if self.fits_sample:
-            self._expected = np.frombuffer(sample, np.uint8)[self._fixed]
-
-    def fits(self, block: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Return for each message of `block`, shape (n, end), whether it has this layout."""
-        return np.asarray((block[:, self._fixed] == self._expected).all(axis=1))
-
-    def values(self, block: NDArray[np.uint8]) -> Array:
-        """Return the numbers of messages of this layout, shape (n, fields, joints)."""
-        numbers = np.take(block, self._numbers, axis=1).view("<f8").astype(np.float64, copy=False)
-        return numbers.reshape(len(block), len(self.content.fields), len(self.content.names))
 
 
 class _Rows(NamedTuple):
@@ -82,28 +42,22 @@ class SeriesBuilder:
     Args:
         topic: absolute topic name.
         deserialize: the general path, by rosbags; returns an object with the message's fields.
-        cdr: whether the messages are CDR, so that the fast path may be tried.
+        cdr: whether the messages are CDR.
         effort_unit: as in JointSeries.
     """
 
-    def __init__(self, topic: str, deserialize: Deserialize, *, cdr: bool, effort_unit: str = "") -> None:
+    def __init__(self, topic: str, deserialize: Callable[[bytes], Any], *, cdr: bool, effort_unit: str = "") -> None:
         self._topic = topic
         self._effort_unit = effort_unit
         self._deserialize = deserialize
-        self._cdr = cdr
+        self._beginning = LITTLE_ENDIAN if cdr else None
         self._pending: list[bytes] = []
         self._times: list[int] = []
-        self._layouts: list[_Layout] = []
-        self._rows: dict[_Content, list[_Rows]] = {}
+        self._sets: dict[frozenset[str], tuple[_Content, list[_Rows]]] = {}
         self._decoded = 0
 
     def add(self, message: bytes, stamp_ns: int | None = None) -> None:
-        """Add the next message.
-
-        Args:
-            message: as in the bag.
-            stamp_ns: time to use as its stamp; None in all messages for the stamps of their headers.
-        """
+        """Add the next message; with a time to use as its stamp, in all messages or in none."""
         self._pending.append(message)
         if stamp_ns is not None:
             self._times.append(stamp_ns)
@@ -113,93 +67,105 @@ class SeriesBuilder:
     def build(self) -> list[JointSeries]:
         """Return one series per set of joints; joints that changed their order come in the first one's."""
         self._decode_pending()
-        sets: dict[frozenset[str], list[_Content]] = {}
-        for content in sorted(self._rows, key=lambda content: min(rows.place[0] for rows in self._rows[content])):
-            sets.setdefault(frozenset(content.names), []).append(content)
-        return [self._merge(contents) for contents in sets.values()]
+        built = []
+        for (names, fields), parts in self._sets.values():
+            place = np.concatenate([part.place for part in parts])
+            order = np.argsort(place)
+            stamp = np.concatenate([part.stamp_ns for part in parts])
+            if self._times:
+                stamp = np.array(self._times, dtype=np.int64)[place]
+            arrays = {  # one after the other: of a long bag all of them twice would be a lot of memory
+                field: np.concatenate([part.values[:, k] for part in parts])[order] for k, field in enumerate(fields)
+            }
+            built.append(JointSeries(self._topic, names, stamp[order], **arrays, effort_unit=self._effort_unit))
+        return built
 
-    def _merge(self, contents: list[_Content]) -> JointSeries:
-        names, fields = contents[0]
-        rows: list[_Rows] = []
-        for content in contents:
-            if content.fields != fields:
-                start = min(int(rows.stamp_ns[0]) for rows in self._rows[content])
-                raise BagError(
-                    f"{self._topic}: carries {', '.join(fields) or 'no arrays'} in some messages "
-                    f"and {', '.join(content.fields) or 'no arrays'} in others (from t = {start / NANOSECONDS:.9f} s)"
-                )
-            columns = [content.names.index(name) for name in names]
-            same = content.names == names
-            rows += [part if same else part._replace(values=part.values[:, :, columns]) for part in self._rows[content]]
-        place = np.concatenate([part.place for part in rows])
-        order = np.argsort(place)
-        stamp = np.concatenate([part.stamp_ns for part in rows])
-        if self._times:
-            stamp = np.array(self._times, dtype=np.int64)[place]
-        arrays = {  # one after the other: of a long bag all of them twice would be a lot of memory
-            field: np.concatenate([part.values[:, k] for part in rows])[order] for k, field in enumerate(fields)
-        }
-        return JointSeries(self._topic, names, stamp[order], **arrays, effort_unit=self._effort_unit)
+    def _keep(self, content: _Content, rows: _Rows) -> None:
+        """Keep rows with those of the same joints, in the order of joints of the first one."""
+        first, parts = self._sets.setdefault(frozenset(content.names), (content, []))
+        if content.fields != first.fields:
+            usual = ", ".join(first.fields) or "no arrays"
+            other = ", ".join(content.fields) or "no arrays"
+            start = f"(from t = {rows.stamp_ns[0] / NANOSECONDS:.9f} s)"
+            raise BagError(f"{self._topic}: carries {usual} in some messages and {other} in others {start}")
+        if content.names != first.names:
+            columns = [content.names.index(name) for name in first.names]
+            rows = rows._replace(values=rows.values[:, :, columns])
+        parts.append(rows)
 
     def _decode_pending(self) -> None:
         messages = self._pending
         start = self._decoded
         self._pending = []
         self._decoded += len(messages)
-        size = np.array([len(message) for message in messages])
+        sizes = np.array([len(message) for message in messages])
         remaining = np.arange(len(messages))
-        tried = 0
+        layouts = 0
         while len(remaining):
-            if tried == len(self._layouts):  # of this message a new layout may be learnt
-                self._decode_one(messages[remaining[0]], remaining[:1] + start)
-                remaining = remaining[1:]
-                continue
-            layout = self._layouts[tried]
-            tried += 1
-            slack = size[remaining] - layout.end
-            rows = remaining[(slack >= 0) & (slack <= _MAX_SLACK)]
-            joined = b"".join([messages[row][: layout.end] for row in rows.tolist()])
-            block = np.frombuffer(joined, np.uint8).reshape(len(rows), layout.end)
-            fits = layout.fits(block)
-            if fits.any():
-                fitting = block[fits]
-                self._keep(layout.content, rows[fits] + start, cdr_stamps_ns(fitting), layout.values(fitting))
-                remaining = np.setdiff1d(remaining, rows[fits], assume_unique=True)
+            first = remaining[0]
+            message = self._message(messages[first])
+            content, stamp_ns, values = self._content(message)
+            alike = remaining[:1]
+            others = remaining[1:]
+            if layouts < _MAX_LAYOUTS and messages[first][:ENCAPSULATION] == self._beginning:
+                layouts += 1
+                chosen = sizes[remaining] == sizes[first]
+                block = np.frombuffer(b"".join([messages[row] for row in remaining[chosen].tolist()]), np.uint8)
+                block = block.reshape(-1, sizes[first])
+                fixed, numbers = _places(message.header.frame_id, content)
+                fits = (block[:, fixed] == block[0, fixed]).all(axis=1)
+                chosen[chosen] = fits
+                stamp_ns = cdr_stamps_ns(block[fits])
+                values = np.take(block[fits], numbers, axis=1).view("<f8")
+                alike = remaining[chosen]
+                others = remaining[~chosen]
+            shape = len(alike), len(content.fields), len(content.names)
+            self._keep(content, _Rows(alike + start, stamp_ns, values.reshape(shape)))
+            remaining = others
 
-    def _keep(self, content: _Content, place: NDArray[np.intp], stamp_ns: Int64Array, values: Array) -> None:
-        self._rows.setdefault(content, []).append(_Rows(place, stamp_ns, values))
-
-    def _decode_one(self, raw: bytes, place: NDArray[np.intp]) -> None:
-        """Decode a message by the general path, and learn its layout."""
-        message = self._message(raw)
+    def _content(self, message: Any) -> tuple[_Content, Int64Array, Array]:
+        """Return the content of a message, its stamp and its numbers."""
         names = tuple(message.name)
-        arrays = {field: np.asarray(getattr(message, field), dtype=np.float64) for field in FIELDS}
         stamp_ns = message_time_ns(message.header.stamp)
         where = f"{self._topic} at t = {stamp_ns / NANOSECONDS:.9f} s"
         if not names or len(set(names)) != len(names):
             raise BagError(f"{where}: joint names are {list(names)}; accepted: one or more, each once")
+        arrays = {"position": message.position, "velocity": message.velocity, "effort": message.effort}
         for field, array in arrays.items():
             if len(array) not in (0, len(names)):
                 raise BagError(
                     f"{where}: {counted(len(array), 'number')} in {field} for {counted(len(names), 'joint')}"
                 )
         content = _Content(names, tuple(field for field, array in arrays.items() if len(array)))
-        values = np.array([array for array in arrays.values() if len(array)]).reshape(1, -1, len(names))
-        self._keep(content, place, np.array([stamp_ns], dtype=np.int64), values)
-        if self._cdr and len(self._layouts) < _MAX_LAYOUTS:
-            layout = _Layout(content, message.header.frame_id, raw)
-            if layout.fits_sample:
-                block = np.frombuffer(raw[: layout.end], np.uint8).reshape(1, -1)
-                if layout.values(block).tobytes() == values.tobytes():
-                    self._layouts.append(layout)
+        numbers = np.concatenate([np.asarray(array, dtype=np.float64) for array in arrays.values()])
+        return content, np.array([stamp_ns], dtype=np.int64), numbers
 
     def _message(self, raw: bytes) -> Any:
         """Return the message as rosbags builds it, which tolerates 3 unused bytes at its end."""
-        slack = 0
-        while True:
+        for unused in range(0, _MAX_SLACK, 4):
             try:
-                return self._deserialize(raw[: len(raw) - slack])
-            except BagError:
-                slack += 4
-                if slack > _MAX_SLACK or not self._cdr:
-                    raise
+                return self._deserialize(raw[: len(raw) - unused])
+            except BagError as error:
+                refusal = error
+        raise refusal
+
+
+def _places(frame_id: str, content: _Content) -> tuple[list[int], list[int]]:
+    """Return where a CDR message has the bytes that are the same in all with its content, and those of its numbers.
+
+    Each part is aligned to its size, counted behind the encapsulation; the padding between them may hold anything.
+    """
+    fixed = list(range(ENCAPSULATION))
+    numbers: list[int] = []
+    texts = [len(text.encode()) + 5 for text in (frame_id, *content.names)]  # a length before, a NUL behind
+    parts = [(size, 4, fixed) for size in (texts[0], 4, *texts[1:])]
+    for field in FIELDS:
+        parts.append((4, 4, fixed))
+        if field in content.fields:
+            parts.append((8 * len(content.names), 8, numbers))
+    end = HEAD
+    for size, alignment, places in parts:
+        end += -(end - ENCAPSULATION) % alignment
+        places.extend(range(end, end + size))
+        end += size
+    return fixed, numbers

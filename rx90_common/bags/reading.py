@@ -7,7 +7,6 @@ series.stamp_ns, series.names, series.position  # (n,), k names, (n, k)
 from __future__ import annotations
 
 import heapq
-import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -37,7 +36,6 @@ Progress = Callable[[int, int], None]
 """Called with how much is done, and of how much."""
 FILE = "metadata.yaml"
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-_PART = re.compile(r"(.+)_([0-9]+)(\..+)", re.DOTALL)  # of a recording that was split: NAME_0.mcap, NAME_1.mcap, ...
 
 
 class _TopicMetadata(Model):
@@ -59,7 +57,6 @@ class _Information(Model):
 
     topics_with_message_count: Annotated[tuple[_TopicCount, ...], Field(strict=False)]
     relative_file_paths: Names
-    message_count: Annotated[int, Field(ge=0)]
     custom_data: dict[str, Any] | None = None
 
 
@@ -83,8 +80,8 @@ class BagReader:
     """A bag that is open for reading: a rosbag2 folder, an .mcap or .db3 file, a ROS 1 .bag file, or a log in columns.
 
     Use it as a context manager. Each storage file is checked against its own index, counts and checksums, and all of
-    them against metadata.yaml if there is one; a folder without is read file by file. Quality of service
-    and the definitions of types in a bag are ignored. A log in columns has series and no messages.
+    them against metadata.yaml if there is one. Quality of service and the definitions of types in a bag are ignored.
+    A log in columns has series and no messages.
 
     Args:
         path: the folder or file.
@@ -92,8 +89,6 @@ class BagReader:
 
     Attributes:
         path: as given.
-        files: the storage files.
-        notes: remarks for the user about the reading of the bag.
         effort_units: of topics whose efforts are not in the usual unit of their names, by its metadata.
         table: the series of a log in columns.
     """
@@ -103,57 +98,45 @@ class BagReader:
         self._mapping = mapping
         if not self.path.exists():
             raise BagError(f"{plain(path)}: no such bag")
-        self.files: list[Path] = []
-        self.notes: list[str] = []
         self.effort_units: dict[str, str] = {}
         self.table: Sequence[JointSeries] = ()
-        self._storages: list[StorageFile] = []
+        self._storages: dict[Path, StorageFile] = {}
         self._stack = ExitStack()
 
     def __enter__(self) -> BagReader:
         if is_table(self.path):
-            from rx90_common.bags.logs import read_logs  # pyarrow takes a while
+            from rx90_common.bags.logs import read_log  # pyarrow takes a while
 
-            self.table = read_logs([self.path], self._mapping).series
+            self.table = read_log(self.path, self._mapping).series
             self.effort_units = {series.topic: series.effort_unit for series in self.table}
             return self
         with ExitStack() as stack:
-            counts = self._read_metadata() if (self.path / FILE).exists() else None
-            self.files = self.files or self._storage_files()
-            for file in self.files:
+            counts: Counter[tuple[str, str]] = Counter()
+            files = self._read_metadata(counts) if (self.path / FILE).exists() else []
+            for file in files or [self._storage_file()]:
                 with self._damage(file):
-                    self._storages.append(open_storage(file, stack))
-            if counts is not None:
-                held: Counter[tuple[str, str]] = Counter()
-                for topic in self.topics:
-                    held[topic.name, topic.msgtype] += topic.count
-                for name, msgtype in sorted(key for key in counts.keys() | held.keys() if counts[key] != held[key]):
-                    said = f"{counted(counts[name, msgtype], 'message')} of {plain(name)} ({plain(msgtype)})"
-                    raise self._disagreement(f"{said}, the storage holds {held[name, msgtype]}")
+                    self._storages[file] = stack.enter_context(open_storage(file))
+            if files:
+                self._compare(counts)
             self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._storages = []
         self._stack.close()
 
     @property
     def storage(self) -> str:
         """Return the kind of its files: mcap, db3 or bag; of a log its suffix."""
-        kinds = sorted({storage.kind for storage in self._storages})
+        kinds = sorted({storage.kind for storage in self._storages.values()})
         return ", ".join(kinds) if kinds else self.path.suffix.lower().removeprefix(".")
-
-    @property
-    def compression(self) -> str:
-        """Return the kind of its compression, such as `zstd chunks`; known once it has been read."""
-        return ", ".join(sorted({storage.compression for storage in self._storages} - {""}))
 
     @property
     def topics(self) -> list[BagTopic]:
         """Return the bag's topics by name; one with two types or two encodings occurs twice."""
         counts: Counter[tuple[str, str, str]] = Counter()
-        for topic in (topic for storage in self._storages for topic in storage.topics.values()):
-            counts[topic.identity] += topic.count
+        for storage in self._storages.values():
+            for topic in storage.topics.values():
+                counts[topic.identity] += topic.count
         topics = [BagTopic(name, kind, count, encoding) for (name, kind, encoding), count in counts.items()]
         topics += [BagTopic(series.topic, JOINT_STATE, len(series.stamp_ns)) for series in self.table]
         return sorted(topics, key=attrgetter("identity"))
@@ -161,14 +144,15 @@ class BagReader:
     def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
         """Yield (topic, log time in ns, serialised message) in the order of log time."""
         wanted = {topic.identity: topic for topic in topics}
-        parts = [self._messages(*file, wanted) for file in zip(self.files, self._storages, strict=True)]
+        parts = [self._messages(file, wanted) for file in self._storages]
         yield from parts[0] if len(parts) == 1 else heapq.merge(*parts, key=itemgetter(1))
 
     def deserialize(self, topic: BagTopic, data: bytes) -> Any:
         """Return the message as rosbags builds it."""
         store = _typestore(Stores.ROS1_NOETIC if topic.is_ros1 else Stores.ROS2_JAZZY)
-        if topic.msgtype not in store.fielddefs or not topic.is_known:
-            raise BagError(f"{plain(self.path)}: {plain(topic.name)} is {topic.description}, which is not known here")
+        if topic.msgtype not in store.fielddefs:
+            kind = plain(topic.msgtype)
+            raise BagError(f"{plain(self.path)}: {plain(topic.name)} is {kind}, which is not known here")
         try:
             return (store.deserialize_ros1 if topic.is_ros1 else store.deserialize_cdr)(data, topic.msgtype)
         except Exception as error:  # rosbags has no error of its own for bytes that do not fit
@@ -193,8 +177,8 @@ class BagReader:
         chosen = []
         for name in dict.fromkeys(map(absolute, topics)):
             if name not in by_name:
-                other = [topic.description for topic in there if topic.name == name]
-                what = f"{plain(name)} is {other[0]}" if other else f"no topic {plain(name)}"
+                kinds = [plain(topic.msgtype) for topic in there if topic.name == name]
+                what = f"{plain(name)} is {kinds[0]}" if kinds else f"no topic {plain(name)}"
                 raise BagError(f"{plain(self.path)}: {what}; {series_topics_text(there)}")
             if filled and not by_name[name].count:
                 raise BagError(f"{plain(self.path)}: no messages in {plain(name)}")
@@ -208,89 +192,77 @@ class BagReader:
         names = [topic.name for topic in topics]
         if self.table:
             series = {series.topic: [series] for series in self.table if series.topic in names}
-            return JointBag(self.path, self.topics, series, self.notes)
+            return JointBag(self.path, self.topics, series)
         builders: dict[int, SeriesBuilder] = {}  # to hash a topic takes 0.5 us
         for topic in topics:
             unit = self.effort_units.get(topic.name, "")
-            builders[id(topic)] = SeriesBuilder(
-                topic.name, partial(self.deserialize, topic), cdr=not topic.is_ros1, effort_unit=unit
-            )
+            deserialize = partial(self.deserialize, topic)
+            builders[id(topic)] = SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit)
         total = sum(topic.count for topic in topics)
         with located(plain(self.path), BagError):
             for done, (topic, log_ns, data) in enumerate(self.messages(topics), 1):
                 builders[id(topic)].add(data, log_ns if record_time else None)
-                if done % _STEP == 0:
+                if done % _STEP == 0 or done == total > _STEP:
                     progress(done, total)
-            if total > _STEP:
-                progress(total, total)
             series = dict(zip(names, (builder.build() for builder in builders.values()), strict=True))
-        return JointBag(self.path, self.topics, series, self.notes)
+        return JointBag(self.path, self.topics, series)
 
-    def _read_metadata(self) -> Counter[tuple[str, str]] | None:
-        """Find files and units of efforts in metadata.yaml; return the messages of each topic and type, if any."""
+    def _read_metadata(self, counts: Counter[tuple[str, str]]) -> list[Path]:
+        """Return the files that metadata.yaml names; note the units of efforts, and messages by topic and type."""
         try:
             metadata = read_model(_Metadata, self.path / FILE, "the metadata of a rosbag2 folder")
         except ConfigError as error:
             raise BagError(f"{plain(self.path)}: {str(error).removeprefix(f'{plain(self.path)}/')}") from error
         information = metadata.rosbag2_bagfile_information
-        counts: Counter[tuple[str, str]] = Counter()
         for topic in information.topics_with_message_count:
             about = topic.topic_metadata
             counts[about.name, full_type(about.type)] += topic.message_count
-        self.files = [self.path / PurePosixPath(file).name for file in information.relative_file_paths]
-        total = information.message_count
         for key, value in (information.custom_data or {}).items():
             if key.startswith(EFFORT_UNIT):
                 self.effort_units[key.removeprefix(EFFORT_UNIT)] = plain(value)
-        if self.files and total != counts.total():
-            raise self._disagreement(f"{counted(total, 'message')} in all, its topics add up to {counts.total()}")
-        for file in self.files:
+        files = [self.path / PurePosixPath(file).name for file in information.relative_file_paths]
+        for file in files:
             if not file.is_file():
                 raise BagError(f"{plain(self.path)}: {plain(file.name)} is missing, which {FILE} names")
-        return counts if self.files else None
+        return files
 
-    def _storage_files(self) -> list[Path]:
-        """Return the storage files where no metadata name them."""
+    def _compare(self, counts: Counter[tuple[str, str]]) -> None:
+        """Refuse a bag that does not hold the messages of its metadata."""
+        held: Counter[tuple[str, str]] = Counter()
+        for topic in self.topics:
+            held[topic.name, topic.msgtype] += topic.count
+        for name, msgtype in sorted(key for key in counts.keys() | held.keys() if counts[key] != held[key]):
+            said = f"{counted(counts[name, msgtype], 'message')} of {plain(name)} ({plain(msgtype)})"
+            raise BagError(
+                f"{plain(self.path)}: {FILE} says {said}, the storage holds {held[name, msgtype]}; 'ros2 bag reindex' "
+                "writes it anew, and each storage file can be read by its own path"
+            )
+
+    def _storage_file(self) -> Path:
+        """Return the storage file where no metadata name them."""
         where = plain(self.path)
         if not self.path.is_dir():
-            if self.path.is_fifo() or self.path.is_socket():  # to open it would wait for a writer
+            if not self.path.is_file():  # to open a pipe would wait for a writer
                 raise BagError(f"{where}: no file that can be read twice; accepted: {ACCEPTED}")
-            return [self.path]
+            return self.path
         files = sorted(file for file in self.path.iterdir() if file.name.endswith(_SUFFIXES))
         if not files:
             raise BagError(f"{where}: not a bag, or an emptied one: no .mcap or .db3 file in it; accepted: {ACCEPTED}")
         if len(files) > 1:
-            parts = sorted(
-                (part[1], part[3], int(part[2]), file) for file in files if (part := _PART.fullmatch(file.name))
+            raise BagError(
+                f"{where}: {FILE} is missing, and there are {listed(file.name for file in files)}; accepted: one file, "
+                "or each by its path; 'ros2 bag reindex' writes the metadata of several"
             )
-            if not parts or [part[:3] for part in parts] != [
-                (*parts[0][:2], parts[0][2] + k) for k in range(len(files))
-            ]:
-                raise BagError(
-                    f"{where}: {FILE} is missing, and {listed(file.name for file in files)} are not the "
-                    "parts of one recording; accepted: NAME_0.mcap, NAME_1.mcap and so on without a gap, or each file "
-                    "by its path"
-                )
-            files = [part[3] for part in parts]
-        self.notes.append(f"{FILE} is missing; read as they are: {plain(', '.join(file.name for file in files))}")
-        return files
-
-    def _disagreement(self, what: str) -> BagError:
-        remedy = "'ros2 bag reindex' writes it anew, and each storage file can be read by its own path"
-        return BagError(f"{plain(self.path)}: {FILE} says {what}; {remedy}")
+        return files[0]
 
     def _messages(
-        self, file: Path, storage: StorageFile, wanted: dict[tuple[str, str, str], BagTopic]
+        self, file: Path, wanted: dict[tuple[str, str, str], BagTopic]
     ) -> Iterator[tuple[BagTopic, int, bytes]]:
-        topics = {key: wanted[t.identity] for key, t in storage.topics.items() if t.identity in wanted}
-        read = 0
-        expected = sum(storage.topics[key].count for key in topics)
+        storage = self._storages[file]
+        topics = {key: wanted[topic.identity] for key, topic in storage.topics.items() if topic.identity in wanted}
         with self._damage(file):
             for key, log_ns, data in storage.messages(topics):
-                read += 1
                 yield topics[key], log_ns, data
-            if read != expected:
-                raise DamagedError(f"{expected:,} messages should be there, {read:,} can be read")
 
     @contextmanager
     def _damage(self, file: Path) -> Iterator[None]:
@@ -314,13 +286,11 @@ class JointBag:
         topics: all topics of the bag.
         series: by absolute topic name, one for each set of joints in the topic, in the order of their first
             messages; none for a topic without messages.
-        notes: remarks for the user about the reading of the bag.
     """
 
     path: Path
     topics: Sequence[BagTopic]
     series: dict[str, list[JointSeries]]
-    notes: Sequence[str]
 
     @property
     def begin_ns(self) -> int:

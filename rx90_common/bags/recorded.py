@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import xml.etree.ElementTree as ET
-from collections import Counter
-from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
 from rx90_common.bags.mapping import is_table
-from rx90_common.bags.reading import BagReader
-from rx90_common.bags.topics import JOINT_TRAJECTORY, POINT_FIELDS, STRING, reports_changes
+from rx90_common.bags.reading import BagReader, JointBag
+from rx90_common.bags.topics import JOINT_TRAJECTORY, STRING, reports_changes
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.rates import message_time_ns
 from rx90_common.description.urdf import robot_name
-from rx90_common.exchange.topics import COMMANDED_TRAJECTORY, OF_ACTION, TRAJECTORY_ACCEPTED
+from rx90_common.exchange.topics import TRAJECTORY_ACCEPTED
 
 START: Final = "start"
 TRAJECTORY: Final = "trajectory"
@@ -35,26 +32,20 @@ _VALUES = (
 """The fields of a rcl_interfaces/ParameterValue by its type, without the ending."""
 
 
-def robot_of(path: Path | str) -> str | None:
-    """Return the name in the first description of a robot in a bag; None if it has none."""
-    if is_table(Path(path)):
-        return None
-    with BagReader(path) as bag:
-        topics = [t for t in bag.topics if t.msgtype == STRING and t.name.rpartition("/")[2] == _DESCRIPTION]
-        for topic, _, data in islice(bag.messages(topics) if topics else (), 1):
-            with suppress(ET.ParseError, ValueError):
-                return robot_name(str(bag.deserialize(topic, data).data)) or None
-    return None
-
-
 def check_robot(path: Path | str, robot: str) -> None:
     """Check that a bag is of a robot: that the first description in it, if there is one, bears its name."""
-    found = robot_of(path)
-    if found not in (None, robot):
-        raise BagError(
-            f"{plain(path)}: recorded of the robot {quoted(found)}, not of {quoted(robot)}; accepted: a bag of "
-            "that robot, or --robot with the bag's"
-        )
+    if is_table(Path(path)):
+        return
+    with BagReader(path) as bag:
+        topics = [t for t in bag.topics if t.msgtype == STRING and t.name.rpartition("/")[2] == _DESCRIPTION]
+        for topic, _, data in islice(bag.messages(topics), 1):
+            with suppress(ET.ParseError, ValueError):
+                name = robot_name(str(bag.deserialize(topic, data).data))
+                if name not in ("", robot):
+                    raise BagError(
+                        f"{plain(path)}: recorded of the robot {quoted(name)}, not of {quoted(robot)}; accepted: a "
+                        "bag of that robot, or --robot with the bag's"
+                    )
 
 
 @dataclass(frozen=True)
@@ -67,65 +58,30 @@ class ParameterChange:
     stamp_ns: int
 
 
-def changes_of(event: Any) -> list[ParameterChange]:
-    """Return the changes in a rcl_interfaces/ParameterEvent."""
-    stamp = message_time_ns(event.stamp)
-    return [ParameterChange(event.node, each.name, _value(each.value), stamp) for each in event.changed_parameters]
-
-
 def read_changes(path: Path | str) -> list[ParameterChange]:
     """Return the changes of parameters in a bag, in the order of its messages."""
-    return [change for event in _events(path) for change in changes_of(event)]
+    return [
+        ParameterChange(event.node, changed.name, _value(changed.value), message_time_ns(event.stamp))
+        for event in _events(path)
+        for changed in event.changed_parameters
+    ]
 
 
 def read_values(path: Path | str) -> dict[str, Any]:
     """Return the parameters in a bag at the start of its nodes, by their names: numbers, lists of these, ..."""
-    return {each.name: json.loads(_value(each.value)) for event in _events(path) for each in event.new_parameters}
+    return {new.name: json.loads(_value(new.value)) for event in _events(path) for new in event.new_parameters}
 
 
 def _events(path: Path | str) -> list[Any]:
     with BagReader(path) as bag:
         topics = [topic for topic in bag.topics if reports_changes(topic.name, topic.msgtype)]
-        return [bag.deserialize(topic, data) for topic, _, data in bag.messages(topics)] if topics else []
+        return [bag.deserialize(topic, data) for topic, _, data in bag.messages(topics)]
 
 
 def _value(value: Any) -> str:
     """Return the value of a rcl_interfaces/ParameterValue as JSON, null for nothing."""
     field_value = getattr(value, f"{_VALUES[value.type]}_value") if 0 < value.type < len(_VALUES) else None
     return json.dumps(field_value.tolist() if isinstance(field_value, np.ndarray) else field_value)
-
-
-class TrajectoryCount:
-    """Compares the trajectories that controllers accepted with those that arrived on their topics.
-
-    A sender of one trajectory may end before it has discovered the recorder; the controller has received
-    the trajectory, publishes it latched, and its copy is used here.
-    """
-
-    def __init__(self) -> None:
-        self._missing: Counter[tuple[str, bytes]] = Counter()  # accepted less came, by controller and digest
-
-    def add(self, topic: str, message: Any) -> None:
-        """Count a JointTrajectory of any topic."""
-        controller, _, name = topic.rpartition("/")
-        accepted = name == TRAJECTORY_ACCEPTED and message.header.frame_id != OF_ACTION
-        if not accepted and name != COMMANDED_TRAJECTORY:
-            return
-        digest = hashlib.sha256(repr(tuple(message.joint_names)).encode())  # of joints and points, whatever the header
-        for point in message.points:
-            since = point.time_from_start
-            vectors = [np.asarray(getattr(point, field), dtype=np.float64) for field in POINT_FIELDS]
-            digest.update(repr((since.sec, since.nanosec, *map(len, vectors))).encode())
-            for vector in vectors:
-                digest.update(vector.tobytes())
-        self._missing[controller, digest.digest()] += 1 if accepted else -1
-
-    def missing(self, topics: Collection[str]) -> dict[str, int]:
-        """Return how many trajectories did not come, by the topic that they were sent on, of those that are given."""
-        counts: Counter[str] = Counter()
-        for (controller, _), count in (+self._missing).items():
-            counts[f"{controller}/{COMMANDED_TRAJECTORY}"] += count
-        return {topic: count for topic, count in counts.items() if topic in topics}
 
 
 @dataclass(frozen=True)
@@ -162,19 +118,7 @@ def read_trajectories(path: Path | str) -> list[RecordedTrajectory]:
     return sorted(trajectories, key=lambda one: one.start_ns)
 
 
-class Begins(Protocol):
-    """A bag as far as it was read, that knows when it begins."""
-
-    @property
-    def path(self) -> Path:
-        """Return its path."""
-
-    @property
-    def begin_ns(self) -> int:
-        """Return its first stamp, ns; raises BagError if there is none."""
-
-
-def time_shift(align: int | str, first: Begins, second: Begins) -> int:
+def time_shift(align: int | str, first: JointBag, second: JointBag) -> int:
     """Return the offset to add to the stamps of the second of two bags, ns; `align` as in `Scope`."""
     if isinstance(align, int):
         return align

@@ -1,7 +1,7 @@
-"""Storage files of bags: mcap by the mcap library's records, databases by SQLite, bags of ROS 1 by rosbags.
+"""Storage files of bags, mcap, sqlite3 and ROS 1: read by rosbags, after what it does not check.
 
-Each file is read by its index if it has one, and held against its checksums, counts and tables. The messages in a
-chunk of mcap are found here: the library takes some 15 us for each.
+These are the checksum of an mcap file's summary, what chunks unpack to, deleted rows and damaged pages of a database,
+and the counts of messages.
 """
 
 from __future__ import annotations
@@ -9,75 +9,68 @@ from __future__ import annotations
 import os
 import sqlite3
 import struct
-from bisect import bisect_left
-from collections import Counter
+from bz2 import BZ2Decompressor
 from collections.abc import Callable, Collection, Iterator
-from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
-from io import BytesIO
-from operator import attrgetter, itemgetter
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import BinaryIO, Final, TypeAlias
+from typing import Any, BinaryIO, Final, NamedTuple, TypeAlias
+from urllib.parse import quote
 from zlib import crc32
 
+import lz4.frame
+from backports import zstd
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, Schema, Statistics
-from mcap.stream_reader import StreamReader, breakup_chunk
-from mcap.summary import Summary
+from mcap.records import Chunk
+from rosbags.interfaces import ConnectionExtRosbag2
 from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag1.reader import Header, ReaderError, RecordType
+from rosbags.rosbag2.storage_mcap import McapReader
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from rx90_common.bags.limits import (
-    MAX_CHUNK_BYTES,
     MAX_MESSAGE_BYTES,
-    ROS1_MAGIC,
     ZSTD_MAGIC,
     DamagedError,
     check_length,
-    check_ros1_chunks,
     check_whole,
     library_errors,
-    unpack_chunk,
     unpack_file,
     unpack_message,
 )
 from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
-from rx90_common.base.rates import NANOSECONDS
 
 ACCEPTED: Final = (
     "a rosbag2 folder, an .mcap, .db3 or ROS 1 .bag file, also with .zstd, or a .csv, .parquet or .npz table"
 )
 MCAP_MAGIC: Final = b"\x89MCAP0\r\n"
-_MAX_SUMMARY_BYTES = 256 << 20
-_LAST_NS = 2**64
-_RECORD = struct.Struct("<BQ")  # op code and length
-_MESSAGE = struct.Struct("<BQHIQQ")  # the same, channel, sequence number, log time, time of publication
+_SQLITE_MAGIC = b"SQLite format 3\0"
+_ROS1_MAGIC = b"#ROSBAG V2.0\n"
+_MAX_CHUNK_BYTES = 32 << 20
+_RECORD = struct.Struct("<BQ")  # of mcap: op code and length
 _FOOTER = struct.Struct("<QQI")  # places of summary and offsets, checksum
-_CDR = "cdr"
-_ROS1 = "ros1"
-# Queries of a database before its messages are read.
-_INTEGRITY = "PRAGMA integrity_check(1)"  # tables against indexes, page by page
-_FOREIGN = (
-    "SELECT count(*) FROM messages WHERE typeof(id) != 'integer' OR typeof(timestamp) != 'integer' "
-    "OR typeof(data) != 'blob' OR topic_id NOT IN (SELECT id FROM topics)"
-)
-_NUMBERS = "SELECT count(*), min(id), max(id) FROM messages"
-
-LoggedMessage: TypeAlias = tuple[int, int, bytes]
-"""Key of the topic, log time in ns, message."""
+_DECOMPRESSORS: dict[str, Callable[[], Any]] = {
+    "zstd": zstd.ZstdDecompressor,
+    "lz4": lz4.frame.LZ4FrameDecompressor,
+    "bz2": BZ2Decompressor,
+}
+_UNPACKED = ("", "none")
+_ROWS = "SELECT count(*), min(id), max(id), max(length(data)) FROM messages"
+_Reader: TypeAlias = McapReader | Sqlite3Reader | Ros1Reader
 
 
 @dataclass(frozen=True)
 class BagTopic:
-    """A topic as a bag lists it; `encoding` is that of its messages, such as cdr."""
+    """A topic as a bag lists it; `encoding` is that of its messages: cdr, or ros1, or another one."""
 
     name: str
     msgtype: str
     count: int
-    encoding: str = _CDR
+    encoding: str = "cdr"
 
     @property
     def identity(self) -> tuple[str, str, str]:
@@ -85,51 +78,14 @@ class BagTopic:
         return self.name, self.msgtype, self.encoding
 
     @property
-    def is_known(self) -> bool:
-        """Return whether its messages are serialised as ROS 2 or ROS 1 do it."""
-        return self.encoding in (_CDR, _ROS1)
+    def is_ros1(self) -> bool:
+        """Return whether its messages are serialised as ROS 1 does it."""
+        return self.encoding == "ros1"
 
     @property
     def is_joint_state(self) -> bool:
         """Return whether its messages can be read as joint states."""
-        return self.msgtype == JOINT_STATE and self.is_known
-
-    @property
-    def description(self) -> str:
-        """Return its type in one line, with the encoding of its messages where that is not ROS 2's."""
-        kind = plain(self.msgtype) or "without a type"
-        return kind if self.is_known else f"{kind} in {plain(self.encoding) or 'no encoding'}"
-
-    @property
-    def is_ros1(self) -> bool:
-        """Return whether its messages are serialised as ROS 1 does it."""
-        return self.encoding == _ROS1
-
-
-class StorageFile:
-    """A storage file; the keys of `topics` are its own identifiers."""
-
-    kind: str
-    compression = ""
-    topics: dict[int, BagTopic]
-
-    def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
-        """Yield the messages of these topics in the order of log time, equal times in that of writing.
-
-        Raises:
-            DamagedError: if they do not fit the checksums, tables and indexes of the file.
-        """
-        raise NotImplementedError
-
-    def close(self) -> None:
-        """Close it."""
-
-    def _message(self, data: bytes) -> bytes:
-        """Return a message, unpacked; one that is compressed begins as no CDR message does."""
-        if not data.startswith(ZSTD_MAGIC):
-            return data
-        self.compression = "zstd messages"
-        return unpack_message(data)
+        return self.msgtype == JOINT_STATE and self.encoding in ("cdr", "ros1")
 
 
 def full_type(msgtype: str) -> str:
@@ -138,16 +94,174 @@ def full_type(msgtype: str) -> str:
     return f"{package}/msg/{name}" if slash and "/" not in name else msgtype
 
 
-def open_storage(path: Path, stack: ExitStack) -> StorageFile:
-    """Open a storage file of the kind that its first bytes show; a compressed one is decompressed to a temporary file.
+class StorageFile:
+    """A storage file that is open.
 
-    Args:
-        path: of the file, with any name.
-        stack: closes it.
+    Attributes:
+        kind: mcap, db3 or bag.
+        topics: by its own identifiers.
+    """
+
+    def __init__(self, kind: str, reader: _Reader) -> None:
+        self.kind = kind
+        self._reader = reader
+        self.topics: dict[int, BagTopic] = {}
+        for connection in reader.connections:
+            form = connection.ext
+            encoding = form.serialization_format if isinstance(form, ConnectionExtRosbag2) else "ros1"
+            msgtype = full_type(connection.msgtype)
+            self.topics[connection.id] = BagTopic(connection.topic, msgtype, connection.msgcount, encoding)
+
+    def messages(self, keys: Collection[int]) -> Iterator[tuple[int, int, bytes]]:
+        """Yield key of the topic, log time in ns and message, for these topics, in the order of log time.
+
+        Raises:
+            DamagedError: if they do not fit the checksums, tables and indexes of the file.
+        """
+        connections = [connection for connection in self._reader.connections if connection.id in keys]
+        read = 0
+        with library_errors():
+            # To rosbags no connections are all of them.
+            for connection, log_ns, data in self._reader.messages(connections) if connections else ():
+                read += 1
+                yield connection.id, log_ns, unpack_message(data) if data.startswith(ZSTD_MAGIC) else data
+        expected = sum(connection.msgcount for connection in connections)
+        if read != expected:
+            raise DamagedError(f"{expected:,} messages should be there, {read:,} can be read")
+
+
+@contextmanager
+def open_storage(path: Path) -> Iterator[StorageFile]:
+    """Open a storage file of the kind that its first bytes show; a compressed one is decompressed to a temporary file.
 
     Raises:
         DamagedError: if it contradicts itself.
     """
+    with path.open("rb") as stream:
+        beginning = stream.read(16)
+    if beginning.startswith(ZSTD_MAGIC):
+        with TemporaryDirectory(prefix="rx90_bag_") as folder:
+            target = Path(folder) / path.stem
+            unpack_file(path, target)
+            with open_storage(target) as storage:
+                yield storage
+        return
+    with library_errors():
+        if beginning.startswith(MCAP_MAGIC):
+            kind = "mcap"
+            reader: _Reader = _open_mcap(path)
+        elif beginning.startswith(_SQLITE_MAGIC):
+            kind = "db3"
+            _check_database(path)
+            reader = Sqlite3Reader(Path(quote(str(path))))  # which stands in a URI there
+            reader.open()
+            _check_total(reader)
+        elif beginning.startswith(_ROS1_MAGIC):
+            kind = "bag"
+            with path.open("rb") as stream:
+                _check_chunks(path, _ros1_chunks(stream))
+            reader = Ros1Reader(path)
+            reader.open()
+        else:
+            fault = "is no bag, or damaged at its beginning" if beginning else "is empty"
+            raise BagError(f"{fault}; accepted: {ACCEPTED}")
+    with closing(reader):
+        yield StorageFile(kind, reader)
+
+
+class _PackedChunk(NamedTuple):
+    """Messages that are compressed together: where they begin in the file, and the length that they are to have."""
+
+    start: int
+    compression: str
+    size: int
+    content: bytes
+
+
+def _check_chunks(path: Path, chunks: Iterator[_PackedChunk]) -> set[tuple[int, str, int, int]]:
+    """Refuse chunks that unpack to too much, or to other lengths than their heads say; return place and form of each.
+
+    rosbags unpacks a chunk whole, whatever comes of it.
+    """
+    whole = 0
+    forms = set()
+    for start, compression, size, content in chunks:
+        with library_errors(f"the chunk at byte {start}: "):
+            check_length(f"the chunk at byte {start}", max(size, len(content)), _MAX_CHUNK_BYTES)
+            unpacked = content
+            left_over = b""
+            if compression not in _UNPACKED:
+                decompressor = _DECOMPRESSORS[compression]()
+                unpacked = decompressor.decompress(content, size + 1)
+                left_over = decompressor.unused_data
+            if len(unpacked) != size or left_over:
+                raise DamagedError(f"the chunk at byte {start} unpacks to another length than {size:,} bytes")
+        whole += size
+        check_whole(path, "chunks", whole)
+        forms.add((start, compression, len(content), size))
+    return forms
+
+
+def _open_mcap(path: Path) -> McapReader:
+    """Open an mcap file that has its end, the checksum of its summary, and chunks where its index says."""
+    with path.open("rb") as stream:
+        end = stream.seek(-len(MCAP_MAGIC), os.SEEK_END)
+        if not end or stream.read() != MCAP_MAGIC:
+            raise BagError(
+                "is cut off (its recorder was killed, or the disk was full?); 'mcap recover' restores what is whole"
+            )
+        stream.seek(end - _FOOTER.size)
+        start, _, crc = _FOOTER.unpack(stream.read(_FOOTER.size))
+        stream.seek(start)
+        if start and crc and crc32(stream.read(max(0, end - start - 4))) != crc:
+            raise DamagedError("the checksum of its summary does not match")
+        forms = _check_chunks(path, _mcap_chunks(stream))
+    reader = McapReader(path)
+    reader.open()
+    indexed = {
+        (chunk.chunk_start_offset, chunk.compression, chunk.compressed_size, chunk.uncompressed_size)
+        for chunk in reader.chunks
+    }
+    if not indexed <= forms:
+        raise DamagedError("its index leads to no chunk")
+    _check_total(reader)
+    return reader
+
+
+def _check_total(reader: McapReader | Sqlite3Reader) -> None:
+    counted = sum(connection.msgcount for connection in reader.connections)
+    if counted != reader.metadata.message_count:
+        raise DamagedError(f"it has {reader.metadata.message_count:,} messages, its topics {counted:,}")
+
+
+def _mcap_chunks(stream: BinaryIO) -> Iterator[_PackedChunk]:
+    stream.seek(len(MCAP_MAGIC))
+    while len(head := stream.read(_RECORD.size)) == _RECORD.size:
+        code, length = _RECORD.unpack(head)
+        begin = stream.tell()
+        if code == Opcode.CHUNK:
+            check_length("a chunk", length, _MAX_CHUNK_BYTES)
+            chunk = Chunk.read(ReadDataStream(stream))
+            yield _PackedChunk(begin - _RECORD.size, chunk.compression, chunk.uncompressed_size, chunk.data)
+        stream.seek(begin + length)
+
+
+def _ros1_chunks(stream: BinaryIO) -> Iterator[_PackedChunk]:
+    """Yield the chunks of a bag of ROS 1; what stands beside them, and a cut off end, are left to rosbags."""
+    stream.seek(len(_ROS1_MAGIC))
+    with suppress(ReaderError):
+        while True:
+            header = Header.read(stream)
+            length = int.from_bytes(stream.read(4), "little")
+            begin = stream.tell()
+            if header.get_uint8("op") == RecordType.CHUNK:
+                content = stream.read(min(length, _MAX_CHUNK_BYTES + 1))
+                yield _PackedChunk(begin, header.get_string("compression"), header.get_uint32("size"), content)
+            stream.seek(begin + length)
+
+
+def _check_database(path: Path) -> None:
+    """Refuse a database that was not closed, whose pages are damaged, or from which rows were deleted."""
     for suffix in ("-journal", "-wal"):  # reading a database with one alone would show a torn state
         with suppress(OSError):  # there is none, or its name would be too long to be one
             if Path(f"{path}{suffix}").stat().st_size:
@@ -155,264 +269,14 @@ def open_storage(path: Path, stack: ExitStack) -> StorageFile:
                     f"was not closed (its recorder was killed?); sqlite3 restores {path.name} up to its last commit "
                     "when it is opened for writing, and 'ros2 bag reindex' then writes the metadata"
                 )
-    with path.open("rb") as stream:
-        beginning = stream.read(max(map(len, _BEGINNINGS)))
-        if beginning.startswith(ZSTD_MAGIC):
-            target = Path(stack.enter_context(TemporaryDirectory(prefix="rx90_bag_"))) / path.stem
-            unpack_file(path, target)
-            inner = open_storage(target, stack)
-            inner.compression = "zstd files"
-            return inner
-    kind = next((kind for known, kind in _BEGINNINGS.items() if beginning.startswith(known)), None)
-    if kind is None:
-        fault = "is no bag, or damaged at its beginning" if beginning else "is empty"
-        raise BagError(f"{fault}; accepted: {ACCEPTED}")
-    with library_errors():
-        file = kind(path)
-    stack.callback(file.close)
-    return file
-
-
-class _McapFile(StorageFile):
-    """An mcap file; refused if it is cut off, or its records do not have its counts and checksums."""
-
-    kind = "mcap"
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        with path.open("rb") as stream:
-            size = stream.seek(-len(MCAP_MAGIC), os.SEEK_END)
-            if not size or stream.read() != MCAP_MAGIC:
-                raise self._cut_off()
-            summary = _summary(stream)
-        self._chunks = sorted(summary.chunk_indexes, key=attrgetter("message_start_time"))
-        if sum(index.chunk_length for index in self._chunks) > size:
-            raise DamagedError("its index has more chunks than it can hold")
-        check_whole(path, "chunks", sum(index.uncompressed_size for index in self._chunks))
-        counts: dict[int, int] = Counter()
-        if summary.statistics is not None and summary.channels:
-            counts = summary.statistics.channel_message_counts
-        else:
-            for record in self._records():
-                if isinstance(record, Message):
-                    counts[record.channel_id] += 1
-                else:
-                    _note(summary, record)
-        for lacking in (key for key, count in counts.items() if count and key not in summary.channels):
-            raise DamagedError(f"its summary lacks channel {lacking}, which has messages")
-        self.topics = {}
-        for key, channel in sorted(summary.channels.items()):
-            schema = summary.schemas.get(channel.schema_id)
-            if channel.schema_id and schema is None:
-                raise DamagedError(f"{plain(channel.topic)} is of schema {channel.schema_id}, which is not there")
-            msgtype = full_type(schema.name) if schema is not None else ""
-            self.topics[key] = BagTopic(channel.topic, msgtype, counts.get(key, 0), channel.message_encoding)
-
-    def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
-        pending: list[LoggedMessage] = []
-        with library_errors():
-            for part, next_ns in self._parts(keys):
-                check_length("a message", max((len(data) for _, _, data in part), default=0), MAX_MESSAGE_BYTES)
-                pending += part
-                pending.sort(key=itemgetter(1))
-                end = bisect_left(pending, next_ns, key=itemgetter(1))
-                for key, log_ns, data in pending[:end]:
-                    yield key, log_ns, self._message(data)
-                pending = pending[end:]
-
-    def _parts(self, keys: Collection[int]) -> Iterator[tuple[list[LoggedMessage], int]]:
-        """Yield messages of these channels by chunk, each with the first time of the later chunks."""
-        if not self._chunks:
-            messages = [record for record in self._records() if isinstance(record, Message)]
-            logged = ((message.channel_id, message.log_time, message.data) for message in messages)
-            yield [message for message in logged if message[0] in keys], _LAST_NS
-            return
-        chunks = [
-            index
-            for index in self._chunks
-            if not index.message_index_offsets or not index.message_index_offsets.keys().isdisjoint(keys)
-        ]
-        starts = [index.message_start_time for index in chunks]
-        with self._path.open("rb") as stream:
-            for k, index in enumerate(chunks, 1):
-                with library_errors(f"the chunk at byte {index.chunk_start_offset}: "):
-                    stream.seek(index.chunk_start_offset)
-                    code, length = _RECORD.unpack(stream.read(_RECORD.size))
-                    if code != Opcode.CHUNK or length + _RECORD.size != index.chunk_length:
-                        raise DamagedError("its index leads to no chunk")
-                    check_length("a chunk", length, MAX_CHUNK_BYTES)
-                    chunk = Chunk.read(ReadDataStream(stream))
-                    if chunk.uncompressed_size != index.uncompressed_size:
-                        raise DamagedError("its index states another length")
-                    part = _messages_in(self._content(chunk), keys)
-                    if not all(chunk.message_start_time <= log_ns <= chunk.message_end_time for _, log_ns, _ in part):
-                        raise DamagedError("its messages have other times than its head says")
-                yield part, starts[k] if k < len(starts) else _LAST_NS
-
-    def _content(self, chunk: Chunk) -> bytes:
-        if chunk.compression:
-            self.compression = f"{chunk.compression} chunks"
-        return unpack_chunk(chunk)
-
-    def _records(self) -> Iterator[McapRecord]:
-        """Yield the records of the file, and those in its chunks, as they stand in it."""
-        with self._path.open("rb") as stream:
-            reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_CHUNK_BYTES)
-            whole = 0
-            for record in reader.records:
-                if isinstance(record, Chunk):
-                    whole += record.uncompressed_size
-                    check_whole(self._path, "chunks", whole)
-                    yield from breakup_chunk(replace(record, data=self._content(record), compression=""))
-                else:
-                    yield record
-
-    def _cut_off(self) -> BagError:
-        """Return the error for a file without its proper end, with the number of whole messages."""
-        count = 0
-        end_ns = 0
-        with suppress(Exception):  # where it is cut off
-            for record in self._records():
-                if isinstance(record, Message):
-                    count += 1
-                    end_ns = max(end_ns, record.log_time)
-        if not count:
-            return BagError("is cut off before its first whole chunk: nothing can be recovered")
-        return BagError(
-            f"is cut off (its recorder was killed, or the disk was full?): {count} messages up to t = "
-            f"{end_ns / NANOSECONDS:.6f} s are whole, 'mcap recover' restores them"
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
+        (verdict,) = database.execute("PRAGMA integrity_check(1)").fetchone()
+        count, first, last, longest = database.execute(_ROWS).fetchone()
+    if verdict != "ok":
+        raise DamagedError(plain(verdict))
+    check_length("a message", longest or 0, MAX_MESSAGE_BYTES)
+    if count and (lost := last - min(first, 1) + 1 - count):  # rows are numbered from 1 on
+        raise DamagedError(
+            f"{lost:,} messages are gone: the last one has number {last:,}, {count:,} are there; "
+            "'ros2 bag convert' makes a bag of these"
         )
-
-
-def _summary(stream: BinaryIO) -> Summary:
-    """Return the summary of an mcap file, empty if it has none; checked against its checksum."""
-    summary = Summary()
-    stream.seek(-_FOOTER.size - len(MCAP_MAGIC), os.SEEK_END)
-    start, _, crc = _FOOTER.unpack(stream.read(_FOOTER.size))
-    if start:
-        size = stream.seek(0, os.SEEK_END)
-        check_length("its summary", size - start, _MAX_SUMMARY_BYTES)
-        stream.seek(start)
-        content = stream.read()
-        if crc not in (0, crc32(content[: -len(MCAP_MAGIC) - 4])):
-            raise DamagedError("the checksum of its summary does not match")
-        reader = StreamReader(BytesIO(content), skip_magic=True, emit_chunks=True, record_size_limit=len(content))
-        for record in reader.records:
-            _note(summary, record)
-    return summary
-
-
-def _note(summary: Summary, record: McapRecord) -> None:
-    """Note in a summary the record of a schema, a channel, a chunk, or of all messages."""
-    if isinstance(record, Schema):
-        summary.schemas[record.id] = record
-    elif isinstance(record, Channel):
-        summary.channels[record.id] = record
-    elif isinstance(record, ChunkIndex):
-        summary.chunk_indexes.append(record)
-    elif isinstance(record, Statistics):
-        summary.statistics = record
-
-
-def _messages_in(content: bytes, keys: Collection[int]) -> list[LoggedMessage]:
-    """Return the messages of these channels in the content of a chunk."""
-    messages = []
-    at = 0
-    size = len(content)
-    while at < size:
-        end = at + _RECORD.size
-        if content[at] == Opcode.MESSAGE:
-            _, length, channel, _, log_ns, _ = _MESSAGE.unpack_from(content, at)
-            end += length
-            if channel in keys:
-                messages.append((channel, log_ns, content[at + _MESSAGE.size : end]))
-        elif content[at]:  # schemas and channels
-            end += _RECORD.unpack_from(content, at)[1]
-        else:
-            break
-        at = end
-    if at != size:
-        raise DamagedError("its records do not fill it")
-    return messages
-
-
-class _SqliteFile(StorageFile):
-    """A database of rosbag2; a journal beside it is ignored, and a database of another kind is refused."""
-
-    kind = "db3"
-
-    def __init__(self, path: Path) -> None:
-        with ExitStack() as stack:
-            self._database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
-            stack.callback(self._database.close)
-            self.topics = self._topics()
-            stack.pop_all()
-
-    def close(self) -> None:
-        self._database.close()
-
-    def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
-        with library_errors():  # also MemoryError, of a length that is damaged
-            (verdict,) = self._database.execute(_INTEGRITY).fetchone()
-            (foreign,) = self._database.execute(_FOREIGN).fetchone()
-            count, first, last = self._database.execute(_NUMBERS).fetchone()
-            if verdict != "ok":
-                raise DamagedError(plain(verdict))
-            if foreign:
-                raise DamagedError(f"{foreign:,} messages are of no topic, or have no number, time or content")
-            if count and (lost := last - min(first, 1) + 1 - count):  # rows are numbered from 1 on
-                raise DamagedError(
-                    f"{lost:,} messages are gone: the last one has number {last:,}, {count:,} are there; "
-                    "'ros2 bag convert' makes a bag of these"
-                )
-            places = ", ".join("?" for _ in keys)
-            longest = f"SELECT max(length(data)) FROM messages WHERE topic_id IN ({places})"
-            (size,) = self._database.execute(longest, list(keys)).fetchone()
-            check_length("a message", size or 0, MAX_MESSAGE_BYTES)
-            chosen = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({places})"
-            for key, log_ns, data in self._database.execute(f"{chosen} ORDER BY timestamp, id", list(keys)):
-                yield key, log_ns, self._message(data)
-
-    def _topics(self) -> dict[int, BagTopic]:
-        tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        if not {"topics", "messages"} <= tables:
-            raise DamagedError("a database without the tables topics and messages; accepted: one of rosbag2")
-        query = (
-            "SELECT topics.id, name, type, serialization_format, count(messages.id) "
-            "FROM topics LEFT JOIN messages ON topics.id = messages.topic_id GROUP BY topics.id ORDER BY topics.id"
-        )
-        rows = self._database.execute(query).fetchall()
-        if not all(isinstance(text, str) for row in rows for text in row[1:4]):
-            raise DamagedError("a topic's name, type or encoding is no text")
-        return {key: BagTopic(name, full_type(kind), count, form) for key, name, kind, form, count in rows}
-
-
-class _Ros1File(StorageFile):
-    """A bag file of ROS 1, by rosbags."""
-
-    kind = "bag"
-
-    def __init__(self, path: Path) -> None:
-        check_ros1_chunks(path)
-        self._reader = Ros1Reader(path)
-        self._reader.open()
-        self.topics = {
-            c.id: BagTopic(c.topic, full_type(c.msgtype), c.msgcount, _ROS1) for c in self._reader.connections
-        }
-
-    def close(self) -> None:
-        self._reader.close()
-
-    def messages(self, keys: Collection[int]) -> Iterator[LoggedMessage]:
-        wanted = [connection for connection in self._reader.connections if connection.id in keys]
-        with library_errors():
-            # To rosbags no connections are all of them.
-            for connection, log_ns, data in self._reader.messages(wanted) if wanted else ():
-                yield connection.id, log_ns, data
-
-
-_BEGINNINGS: Final[dict[bytes, Callable[[Path], StorageFile]]] = {
-    MCAP_MAGIC: _McapFile,
-    b"SQLite format 3\0": _SqliteFile,
-    ROS1_MAGIC: _Ros1File,
-}

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Nodetype
 
 from rx90_common.bags.mapping import LogMapping
-from rx90_common.bags.ordering import OTHER_CLOCK_NS
 from rx90_common.bags.reading import BagReader, BagTopic
-from rx90_common.bags.recorded import ParameterChange, TrajectoryCount, changes_of
-from rx90_common.bags.topics import JOINT_TRAJECTORY, reports_changes
-from rx90_common.bags.writing import typestore
+from rx90_common.bags.recorded import ParameterChange, read_changes
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS, message_time_ns
@@ -44,7 +40,6 @@ class TopicSummary:
         backward: messages with an earlier time than the one before.
         repeated: messages with the same time as the one before.
         effort_unit: of a topic whose efforts are not in the usual unit of its name.
-        other_clock: messages whose stamps are of another clock than the log times.
     """
 
     topic: str
@@ -61,7 +56,6 @@ class TopicSummary:
     backward: int
     repeated: int
     effort_unit: str
-    other_clock: int
 
 
 @dataclass(frozen=True)
@@ -71,20 +65,16 @@ class BagSummary:
     Attributes:
         path: of the bag.
         storage: the kind of its files: mcap, db3 or bag.
-        compression: its kind: `zstd files`, `zstd messages`, `zstd chunks`, `lz4 chunks`; or nothing.
         size: of its files in bytes.
         topics: by name.
         changes: of parameters, in the order of the messages.
-        notes: remarks for the user about the reading of the bag.
     """
 
     path: Path
     storage: str
-    compression: str
     size: int
     topics: tuple[TopicSummary, ...]
     changes: tuple[ParameterChange, ...]
-    notes: tuple[str, ...]
 
     @property
     def count(self) -> int:
@@ -99,44 +89,27 @@ def summarise(path: Path | str, mapping: LogMapping | None = None) -> BagSummary
         if not topics:
             raise BagError(f"{plain(bag.path)}: holds no topics")
         times: dict[BagTopic, list[int]] = {topic: [] for topic in topics}
-        changes: list[ParameterChange] = []
-        trajectories = TrajectoryCount()
-        other_clock: Counter[BagTopic] = Counter()
-        for series in bag.table:
-            times[next(topic for topic in topics if topic.name == series.topic)] = series.stamp_ns.tolist()
-        stamped = {topic for topic in topics if topic.encoding == "cdr" and _begins_with_header(topic.msgtype)}
+        for topic, series in zip(topics, sorted(bag.table, key=attrgetter("topic")), strict=False):
+            times[topic] = series.stamp_ns.tolist()
         for topic, log_ns, data in bag.messages(topics):
-            stamp = cdr_stamp_ns(data) if topic in stamped else 0
             if topic.is_joint_state and topic.is_ros1:
                 times[topic].append(message_time_ns(bag.deserialize(topic, data).header.stamp))
             else:
-                times[topic].append(max(0, stamp) if topic.is_joint_state else log_ns)
-            if stamp > 0 and abs(stamp - log_ns) >= OTHER_CLOCK_NS:
-                other_clock[topic] += 1
-            if topic.msgtype == JOINT_TRAJECTORY and topic.encoding == "cdr":
-                trajectories.add(topic.name, bag.deserialize(topic, data))
-            if reports_changes(topic.name, topic.msgtype):
-                changes += changes_of(bag.deserialize(topic, data))
+                times[topic].append(max(0, cdr_stamp_ns(data)) if topic.is_joint_state else log_ns)
         files = [bag.path] if bag.path.is_file() else [file for file in bag.path.iterdir() if file.is_file()]
-        size = sum(file.stat().st_size for file in files)
-        summaries = tuple(
-            _summarise(topic, np.array(times[topic], dtype=np.int64),
-                       bag.effort_units.get(topic.name, ""), other_clock[topic])
-            for topic in topics
-        )  # fmt: skip
-        for name, count in trajectories.missing([topic.name for topic in topics]).items():
-            what = f"{plain(name)} lacks {count} of the trajectories that the controller accepted"
-            bag.notes.append(f"{what}: sent before the recording, or lost")
-        return BagSummary(bag.path, bag.storage, bag.compression, size, summaries, tuple(changes), tuple(bag.notes))
+        return BagSummary(
+            path=bag.path,
+            storage=bag.storage,
+            size=sum(file.stat().st_size for file in files),
+            topics=tuple(
+                _summarise(topic, np.array(times[topic], dtype=np.int64), bag.effort_units.get(topic.name, ""))
+                for topic in topics
+            ),
+            changes=() if bag.table else tuple(read_changes(path)),
+        )
 
 
-def _begins_with_header(msgtype: str) -> bool:
-    """Return whether messages begin with a header, as far as that is known here."""
-    _, fields = typestore().fielddefs.get(msgtype, ([], []))
-    return bool(fields) and fields[0][1] == (Nodetype.NAME, "std_msgs/msg/Header")
-
-
-def _summarise(topic: BagTopic, times: NDArray[np.int64], effort_unit: str, other_clock: int) -> TopicSummary:
+def _summarise(topic: BagTopic, times: NDArray[np.int64], effort_unit: str) -> TopicSummary:
     steps = np.diff(times)
     forward = steps[steps > 0]
     first, last = (int(times.min()), int(times.max())) if len(times) else (None, None)
@@ -161,5 +134,4 @@ def _summarise(topic: BagTopic, times: NDArray[np.int64], effort_unit: str, othe
         backward=int((steps < 0).sum()),
         repeated=int((steps == 0).sum()),
         effort_unit=effort_unit,
-        other_clock=other_clock,
     )

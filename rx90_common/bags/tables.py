@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from itertools import groupby
 
 from rx90_common.bags.comparison import BagComparison, TopicComparison, ValueDifference, Verdict
 from rx90_common.bags.summary import BagSummary, TopicSummary
@@ -13,7 +12,7 @@ from rx90_common.base.quoting import counted, listed, plain
 from rx90_common.base.rates import NANOSECONDS
 
 _WORDS = {Verdict.SAME: "same", Verdict.DIFFERS: "DIFFERS", Verdict.INCOMPARABLE: "CANNOT BE COMPARED"}
-_COMPARED = ("field", "joint", "max", "at t (s)", "RMS", "unit", "tolerance", "beyond")
+_COMPARED = ("field", "joint", "max", "at t (s)", "RMS", "unit", "tolerance", "beyond", "not finite")
 _SUMMARISED = ("topic", "type", "messages", "rate (Hz)", "first (s)", "last (s)", "gaps", "remarks")
 
 
@@ -26,14 +25,11 @@ def comparison_text(comparison: BagComparison) -> str:
     verdict = f"{plain(comparison.path_a)} against {plain(comparison.path_b)}: {_WORDS[comparison.verdict]}"
     if alike:
         verdict += f"; {len(alike)} of {counted(len(comparison.topics), 'topic')} bit for bit"
-    outside = sum(side.outside for topic in alike for side in (topic.a, topic.b) if side is not None)
-    if outside:
-        verdict += f", {counted(outside, 'message')} outside the common range"
     if len(alike) == len(comparison.topics):
         verdict += f"; {counted(len(comparison.skipped), 'other topic')} not compared"
     elif comparison.skipped:
         blocks.append(f"not compared, as they are no JointState: {listed(comparison.skipped)}")
-    return "\n\n".join([*blocks, *comparison.notes, verdict])
+    return "\n\n".join([*blocks, verdict])
 
 
 def comparison_json(comparison: BagComparison) -> str:
@@ -46,7 +42,6 @@ def comparison_json(comparison: BagComparison) -> str:
         "shift_ns": comparison.shift_ns,
         "topics": [asdict(topic) | {"verdict": topic.verdict.name.lower()} for topic in comparison.topics],
         "not_compared": list(comparison.skipped),
-        "notes": list(comparison.notes),
     }
     return json.dumps(content, indent=2, allow_nan=False)
 
@@ -57,41 +52,21 @@ def _topic_text(topic: TopicComparison) -> str:
         low, high = (f"{t / NANOSECONDS:.9g}" for t in topic.range_ns)
         lines[0] += f", {counted(topic.pairs, 'message')} compared, t = {low} to {high} s"
     lines += [f"  {reason}" for reason in topic.reasons]
-    for side, where in ((topic.a, "first"), (topic.b, "second")):
-        notes = [] if side is None else [
-            f"{count} {what}" for count, what in (
-                (side.outside, "messages outside the common range"),
-                (side.repeats, "exact repetitions, counted once"),
-                (side.ambiguous, "messages that share a stamp with another one"),
-            ) if count
-        ]  # fmt: skip
-        lines += [f"  {where} bag: {'; '.join(notes)}"] * bool(notes)
-    rows: list[tuple[str, ...]] = []
-    for _, group in groupby(topic.values, lambda value: value.field):
-        values = list(group)
-        if len(values) > 1 and all(v.maximum == 0.0 and not v.beyond for v in values):  # one row for all
-            first = values[0]
-            tolerances = {v.tolerance for v in values}
-            tolerance = f"{first.tolerance:g}" if len(tolerances) == 1 else "various"
-            rows.append((first.field, f"all {len(values)}", "0", "", "0", first.unit, tolerance, ""))
-        else:
-            rows += map(_value_row, values)
-    return "\n".join([*lines, *([_table(_COMPARED, rows, indent=2)] if rows else [])])
+    rows = [_value_row(value) for value in topic.values if value.maximum or value.beyond]
+    return "\n".join([*lines, *([_table(_COMPARED, rows)] if rows else [])])
 
 
 def _value_row(value: ValueDifference) -> tuple[str, ...]:
-    beyond = f"{value.beyond}" if value.beyond else ""
-    if value.not_finite:
-        beyond += f" ({value.not_finite} not finite)"
     return (
         value.field,
         plain(value.joint),
-        f"{value.maximum:.3e}" if value.maximum else "0",
+        f"{value.maximum:.3e}",
         _seconds(value.at_ns),
-        f"{value.rms:.3e}" if value.rms else "0",
+        f"{value.rms:.3e}",
         value.unit,
         f"{value.tolerance:g}",
-        beyond,
+        f"{value.beyond}",
+        f"{value.not_finite}",
     )
 
 
@@ -103,14 +78,12 @@ def summary_json(summary: BagSummary) -> str:
 
 def summary_text(summary: BagSummary) -> str:
     """Return a table of the topics below one line about the whole bag."""
-    kind = summary.storage + (f" ({summary.compression})" if summary.compression else "")
     changes = [
         f"{plain(change.node)}: {plain(change.name)} changed to {plain(change.value)}, from t = "
         f"{_seconds(change.stamp_ns)} s on" for change in summary.changes
     ]  # fmt: skip
     return "\n".join([
-        f"{plain(summary.path)}: {kind}, {summary.size / 1e6:.1f} MB, {counted(summary.count, 'message')}",
-        *summary.notes,
+        f"{plain(summary.path)}: {summary.storage}, {summary.size / 1e6:.1f} MB, {counted(summary.count, 'message')}",
         _table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics]),
         *changes,
     ])  # fmt: skip
@@ -125,14 +98,8 @@ def _topic_row(topic: TopicSummary) -> tuple[str, ...]:
         remarks.append(f"time goes back {counted(topic.backward, 'time')}")
     if topic.repeated and topic.time == "stamp":  # by log time, messages of one moment are no fault
         remarks.append(counted(topic.repeated, "repeated time"))
-    if topic.encoding not in ("cdr", "ros1"):
-        remarks.append(f"messages in {plain(topic.encoding) or 'no encoding'}, not looked into")
-    if topic.other_clock:
-        remarks.append(f"{counted(topic.other_clock, 'stamp')} of another clock")
     if topic.effort_unit:
         remarks.append(f"effort in {topic.effort_unit}")
-    if topic.time == "log" and topic.count:
-        remarks.append("by log time")
     return (
         plain(topic.topic),
         plain(topic.msgtype),
@@ -149,11 +116,8 @@ def _seconds(time_ns: int | None) -> str:
     return "" if time_ns is None else f"{time_ns / NANOSECONDS:.6f}"
 
 
-def _table(headings: Sequence[str], rows: Sequence[Sequence[str]], indent: int = 0) -> str:
-    """Return headings and rows in columns as wide as their widest cell; numbers are right-aligned."""
-    columns = []
-    for heading, *cells in zip(headings, *rows, strict=True):
-        width = max(map(len, (heading, *cells)))
-        right = all(not cell or cell[0] in "-0123456789" for cell in cells)
-        columns.append([cell.rjust(width) if right else cell.ljust(width) for cell in (heading, *cells)])
-    return "\n".join(" " * indent + "  ".join(row).rstrip() for row in zip(*columns, strict=True))
+def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return headings and rows in columns as wide as their widest cell."""
+    widths = [max(map(len, column)) for column in zip(headings, *rows, strict=True)]
+    lines = [[cell.ljust(width) for cell, width in zip(row, widths, strict=True)] for row in (headings, *rows)]
+    return "\n".join("  ".join(line).rstrip() for line in lines)

@@ -44,11 +44,8 @@ from rx90_common.process.files import hidden_folder
 
 STORAGES: Final = ("mcap", "sqlite3")
 
-_CHECKPOINT_NS = NANOSECONDS  # of log time; the most that a killed recorder may lose
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
-_BYTES_PER_SPACE_CHECK = 4 << 20
 _MESSAGES_AT_ONCE = 10_000  # in memory while arrays are written
-_LONGEST_DATABASE = 504  # bytes; a path of SQLite has up to 512, with the journal's suffix
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
 _INTEGER = 2  # of rcl_interfaces/ParameterType
 _VALUE_ARRAYS = {"byte": np.uint8, "bool": np.bool_, "integer": np.int64, "double": np.float64}
@@ -188,14 +185,7 @@ class BagWriter:
         if storage not in STORAGES:
             raise BagError(f"storage is {quoted(storage)}; accepted: {', '.join(STORAGES)}")
         check_bag_name(self.path)
-        size = len(os.fsencode((self.path / f"{self.path.name}.db3").resolve()))
-        if storage == "sqlite3" and size > _LONGEST_DATABASE:
-            raise BagError(
-                f"{plain(self._named)}: its database would have a path of {size} bytes; accepted by SQLite: up to "
-                f"{_LONGEST_DATABASE} (a shorter name, a higher folder, or the storage mcap)"
-            )
-        self._unchecked_bytes = 0
-        self._checkpoint_ns = 0
+        self._second = 0  # of the newest log time
         self._opened = False
         self._closed = False
         self._has_messages = False
@@ -249,7 +239,7 @@ class BagWriter:
             self._writer.set_custom_data(f"{EFFORT_UNIT}{absolute(topic)}", effort_unit)
 
     def write_many(self, number: Int64Array, log_ns: Int64Array, messages: list[bytes]) -> None:
-        """Write serialised messages in this order.
+        """Write serialised messages in this order; a checkpoint follows the first one of each second.
 
         Args:
             number: of the connection of each, as in its `id`, int64 (n,).
@@ -259,39 +249,36 @@ class BagWriter:
         Raises:
             BagWriteError: if the disk is full or nearly so, or writing fails otherwise.
         """
-        begin = 0
+        second = np.maximum.accumulate(np.append(self._second, log_ns // NANOSECONDS))
+        stops = np.flatnonzero(np.diff(second)) + 1
         writer = self._writer
         storage: Any = writer.storage
-        size = np.fromiter(map(len, messages), np.int64, len(messages))
-        self._has_messages = self._has_messages or bool(messages)
-        while begin < len(messages):
-            # Up to where the disk is to be looked at, or a checkpoint to be made.
-            full = np.cumsum(size[begin:]) + self._unchecked_bytes > _BYTES_PER_SPACE_CHECK
-            due = log_ns[begin:] >= self._checkpoint_ns + _CHECKPOINT_NS
-            stops = full | due
-            end = begin + int(np.argmax(stops)) + 1 if stops.any() else len(messages)
+        begin = 0
+        for end in dict.fromkeys([*stops.tolist(), len(messages)]):
             rows = slice(begin, end)
-            last = int(log_ns[end - 1])
+            begin = end
+            if not messages[rows]:
+                continue
+            self._has_messages = True
             with self._failures():
                 storage.write_many(number[rows], log_ns[rows], messages[rows])
                 writer.min_timestamp = min(writer.min_timestamp, int(log_ns[rows].min()))
                 writer.max_timestamp = max(writer.max_timestamp, int(log_ns[rows].max()))
                 for connection, count in zip(*np.unique(number[rows], return_counts=True), strict=True):
                     writer.counts[int(connection)] += int(count)
-                self._unchecked_bytes += int(size[rows].sum())
-                if self._unchecked_bytes > _BYTES_PER_SPACE_CHECK:
-                    self._unchecked_bytes = 0
-                    free = shutil.disk_usage(self.path).free
-                    if free < _RESERVE_BYTES:
-                        whole = "; what was written is whole" if self._stays else ""
-                        raise BagWriteError(
-                            f"{plain(self._named)}: stopped at t = {last / NANOSECONDS:.6f} s, as the disk is nearly "
-                            f"full ({free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more){whole}"
-                        )
-                if last >= self._checkpoint_ns + _CHECKPOINT_NS:
-                    self._checkpoint_ns = last
+                if end in stops:
                     storage.checkpoint()
-            begin = end
+                self._check_space(int(log_ns[end - 1]))
+        self._second = int(second[-1])
+
+    def _check_space(self, last_ns: int) -> None:
+        free = shutil.disk_usage(self.path).free
+        if free < _RESERVE_BYTES:
+            whole = "; what was written is whole" if self._stays else ""
+            raise BagWriteError(
+                f"{plain(self._named)}: stopped at t = {last_ns / NANOSECONDS:.6f} s, as the disk is nearly "
+                f"full ({free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more){whole}"
+            )
 
     def close(self) -> None:
         """Write index and metadata. A second call does nothing.
@@ -322,7 +309,7 @@ class BagWriter:
             failed = self._opened or getattr(error, "errno", None) in DISK_ERRORS
             half = ""
             if self._opened and self._stays:
-                half = "; what was written before stays, and rx90_bag info says how much of it is whole"
+                half = "; what was written before stays"
             text = f"{plain(self._named)}: cannot be written ({reason}){half}"
             raise (BagWriteError if failed else BagError)(text) from error
 
@@ -459,25 +446,22 @@ def write_joint_states(
             if message.topic not in numbers_of:
                 qos = offered_qos(transient_local=message.transient_local)
                 numbers_of[message.topic] = bag.add_topic(message.topic, message.msgtype, [qos]).id
-        encoders = [*map(_encoder, series)]
+        encoders: list[Callable[[Int64Array], list[bytes]]] = [*map(_encoder, series)]
         encoders.append(lambda rows: [messages[row].cdr for row in rows.tolist()])
-        stamps = [part.stamp_ns for part in series]
-        stamps.append(np.array([message.log_ns for message in messages], dtype=np.int64))
+        stamps = [*(part.stamp_ns for part in series), np.array([message.log_ns for message in messages], np.int64)]
         counts = [len(stamp) for stamp in stamps]
         log_ns = np.concatenate(stamps)
         source = np.repeat(np.arange(len(counts)), counts)
         row = np.concatenate([np.arange(count) for count in counts])
-        number = np.repeat([*numbers, 0], counts)
-        number[len(number) - len(messages) :] = [numbers_of[message.topic] for message in messages]
+        number = np.repeat(numbers, counts[:-1])
+        number = np.concatenate([number, [numbers_of[message.topic] for message in messages]]).astype(np.int64)
         order = np.argsort(log_ns, kind="stable")
         for begin in range(0, len(order), _MESSAGES_AT_ONCE):
             rows = order[begin : begin + _MESSAGES_AT_ONCE]
-            block = [b""] * len(rows)
+            block = np.empty(len(rows), dtype=object)
             for k, encode in enumerate(encoders):
-                places = np.flatnonzero(source[rows] == k)
-                for place, data in zip(places.tolist(), encode(row[rows[places]]), strict=True):
-                    block[place] = data
-            bag.write_many(number[rows], log_ns[rows], block)
+                block[source[rows] == k] = encode(row[rows[source[rows] == k]])
+            bag.write_many(number[rows], log_ns[rows], block.tolist())
 
 
 def _encoder(series: JointSeries) -> Callable[[Int64Array], list[bytes]]:

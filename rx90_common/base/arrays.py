@@ -1,4 +1,4 @@
-"""Short names for types of arrays, whose shapes docstrings state, and the extremes of groups of their rows."""
+"""Short names for types of arrays, whose shapes docstrings state, how long they may be, and extremes of their rows."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+MAX_JOINTS = 7
+"""Joints that an arm may have."""
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]

@@ -13,6 +13,7 @@ import yaml
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import breaks_a_line, plain, quoted
+from rx90_common.base.text_lines import read_text
 
 # What is read in two seconds: letters, and values, as often as aliases repeat them.
 _MAX_BYTES = 3 << 20
@@ -122,17 +123,26 @@ _Loader.add_constructor("tag:yaml.org,2002:bool", _construct_switch)
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_mapping)
 
 
-def read_yaml(path: Path, accepted: str = "a mapping of keys to values", *, first: bool = False) -> dict[str, Any]:
+def read_yaml(
+    path: Path,
+    accepted: str = "a mapping of keys to values",
+    *,
+    first: bool = False,
+    lines: dict[str, int] | None = None,
+) -> dict[str, Any]:
     """Read a YAML file whose top level is a mapping.
 
     Args:
         path: of the file.
         accepted: expected content, for messages.
         first: whether to read the first of several documents; otherwise there must be one.
+        lines: filled with the line numbers, from 1 on, of keys and items, by `a.b[2].c`.
     """
-    text = StringIO(_read(path))
+    text = _read(path)
     try:
-        data = next(yaml.load_all(text, _Loader), None) if first else yaml.load(text, _Loader)
+        loader = _Loader(StringIO(text))
+        node: Any = loader.check_node() and loader.get_node() if first else loader.get_single_node()
+        data = loader.construct_document(node) if node else None
     except (yaml.YAMLError, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
         # All but the first: PyYAML on a tag or an escape that its text does not fit, and on deep nesting.
         reason = plain(_IN_FILE.sub(", ", " ".join(str(error).split())), _LONGEST_REASON)
@@ -140,22 +150,9 @@ def read_yaml(path: Path, accepted: str = "a mapping of keys to values", *, firs
     if not isinstance(data, dict):
         content = "nothing" if data is None else "a list" if isinstance(data, list) else "a single value"
         raise ConfigError(f"{plain(path)}: holds {content}; accepted: {accepted}")
+    if lines is not None:
+        _note_lines(node, "", lines)
     return data
-
-
-def yaml_value(text: str) -> Any:
-    """Return the value of a text in YAML, as in a file."""
-    try:
-        return yaml.load(text, _Loader)
-    except (yaml.YAMLError, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
-        raise ConfigError(f"{quoted(text)} is not valid YAML; accepted: a value as in a YAML file") from error
-
-
-def yaml_lines(path: Path) -> dict[str, int]:
-    """Return the line numbers, from 1 on, of the keys and items of a YAML file that has been read, by `a.b[2].c`."""
-    lines: dict[str, int] = {}
-    _note_lines(next(yaml.compose_all(_read(path), _Loader)), "", lines)
-    return lines
 
 
 def _note_lines(node: yaml.Node, path: str, lines: dict[str, int]) -> None:
@@ -172,14 +169,7 @@ def _note_lines(node: yaml.Node, path: str, lines: dict[str, int]) -> None:
 
 
 def _read(path: Path) -> str:
-    try:
-        with path.open("rb") as stream:
-            content = stream.read(_MAX_BYTES + 1)
-        if len(content) > _MAX_BYTES:
-            raise ConfigError(f"{plain(path)}: larger than {_MAX_BYTES / (1 << 20):g} MiB; accepted: up to that")
-        text = content.decode("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{plain(path)}: cannot be read ({getattr(error, 'strerror', error)})") from error
+    text = read_text(path, _MAX_BYTES)
     separators = text.count(",") + text.count("\n")
     if separators > _MAX_VALUES:  # before it is parsed, which would take a minute
         what = f"has {separators:,} commas and line ends"

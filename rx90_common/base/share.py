@@ -20,7 +20,8 @@ PACKAGES = ("rx90_common", "rx90_sim", "rx90_controller", "friction_bench", "rx9
 ROOT = Path(__file__).resolve().parents[2]
 """The folder that holds them: a checkout or a site-packages folder."""
 
-_IMPORT = re.compile(r"^\s*(?:from (\S+) import ([^\n(]*(?:\([^)]*\))?)|import (\S+))", re.MULTILINE)
+_CONSTANTS = re.compile(r"^from (\S+) import \(?(?:[\w\s]+,\s+)*[A-Z][A-Z0-9_]*\b", re.MULTILINE)
+"""An import of a constant, whose name is in capitals."""
 
 
 @cache
@@ -33,32 +34,28 @@ def module_file(name: str) -> Path | None:
     return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
 
 
-def importers_of(package: str) -> list[Path]:
-    """Return the project's files that import from `package`, sorted."""
-    pattern = re.compile(rf"^\s*from {re.escape(package)}[. ]", re.MULTILINE)
-    files = (file for name in PACKAGES for file in (ROOT / name).rglob("*.py"))
-    return sorted(file for file in files if pattern.search(file.read_text(encoding="utf-8")))
+def project_files() -> list[Path]:
+    """Return all source files of this project, sorted."""
+    return sorted(file for name in PACKAGES for file in (ROOT / name).rglob("*.py"))
 
 
-def with_imports(files: Iterable[Path]) -> list[Path]:
-    """Return `files` and all files of this project that they import, directly or not, sorted."""
-    found: set[Path] = set()
-    todo = list(files)
+def files_with_kernels() -> list[Path]:
+    """Return the source files that decide on compiled code, sorted.
+
+    They are those of kernels, which import `rx90_common.kernels.compiled`, and those from which these import constants.
+    Others, such as the models of files, have no part in it.
+    """
+    importing = re.compile(r"^from rx90_common\.kernels\.compiled ", re.MULTILINE)
+    todo = [file for file in project_files() if importing.search(file.read_text(encoding="utf-8"))]
+    todo += (ROOT / "rx90_common/kernels").glob("*.py")
+    files: set[Path] = set()
     while todo:
         file = todo.pop()
-        if file not in found:
-            found.add(file)
-            todo.extend(_imported(file))
-    return sorted(found)
-
-
-@cache
-def _imported(source: Path) -> list[Path]:
-    files = []
-    for base, items, plain in _IMPORT.findall(source.read_text(encoding="utf-8")):
-        names = [f"{base}.{item}" for item in re.findall(r"\w+", items)] if base else []
-        files += [file for name in (base, *names, plain) if name and (file := module_file(name))]
-    return files
+        if file not in files:
+            files.add(file)
+            sources = map(module_file, _CONSTANTS.findall(file.read_text(encoding="utf-8")))
+            todo.extend(source for source in sources if source is not None)
+    return sorted(files)
 
 
 def sources_hash(files: Iterable[Path], salt: str = "") -> str:

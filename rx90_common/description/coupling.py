@@ -23,9 +23,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.core import types
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import MAX_JOINTS, Array
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import MAX_JOINTS
 from rx90_common.base.quoting import counted, listed
 from rx90_common.kernels.compiled import by_type, inlined, kernel
 from rx90_common.kernels.lanes import Lanes, append, first, fma, lane, load, size, store

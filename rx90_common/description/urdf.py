@@ -15,9 +15,10 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
+from rx90_common.base.arrays import MAX_JOINTS
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import MAX_JOINTS
 from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.text_lines import read_bytes
 
 _INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # A thin body may miss the triangle inequality by the rounding of its printed digits.
@@ -54,12 +55,9 @@ def read_urdf(file: Path, encoding: str | None = None) -> ET.Element:
 
     Raises:
         ConfigError: naming what is not accepted.
-        OSError, ValueError, LookupError: if the file cannot be read, or is no XML (ElementTree.ParseError).
+        ValueError, LookupError: if it is no XML (ElementTree.ParseError).
     """
-    with file.open("rb") as stream:
-        content = stream.read(_MOST_BYTES + 1)
-    if len(content) > _MOST_BYTES:
-        raise ConfigError(f"{plain(file)}: larger than {_MOST_BYTES:,} bytes; accepted: up to that")
+    content = read_bytes(file, _MOST_BYTES)
     root = ET.fromstring(content if encoding is None else content.decode(encoding))
     for element in root.iter():
         name = element.get("name", "")
@@ -168,8 +166,6 @@ class UrdfFile:
     def _parse(self) -> ET.Element:
         try:
             root = read_urdf(self.file)
-        except OSError as error:
-            raise ConfigError(f"{self.file}: cannot be read ({error.strerror})") from error
         except (ET.ParseError, ValueError, LookupError) as error:
             raise ConfigError(f"{self.file}: not well-formed XML ({error})") from error
         if root.tag != "robot":

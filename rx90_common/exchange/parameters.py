@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from typing import Annotated, Any, TypeVar
 
@@ -29,7 +29,7 @@ from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.models import FileModel, Model, as_refusal, fault_lines, quantity
 from rx90_common.base.quoting import nearest, plain, question, quoted
 from rx90_common.base.rates import Rates
-from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, FILES, RobotFiles
+from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, FILES, RobotFiles, robot_folder
 from rx90_common.exchange.endpoints import PREFIX, is_given_alone, overridable_topics, ros_time
 from rx90_common.exchange.topics import PARAMETERS
 
@@ -39,12 +39,34 @@ Effective = Callable[[int], None]
 """To be called, on the executor's thread, with the simulated time, ns, of the first tick that has a change."""
 _Group = tuple[tuple[str, ...], Callable[[Mapping[str, Any]], Any], Callable[[Any, Effective], None]]
 _REMEMBERED = 100  # changes that a recorder gets which comes later
+AnyNodeModel = TypeVar("AnyNodeModel", bound="NodeModel")
 _TYPES = [kind.value for kind in Parameter.Type]
 _TYPE_HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 
 
 class NodeModel(Model):
     """Parameters of a node, as its file has them: a mapping for each dot of a name."""
+
+    @classmethod
+    def of(cls: type[AnyNodeModel], given: Mapping[str, Any]) -> AnyNodeModel:
+        """Return the parameters of a node for what it was given by name, without names that the model does not know.
+
+        Raises:
+            ConfigError: naming the parameter, its value and what is accepted.
+        """
+        known = {name: value for name, value in cls.completed(given).items() if name in cls.model_fields}
+        try:
+            return cls.model_validate(known)
+        except ValidationError as error:
+            raise ConfigError(f"parameter {fault_lines(cls, error, '', known)[0]}") from None
+
+    @classmethod
+    def completed(cls, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what the parameters come to, unchecked, a mapping for each dot of a name; may raise ConfigError."""
+        return nested(given)
+
+    def check_files(self) -> None:
+        """Check the parameters by the files that they name; raises Rx90Error."""
 
 
 class RateParameters(NodeModel):
@@ -69,11 +91,11 @@ class RateParameters(NodeModel):
         return Rates(self.base_rate, self.position_rate)
 
 
-_of_robot = "; the robot's or your own."
+_of_robot = "; the robot's if empty."
 
 
 class RobotParameters(RateParameters):
-    """Robot and rates of a node; a file that is left out is the robot's."""
+    """Robot and rates of a node; a file without a name is the robot's."""
 
     autostart: Annotated[
         bool,
@@ -88,12 +110,7 @@ class RobotParameters(RateParameters):
 
     def files(self) -> RobotFiles:
         """Return the robot's files, and those that are named in their place."""
-        of_robot = RobotFiles.named(self.robot)
-        chosen = {role: name for role, name in self if role in FILES and name != of_robot.text(role)}
-        return RobotFiles.named(self.robot, **chosen)
-
-
-AnyNodeModel = TypeVar("AnyNodeModel", bound=NodeModel)
+        return RobotFiles.named(self.robot, **{role: name for role, name in self if role in FILES and name})
 
 
 def flat(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
@@ -120,32 +137,6 @@ def nested(values: Mapping[str, Any]) -> dict[str, Any]:
         else:
             inner[last] = value
     return content
-
-
-def with_robot_files(model: type[RobotParameters], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the content of parameters, by their parts, with the files of the robot that is given where none is named.
-
-    An empty name, the value of a launch argument that was left out, is none.
-    """
-    content = nested({name: value for name, value in given.items() if value != "" or name not in FILES})
-    robot = content.get("robot", DEFAULT_ROBOT)
-    if not isinstance(robot, str):
-        raise ConfigError(f"parameter robot is {quoted(robot)}; accepted: a text")
-    of_robot = RobotFiles.named(robot)
-    return {role: of_robot.text(role) for role in FILES if role in model.model_fields} | content
-
-
-def checked(model: type[AnyNodeModel], content: Mapping[str, Any]) -> AnyNodeModel:
-    """Return parameters, without those that the model does not know.
-
-    Raises:
-        ConfigError: naming the parameter, its value and what is accepted.
-    """
-    known = {name: value for name, value in content.items() if name in model.model_fields}
-    try:
-        return model.model_validate(known)
-    except ValidationError as error:
-        raise ConfigError(f"parameter {fault_lines(model, error, '', known)[0]}") from None
 
 
 def leaves(values: Model, before: str = "") -> Iterator[tuple[str, Any, FieldInfo]]:
@@ -283,7 +274,6 @@ class ParameterChanges:
         self._unconfigured = unconfigured
         self._groups: list[_Group] = []
         self._constants: list[str] = []
-        self._robot_files: tuple[str, ...] = ()
         qos = QoSProfile(depth=_REMEMBERED, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._publisher = node.create_publisher(ParameterEvent, f"~/{PARAMETERS}", qos)
         node.add_pre_set_parameters_callback(self._complete)
@@ -311,37 +301,19 @@ class ParameterChanges:
         self._groups.clear()
         self._constants.clear()
 
-    def follow_robot(self, *files: str) -> None:
-        """Have these files set with `robot`: those that are the robot's become those of the other robot."""
-        self._robot_files = files
-
     def publish_values(self) -> None:
         """Publish the values that may be changed, and the constants: so a bag has them from its begin on."""
         names = [*(name for group in self._groups for name in group[0]), *self._constants]
         values = [self._node.get_parameter(name).to_parameter_msg() for name in names]
         self._publisher.publish(ParameterEvent(node=self._node.get_fully_qualified_name(), new_parameters=values))
 
-    def _files_of(self, robot: str) -> dict[str, str]:
-        """Return the files that come with another robot; raises ConfigError for one that is not there."""
-        before = RobotFiles.named(self._node.get_parameter("robot").value)
-        now = RobotFiles.named(robot)
-        kept = (name for name in self._robot_files if self._node.get_parameter(name).value == before.text(name))
-        return {name: now.text(name) for name in kept}
-
     def _complete(self, given: Sequence[Parameter]) -> list[Parameter]:
-        """Return a request with whole numbers made real ones where that is needed, and with a robot's files."""
-        complete = []
-        for parameter in given:
-            known = self._node.has_parameter(parameter.name)
-            usual = self._node.get_parameter(parameter.name).value if known else None
-            complete.append(_with_real_numbers(parameter, usual) if known else parameter)
-        names = {parameter.name for parameter in given}
-        for parameter in given:
-            if parameter.name == "robot" and self._robot_files and self._unconfigured():
-                with suppress(Rx90Error):  # `_answer` reports it
-                    files = self._files_of(parameter.value)
-                    complete += [Parameter(name, value=file) for name, file in files.items() if name not in names]
-        return complete
+        """Return a request with whole numbers made real ones where that is needed."""
+        known = self._node.has_parameter
+        return [
+            _with_real_numbers(each, self._node.get_parameter(each.name).value) if known(each.name) else each
+            for each in given
+        ]
 
     def _answer(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         try:
@@ -354,8 +326,8 @@ class ParameterChanges:
                         f"`ros2 lifecycle set {self._node.get_fully_qualified_name()}` deactivate and cleanup lead to"
                     )
             for parameter in parameters:
-                if parameter.name == "robot" and self._robot_files:
-                    self._files_of(parameter.value)
+                if parameter.name == "robot":
+                    robot_folder(str(parameter.value))
             for (_, check, _), values in self._changed(parameters):
                 check(values)
         except Rx90Error as error:

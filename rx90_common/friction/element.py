@@ -12,10 +12,11 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic_core import CoreSchema
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.models import FileModel, quantity, refusal, refusals, unit_of
+from rx90_common.base.models import FileModel, JsonSchema, quantity, refusal, refusals, word_of
 from rx90_common.friction.parts.bristles import BRISTLES, LUGRE_PASSIVITY, Bristles
 from rx90_common.friction.parts.curve import CURVE, CurvePart
 from rx90_common.friction.parts.load import LOAD, LoadPart
@@ -55,7 +56,8 @@ class FrictionElement(FileModel):
     The paper's viscous part is c2 v, `alpha` 1. With another exponent it is linear below LINEAR_SPEED, up to the same
     value there. Its power is never negative: the limit of c1 does not depend on it (docs/explanation/closed_loop.md).
 
-    `tau_c` and `tau_s` have a value for each sign of the velocity, or one for both. A part that is None is off: load
+    `tau_c` and `tau_s` have a value for each sign of the velocity, or one for both. They may be left out beside a
+    curve, and so may `omega_s` and `delta` where no load has friction of its own. A part that is None is off: load
     by the transmitted torque, temperature of the joint, ripple by the angles of joint and motor, scatter as a slow
     random walk, bristles of another kind than equation 17, and a curve in place of equation 19. The curves below are
     those without load, at the reference temperature, in the mean over angle and scatter.
@@ -86,6 +88,30 @@ class FrictionElement(FileModel):
     scatter: Annotated[ScatterPart | None, SCATTER] = None
     bristles: Annotated[Bristles | None, BRISTLES] = None
     curve: Annotated[CurvePart | None, CURVE] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete_curve(cls, content: Any) -> Any:
+        """Take what is left out beside a curve for its torque at rest, without a rise; it does not count."""
+        if not isinstance(content, Mapping) or content.get("curve") is None:
+            return content
+        try:
+            torque: Any = CurvePart.model_validate(content["curve"]).at_rest
+        except ValidationError:  # which is told of the curve
+            torque = 1.0
+        missing = {"tau_c": torque, "tau_s": torque}
+        if content.get("load") is None:
+            missing |= {"omega_s": 1.0, "delta": 1.0}
+        return {**missing, **content}
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+        """Return the schema, with what is needed only where there is no curve."""
+        schema = handler.resolve_ref_schema(handler(core_schema))
+        replaced = ["tau_c", "tau_s", "omega_s", "delta"]
+        schema["required"] = [name for name in schema["required"] if name not in replaced]
+        schema["anyOf"] = [{"required": ["curve"]}, {"required": replaced}]
+        return schema
 
     @classmethod
     def of(cls, parameters: Mapping[str, Any]) -> FrictionElement:
@@ -225,7 +251,7 @@ PARTS: dict[str, Part] = {
 """The parts that an element may have, by the keys of their blocks, which are its attributes."""
 
 FRICTION_UNITS = {
-    name: unit_of(FrictionElement, name.removesuffix("_positive").removesuffix("_negative"))
+    name: word_of(FrictionElement, name.removesuffix("_positive").removesuffix("_negative"), "unit")
     for name in (
         *(f"{torque}_{sign}" for torque in ("tau_c", "tau_s") for sign in SIGNS),
         *("omega_s", "delta", "c0", "c1", "c2", "omega_d", "alpha"),

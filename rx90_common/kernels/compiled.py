@@ -4,9 +4,9 @@ fastmath stays off, so that a kernel gives the same bits wherever it is inlined.
 when to use which decorator.
 
 numba's own cache checks only the file of a compiled function: after a change in a kernel that it *calls* from
-another file, it would run the old code. This cache therefore has a folder named after the hash of all files
-with kernels and of their imports. In it a kernel is found by its module's name, not by its path: clones,
-wheels and installed copies of the same sources share compiled code.
+another file, it would run the old code. This cache therefore has a folder named after the hash of all files with
+kernels and of those that they take constants from. In it a kernel is found by its module's name, not by its path:
+clones, wheels and installed copies of the same sources share compiled code.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from numba.core.registry import CPUDispatcher
 from numba.core.sigutils import normalize_signature
 from numba.extending import overload
 
-from rx90_common.base.share import importers_of, module_file, sources_hash, with_imports
+from rx90_common.base.share import files_with_kernels, module_file, sources_hash
 from rx90_common.kernels import compilation_begins
 
 _UNUSED_S = 28 * 24 * 3600.0  # after which the folder of other sources is removed
@@ -94,12 +94,11 @@ class CompileLock:
 
 
 def _kernels_hash() -> str:
-    files = with_imports(importers_of("rx90_common.kernels"))
     # Environments with the same sources share the folder: all that decides on their code counts, but for the
     # processor, which numba's index names.
     svml = getattr(numba.config, "USING_SVML", False)
     versions = (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:2], svml)
-    return sources_hash(files, " ".join(map(str, versions)))
+    return sources_hash(files_with_kernels(), " ".join(map(str, versions)))
 
 
 def cache_directory() -> Path:

@@ -54,11 +54,10 @@ from rx90_common.exchange.topics import (
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import load_controller
 from rx90_controller.node.parameters import (
-    FILE_PARAMETERS,
     OF_ROBOT,
+    ControllerFiles,
+    ControllerParameters,
     allow_goal_changes,
-    controller_files,
-    controller_parameters,
     law_names,
     law_of,
     unused_parameters,
@@ -100,7 +99,7 @@ class Control:
         given = node.parameters.values
         unused = unused_parameters(given)
         node.parameters.ignore(unused)
-        parameters = controller_parameters(given)
+        parameters = ControllerParameters.of(given)
         node.parameters.declare(parameters)
         files = parameters.files()
         rates = parameters.rates
@@ -339,8 +338,7 @@ class ControllerNode:
         self._control: Control | None = None
         self._time_mode: TimeMode | None = None
         self._answering = threading.Lock()
-        self.node.parameters.declare(controller_files(self.node.parameters.values))
-        self.node.changes.follow_robot(*FILE_PARAMETERS)
+        self.node.parameters.declare(ControllerFiles.of(self.node.parameters.values))
 
     # Transitions, on the executor's thread.
 

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Annotated, Any, Final, TypeAlias
 
 from pydantic import Field
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import FileModel, Model, quantity, refusals
+from rx90_common.base.models import Model, quantity, refusals
 from rx90_common.base.quoting import nearest, plain, question, quoted
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import DESCRIPTIONS
 from rx90_common.exchange.lifecycle import ManagedNode
-from rx90_common.exchange.parameters import Effective, RobotParameters, checked, nested, with_robot_files
+from rx90_common.exchange.parameters import Effective, RobotParameters, nested
 from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CS7BParameters, FeedForward, Servo, Supervision, load_controller
@@ -23,8 +23,6 @@ from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory.request import Constraints, GoalOptions, GoalTolerances
 from rx90_controller.trajectory.stream import StreamOptions
 
-FILE_PARAMETERS: Final = ("urdf", "drives", "controller")
-"""Files of the robot that the node can be given."""
 _UNUSED_PARAMETERS = re.compile(
     r"(command_joints|update_rate|is_async|speed_scaling\.(command|state)_interface|open_loop_control|cmd_timeout"
     r"|interpolate_from_desired_state|interpolation_method|allow_integration_in_goal_trajectories"
@@ -45,7 +43,7 @@ class ControllerFiles(RobotParameters):
     """The parameters of a node that has no robot yet."""
 
     controller: Annotated[
-        str, Field(description=f"{DESCRIPTIONS['controller'].capitalize()}; the robot's or your own.")
+        str, Field(description=f"{DESCRIPTIONS['controller'].capitalize()}; the robot's if empty.")
     ] = ""
     max_seconds_ahead: Annotated[
         float,
@@ -108,6 +106,41 @@ class ControllerParameters(ControllerFiles, GoalOptions):
     feed_forward: FeedForward
     supervision: Supervision
 
+    @classmethod
+    def completed(cls, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what is given, and for the rest what the files say.
+
+        Raises:
+            ConfigError: for files that are none, and for joints and interfaces that are not the arm's.
+        """
+        content = nested({name: value for name, value in given.items() if not _UNUSED_PARAMETERS.fullmatch(name)})
+        files = ControllerFiles.of(content).files()
+        names = load_robot(files.urdf).joint_names
+        law = load_controller(files.controller)
+        for block in LAW_BLOCKS:
+            content[block] = _merged(dict(getattr(law, block)), content.get(block, {}))
+        constraints = content["constraints"] = _merged({name: {} for name in names}, content.get("constraints", {}))
+        if isinstance(constraints, dict):
+            accepted = (*Constraints.model_fields, *names)
+            for name in constraints:
+                if name not in accepted:
+                    near = question(nearest(name, accepted))
+                    raise ConfigError(
+                        f"parameter constraints.{plain(name)} is unknown{near}; accepted: {', '.join(accepted)}"
+                    )
+        of_arm = {"joints": names, "command_interfaces": COMMAND_INTERFACES, "state_interfaces": STATE_INTERFACES}
+        for place, values in of_arm.items():
+            value = content.setdefault(place, values)
+            if not isinstance(value, list | tuple) or sorted(map(str, value)) != sorted(values):
+                words = f"{', '.join(values)}, in any order"
+                raise ConfigError(f"parameter {place} is {quoted(value)}; accepted: {words}")
+            content[place] = values
+        return content
+
+    def check_files(self) -> None:
+        """Check the law by the file of the controller."""
+        self.law(load_controller(self.files().controller))
+
     def law(self, of_file: CS7BParameters) -> CS7BParameters:
         """Return the law, with what the file of the controller says beside LAW_BLOCKS."""
         return law_of(of_file, {block: dict(getattr(self, block)) for block in LAW_BLOCKS})
@@ -128,77 +161,8 @@ def unused_parameters(given: Iterable[str]) -> list[str]:
     return sorted(name for name in given if _UNUSED_PARAMETERS.fullmatch(name))
 
 
-def controller_files(given: Mapping[str, Any]) -> ControllerFiles:
-    """Return what a node without a robot has of what it was given, by name."""
-    return checked(ControllerFiles, with_robot_files(ControllerFiles, given))
-
-
-def controller_content(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the parameters come to, unchecked: what is given, and for the rest what the files say.
-
-    Args:
-        given: by name.
-
-    Raises:
-        ConfigError: for files that are none, and for joints and interfaces that are not the arm's.
-    """
-    unused = unused_parameters(given)
-    content = with_robot_files(
-        ControllerParameters, {name: value for name, value in given.items() if name not in unused}
-    )
-    files = checked(ControllerFiles, content).files()
-    names = load_robot(files.urdf).joint_names
-    law = load_controller(files.controller)
-    for block in LAW_BLOCKS:
-        values = {key: value for key, value in getattr(law, block) if key not in FileModel.about_keys}
-        content[block] = _merged(values, content.get(block, {}))
-    constraints = content.get("constraints", {})
-    content["constraints"] = _merged({name: {} for name in names}, constraints)
-    for place, arms in (
-        ("joints", names),
-        ("command_interfaces", COMMAND_INTERFACES),
-        ("state_interfaces", STATE_INTERFACES),
-    ):
-        value = content.setdefault(place, arms)
-        if isinstance(value, str) or not isinstance(value, Sequence) or sorted(map(str, value)) != sorted(arms):
-            raise ConfigError(
-                f"parameter {place} is {quoted(value)}, {_difference(value, arms)}; accepted: {', '.join(arms)}, in "
-                "any order"
-            )
-        content[place] = arms
-    if isinstance(constraints, dict):
-        accepted = (*Constraints.model_fields, *names)
-        for name in constraints:
-            if name not in accepted:
-                near = question(nearest(name, accepted))
-                raise ConfigError(
-                    f"parameter constraints.{plain(name)} is unknown{near}; accepted: {', '.join(accepted)}"
-                )
-    return content
-
-
 def _merged(values: dict[str, Any], given: Any) -> Any:
     return {**values, **given} if isinstance(given, dict) else given
-
-
-def controller_parameters(given: Mapping[str, Any]) -> ControllerParameters:
-    """Return the node's parameters for what it was given, by name."""
-    return checked(ControllerParameters, controller_content(given))
-
-
-def _difference(value: Any, arms: Sequence[str]) -> str:
-    """Return the superfluous and the missing names of a list, in words."""
-    if isinstance(value, str) or not isinstance(value, Sequence):
-        return "no list"
-    names = [str(each) for each in value]
-    more = [name for k, name in enumerate(names) if name not in arms or name in names[:k]]
-    missing = [name for name in arms if name not in names]
-    parts = []
-    if more:
-        parts.append(f"too much: {', '.join(more)}")
-    if missing:
-        parts.append(f"missing: {', '.join(missing)}")
-    return "; ".join(parts)
 
 
 def law_of(law: CS7BParameters, values: Mapping[str, Any]) -> CS7BParameters:

@@ -9,7 +9,7 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rx90_common.bags.tolerance import GRAMMAR, Tolerances, load_rules, parse_rule
+from rx90_common.bags.tolerance import GRAMMAR, Tolerances
 from rx90_common.bags.topics import FIELDS, SUITE_TOPICS
 from rx90_common.base.errors import BagError, ConfigError, check_replaced
 from rx90_common.base.quoting import counted, listed, plain, quoted
@@ -88,11 +88,10 @@ def _record(args: argparse.Namespace) -> int:
     from rx90_common.bags.writing import BagWriter
 
     prepare()
-    from rx90_common.bags.recorder.recording import Recorder, StatusLine
+    from rx90_common.bags.recorder.recording import Recorder
 
-    with StatusLine() as status:
-        recorder = Recorder(args.topics or SUITE_TOPICS, args.ros_args, status)
-        counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)
+    recorder = Recorder(args.topics or SUITE_TOPICS, args.ros_args)
+    counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)
     return _report(recorder, counts, args.output, requested=bool(args.topics))
 
 
@@ -133,9 +132,8 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     _add_signals(parser)
     parser.add_argument(
         "--tolerance", action="append", default=[], metavar=GRAMMAR,
-        help="in rad, rad/s, Nm or °C; the most specific one that fits decides; default 0: equal bits",
+        help="in rad, rad/s or Nm; the most specific one that fits decides; default 0: equal bits",
     )  # fmt: skip
-    parser.add_argument("--tolerances", metavar="FILE", help="YAML file of tolerances; --tolerance goes before it")
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="compare only these")
     parser.add_argument(
         "--fields", nargs="+", choices=FIELDS, default=list(FIELDS), metavar="FIELD",
@@ -169,8 +167,6 @@ def _compare(args: argparse.Namespace) -> int:
 
     check_needs(args, ("robot", *_TIP_FILES), ("path_error",))
     check_apart(args, ("json",), "path_error", "one of them")
-    rules = load_rules(Path(args.tolerances)) if args.tolerances else []
-    rules += [parse_rule(text) for text in args.tolerance]
     scope = Scope(
         topics=tuple(dict.fromkeys(args.topics)) if args.topics else None,
         fields=tuple(args.fields),
@@ -179,7 +175,7 @@ def _compare(args: argparse.Namespace) -> int:
         common_range=args.common_range,
         align=alignment(args.align),
     )
-    comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(rules), scope, _signals(args))
+    comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(*args.tolerance), scope, _signals(args))
     paths = _path_errors(args) if args.path_error else []
     print(comparison_json(comparison) if args.json else comparison_text(comparison))
     print("".join(f"{line}\n" for line in paths), end="")
@@ -227,8 +223,7 @@ def _add_plot(parser: argparse.ArgumentParser) -> None:
                         help=".html, .png, .svg or .pdf (the bag's name with .html, here)")  # fmt: skip
     parser.add_argument("--force", action="store_true", help="replace a file that exists")
     parser.add_argument("--topic", **_TOPIC,
-                        help="topics of joint states (joint_states; on a page friction, tracking "
-                        "error, too)")  # fmt: skip
+                        help="topics of joint states (joint_states, friction, tracking error)")  # fmt: skip
     parser.add_argument("--joint", nargs="+", dest="joints", metavar="JOINT", help="joints (all)")
     parser.add_argument("--align", metavar="start|trajectory|S",
                         help="moves the stamps of BAG2, as in compare (0)")  # fmt: skip
@@ -237,28 +232,20 @@ def _add_plot(parser: argparse.ArgumentParser) -> None:
 def _plot(args: argparse.Namespace) -> None:
     """Draw joint states of a bag, or of two bags and their difference: a page to zoom in, or a picture.
 
-    The suffix of --output says which: .html, .png, .svg or .pdf. Without options a page shows joint states, friction
-    and tracking error, as far as the bag has them.
+    The suffix of --output says which: .html, .png, .svg or .pdf. Without options it shows joint states, friction and
+    tracking error, as far as the bag has them.
     """
-    from rx90_common.bags.plot_files import is_page, write_plots
+    from rx90_common.bags.plot_files import write_plots
     from rx90_common.bags.plotting import plot_bags
-    from rx90_emulator.cli.options import progress_bar
 
     if args.align is not None and args.second is None:
         raise ConfigError(f"--align {plain(args.align)} with one bag; accepted: with two")
     output: Path = args.output or place(f"{args.bag.resolve().name}.html")
-    kind, most = ("page", 3) if is_page(output) else ("picture", 1)
     check_replaced(output, force=args.force)
     paths = [args.bag] if args.second is None else [args.bag, args.second]
     align = alignment(args.align or "0")
-    mapping = _signals(args)
-    with progress_bar("reading") as progress:
-        plots = plot_bags(
-            paths, topics=args.topics, joints=args.joints, align=align, most=most, progress=progress, mapping=mapping
-        )
-    if robots := write_plots(paths, plots, output):
-        print(robots)
-    print(f"{kind}: {plain(output.resolve())}")
+    write_plots(paths, plot_bags(paths, args.topics, args.joints, align, _signals(args)), output)
+    print(f"plot: {plain(output.resolve())}")
 
 
 def _add_export(parser: argparse.ArgumentParser) -> None:
@@ -287,23 +274,19 @@ def _export(args: argparse.Namespace) -> None:
     kind = f".{args.format or _KINDS[0]}"
     mapping = _signals(args)
     with progress_bar("export") as progress:
-        done = export_bag(args.bag, args.output, topics=args.topics, kind=kind, progress=progress, mapping=mapping)
-    for topic, count in done.topics:
+        topics = export_bag(args.bag, args.output, topics=args.topics, kind=kind, progress=progress, mapping=mapping)
+    for topic, count in topics.items():
         print(f"{plain(topic)}: {counted(count, 'message')}")
-    if done.left_out:
-        print(f"left out, as they hold no joint states: {listed(done.left_out)}")
-    print(f"written: {listed(done.files)}")
+    print(f"written: {plain(args.output)}")
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = _MAPPING
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
-    parser.add_argument("logs", nargs="+", type=Path, metavar="LOG",
-                        help="log to read, of several the rows belong together; or an exported folder")  # fmt: skip
+    parser.add_argument("log", type=Path, metavar="LOG", help="log to read, or a folder with those of an export")
     parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")
-    parser.add_argument("--signals", type=Path, metavar="FILE",
-                        help="signal map: what the columns hold (the file named as the log, with .yaml)")  # fmt: skip
+    _add_signals(parser)
     parser.add_argument("--skip-corrupt", action="store_true",
                         help="leave out damaged rows and say which; otherwise they are refused")  # fmt: skip
     parser.add_argument("-s", "--storage", **_STORAGE)
@@ -314,33 +297,15 @@ def _import(args: argparse.Namespace) -> None:
 
     Of a folder that `rx90_bag export` has written it makes the bag again.
     """
-    from rx90_common.bags.logs import corrupt_text, exported_logs, import_logs
-    from rx90_common.bags.mapping import LogMapping
-    from rx90_emulator.cli.options import progress_bar
+    from rx90_common.bags.logs import import_logs
 
-    if len(args.logs) == 1 and args.logs[0].is_dir():
-        if args.signals is not None:
-            raise ConfigError(f"--signals {plain(args.signals)}: a folder has its own; accepted: none of the two")
-        logs = exported_logs(args.logs[0])
-    else:
-        mapping = args.signals or args.logs[0].with_suffix(".yaml")
-        if args.signals is None and not mapping.is_file():
-            accepted = "a signal map, which says what the columns hold"
-            raise ConfigError(f"--signals is missing, and there is no {plain(mapping)}; accepted: {accepted}")
-        logs = [(args.logs, LogMapping.load(mapping))]
-    with progress_bar("import") as progress:
-        done = import_logs(logs, args.bag, skip_corrupt=args.skip_corrupt, storage=args.storage, progress=progress)
-    for one, (_, mapping) in zip(done, logs, strict=True):
-        if not mapping.exact:
-            print(one.text)
-            continue
-        for series in one.series:
-            joints = counted(len(series.names), "joint")
-            messages = counted(len(series.stamp_ns), "message")
-            print(f"{plain(series.topic)}: {joints}, {messages}")
-        if one.corrupt:
-            print(f"{plain(one.paths[0])}: left out: {corrupt_text(one.corrupt)}")
-    print(f"bag: {plain(args.bag)}")
+    folder = args.log.is_dir()
+    logs = sorted(args.log.glob("*.csv")) if folder else [args.log]
+    if not logs or (folder and args.signals):
+        raise ConfigError(f"{plain(args.log)}: accepted: a folder with CSV files, each with its signal map, or a log")
+    mapping = _signals(args)
+    done = import_logs([(log, mapping) for log in logs], args.bag, skip_corrupt=args.skip_corrupt, storage=args.storage)
+    print("\n".join([*(log.text for log in done), f"bag: {plain(args.bag)}"]))
 
 
 def _add_info(parser: argparse.ArgumentParser) -> None:

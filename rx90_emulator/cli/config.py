@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
-from rx90_common.base.quoting import one_line, quoted
+from rx90_common.base.quoting import one_line
 from rx90_common.base.share import SHIPPED_RIG
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_emulator.cli.completion import SHELLS, completion
-from rx90_emulator.cli.options import CommandParser, add_robot_arguments, add_verbs
+from rx90_emulator.cli.options import add_robot_arguments, add_verbs
 
 if TYPE_CHECKING:
-    from rx90_emulator.configuration.origins import ShownValue
+    pass
 
 _KINDS = "controller, drives, friction, rig, sweep_plan …"
 
@@ -75,18 +75,9 @@ def _completion(options: argparse.Namespace) -> int:
 
 
 def _add_show(show: argparse.ArgumentParser) -> None:
-    show.set_defaults(ros_args=[])
     add_robot_arguments(show, *FILES)
     show.add_argument("--rig", metavar="FILE", help=f"rig file of the friction rig ({SHIPPED_RIG})")
-    _add_parameters(show.add_argument_group("nodes", "what rx90_sim, rx90_controller and friction_bench come to with "
-                                            "these, which may also stand behind --ros-args"))  # fmt: skip
     show.add_argument("--json", action="store_true", help="print JSON instead of a table")
-
-
-def _add_parameters(group: argparse._ActionsContainer) -> None:
-    group.add_argument("--params-file", type=Path, action="append", default=[], metavar="FILE", help="parameter file")
-    group.add_argument("-p", "--param", action="append", default=[], metavar="[NODE:]NAME:=VALUE", help="a parameter")
-    group.add_argument("--nodes", action="store_true", help="with the nodes' parameters also where none is given")
 
 
 def _show(options: argparse.Namespace) -> int:
@@ -95,38 +86,15 @@ def _show(options: argparse.Namespace) -> int:
     Each value with its unit, where it comes from (file and line, command line, default of the code), whether it is
     assumed, and the sentence that names its source.
     """
-    from rx90_emulator.configuration.origins import values_json, values_table
-
-    if options.ros_args:
-        parser = CommandParser(prog="--ros-args", add_help=False)
-        _add_parameters(parser)
-        given, other = parser.parse_known_args([word for word in options.ros_args if word != "--ros-args"])
-        if other:
-            raise ConfigError(f"--ros-args {quoted(other[0])}; accepted: -p and --params-file")
-        options.params_file += given.params_file
-        options.param += given.param
-    of_nodes = options.params_file or options.param or options.nodes
-    values = _values_of_nodes(options) if of_nodes else _values_of_files(options)
-    print(values_json(values) if options.json else values_table(values))
-    return DONE
-
-
-def _values_of_nodes(options: argparse.Namespace) -> list[ShownValue]:
-    # Here, because it needs ROS.
-    from rx90_common.exchange.ros_start import prepare
-
-    prepare()
-    from rx90_emulator.configuration.nodes import given_parameters, node_setup
-
-    for role in ("robot", *FILES, "rig"):
-        if getattr(options, role) is not None:
-            node = "friction_bench:" * (role == "rig")
-            raise ConfigError(f"--{role} with parameters of nodes; accepted: -p {node}{role}:=...")
-    return node_setup(given_parameters(options.params_file, options.param))
-
-
-def _values_of_files(options: argparse.Namespace) -> list[ShownValue]:
-    from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, rig_values, setup_values, steps_value
+    from rx90_emulator.configuration.origins import (
+        COMMAND_LINE,
+        OF_CODE,
+        rig_values,
+        setup_values,
+        steps_value,
+        values_json,
+        values_table,
+    )
     from rx90_emulator.loop.setup import Setup
 
     files = RobotFiles.of_options(options)
@@ -134,7 +102,9 @@ def _values_of_files(options: argparse.Namespace) -> list[ShownValue]:
     of_robot = f"robot {options.robot}" if options.robot is not None else OF_CODE
     chosen = {role: of_robot if getattr(options, role) is None else COMMAND_LINE for role in FILES}
     rig, origin = (SHIPPED_RIG, OF_CODE) if options.rig is None else (options.rig, COMMAND_LINE)
-    return [*setup_values(files, chosen), steps, *rig_values(rig, origin)]
+    values = [*setup_values(files, chosen), steps, *rig_values(rig, origin)]
+    print(values_json(values) if options.json else values_table(values))
+    return DONE
 
 
 _VERBS = (

@@ -7,29 +7,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rx90_common.base.config import read_yaml, yaml_lines
+from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.models import FileModel, JsonSchema, read_model, schema_at
+from rx90_common.base.models import FileModel, JsonSchema, schema_at
 from rx90_common.base.quoting import listed, nearest, one_line, plain, quoted
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_controller.lines.task import load_task
-from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind, MoveItLimits
+from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind
 from rx90_emulator.identification.experiments.plan import INDEX, Poses
 from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.setup import Setup
 
 _MORE_OF_A_KEY = re.compile(r"[\w*]")
 _LINE = re.compile(r"\bline (\d+)")
-_LEAST_KNOWN_SHARE = 0.5
-"""Share of a file's keys that must be known to a kind for the file to be of it."""
-
-_MISSPELT = 0.75
-"""How much of a known key one counts that is like it."""
-
+_MAX_KEYS = 100  # by which the kind of a file is told
 _NAMES = (*(kind.name for kind in KINDS), NODE_PARAMETERS)
 
 
@@ -60,22 +56,18 @@ def kind_named(name: str) -> FileKind:
 
 
 def kind_of(path: Path, content: Mapping[str, Any]) -> FileKind:
-    """Return the kind that knows the most keys of a file, misspelt ones with it."""
+    """Return the kind that knows most keys at the top of a file, misspelt ones with it; of several the best fitting."""
     if _has_node_parameters(content):
         return kind_named(NODE_PARAMETERS)
-    counts = [(kind, *_count_keys(kind.json_schema(), content)) for kind in KINDS]
-    shares = [(kind, known / max(total, 1)) for kind, known, total in counts]
-    highest = max(share for _, share in shares)
-    best = [kind for kind, share in shares if share == highest]
-    if not highest:
+    scores = [(_known_keys(kind.json_schema(), content), kind) for kind in KINDS]
+    highest = max(score for score, _ in scores)
+    best = [kind for score, kind in scores if score == highest]
+    if highest <= 0.0:
         raise ConfigError(
-            f"{plain(path)}: of no kind that is checked, as MoveIt's own files; accepted: {listed(_NAMES)}"
+            f"{plain(path)}: of no kind that its keys tell, as MoveIt's own files; accepted: --kind with one of "
+            f"{listed(_NAMES)}"
         )
-    if highest <= _LEAST_KNOWN_SHARE or len(best) > 1:
-        raise ConfigError(
-            f"{plain(path)}: its kind cannot be told from its keys; accepted: --kind with one of {listed(_NAMES)}"
-        )
-    return best[0]
+    return best[0] if len(best) == 1 else min(best, key=lambda kind: len(kind.faults(path, dict(content))))
 
 
 def _has_node_parameters(content: Any) -> bool:
@@ -84,31 +76,21 @@ def _has_node_parameters(content: Any) -> bool:
     )
 
 
-def _count_keys(schema: JsonSchema, content: Mapping[str, Any]) -> tuple[float, int]:
-    """Return how many keys of a file a kind knows and how many there are; of free names only what is in them counts.
-
-    A misspelt key counts as a share of one.
-    """
+def _known_keys(schema: JsonSchema, content: Mapping[str, Any]) -> float:
+    """Return how many keys of a file a kind knows, a misspelt one by half, less those that it does not know."""
+    properties = schema["properties"].keys() - set(FileModel.about_keys)
     known = 0.0
-    total = 0
-    around = schema_at(schema, (), content)
-    properties = around.get("properties", {})
-    free_names = isinstance(around.get("additionalProperties"), dict)
-    for key, value in content.items():
+    for key, value in islice(content.items(), _MAX_KEYS):
         if key in FileModel.about_keys:
             continue
-        meant = key
-        if key not in properties:
-            meant = nearest(str(key), properties.keys() - content.keys())
-        if meant:
-            known += 1.0 if meant == key else _MISSPELT
-        total += bool(meant) or not free_names
-        if isinstance(value, dict) and (meant or free_names):
-            inside = schema_at(schema, (meant or key,), {meant or key: value})
-            inner = _count_keys({**inside, "$defs": schema.get("$defs", {})}, value)
-            known += inner[0]
-            total += inner[1]
-    return known, total
+        around = schema_at(schema, (key,), content).get("properties", {})
+        if key in properties:
+            known += 1.0
+        elif nearest(key, properties) or (isinstance(value, dict) and around.keys() & value.keys()):
+            known += 0.5  # or of free names one with keys that are known
+        else:
+            known -= 1.0
+    return known
 
 
 def check_path(path: Path, kind: FileKind | None = None) -> list[CheckedFile]:
@@ -128,14 +110,15 @@ def check_file(path: Path, kind: FileKind | None = None) -> CheckedFile:
     """Check a file by the model of its kind and, if that finds nothing, by its reader."""
     if not path.exists():
         raise ConfigError(f"{plain(path)}: no such file; accepted: a file of the project, or a robot folder")
+    lines: dict[str, int] = {}
     try:
-        content = read_yaml(path, first=True)
+        content = read_yaml(path, first=True, lines=lines)
     except ConfigError as error:
         return CheckedFile(path, "unreadable" if kind is None else kind.name, (_with_line(path, error, {}),))
     kind = kind or kind_of(path, content)
     found: list[Rx90Error] = [*kind.faults(path, content)] or _faults_of(lambda: kind.read(path))
-    lines = _lines_as_shown(path) if found else {}
-    return CheckedFile(path, kind.name, tuple(_with_line(path, error, lines) for error in found))
+    shown = {plain(place): line for place, line in lines.items()} if found else {}
+    return CheckedFile(path, kind.name, tuple(_with_line(path, error, shown) for error in found))
 
 
 def _faults_of(read: Callable[[], object]) -> list[Rx90Error]:
@@ -144,10 +127,6 @@ def _faults_of(read: Callable[[], object]) -> list[Rx90Error]:
     except Rx90Error as error:
         return [error]
     return []
-
-
-def _lines_as_shown(path: Path) -> dict[str, int]:
-    return {plain(place): line for place, line in yaml_lines(path).items()}
 
 
 def _with_line(path: Path, error: Rx90Error, lines: Mapping[str, int]) -> str:
@@ -165,7 +144,7 @@ def _check_urdf(path: Path) -> CheckedFile:
     )
 
 
-def _faults_together(files: RobotFiles, setup: Setup, limits: Path) -> list[Rx90Error]:
+def _faults_together(files: RobotFiles, setup: Setup) -> list[Rx90Error]:
     """Return what is wrong with files of a robot, each right alone, that others decide."""
     faults: list[Rx90Error] = []
     task = files.task
@@ -176,23 +155,15 @@ def _faults_together(files: RobotFiles, setup: Setup, limits: Path) -> list[Rx90
     if poses is not None:
         refused = _faults_of(lambda: Poses.load(poses).check(setup.robot))
         faults += [ConfigError(f"{plain(poses)}: {error}") for error in refused]
-    if limits.is_file():
-        given = read_model(MoveItLimits, limits).joint_limits.entries
-        names = setup.robot.joint_names
-        wrong = [(name, "is missing") for name in names if name not in given]
-        wrong += [(name, "is no joint") for name in given if name not in names]
-        where = f"{plain(limits)}: joint_limits"
-        faults += [ConfigError(f"{where}.{plain(name)} {what}; accepted: {listed(names)}") for name, what in wrong]
     return faults
 
 
 def _check_robot(folder: Path) -> list[CheckedFile]:
     """Check the files of a robot folder one by one and, if there is nothing wrong in them, together.
 
-    Together: names of joints in all files, poses, limits, whether the arm can travel the task's line, missing files.
+    Together: names of joints in all files, poses, whether the arm can travel the task's line, missing files.
     """
     files = RobotFiles.named(str(folder))
-    limits = folder / "moveit/joint_limits.yaml"
     roles = {path: role for role in FILES if role != "urdf" and (path := getattr(files, role)) is not None}
     found = [
         check_file(path, kind_named(role))
@@ -200,8 +171,6 @@ def _check_robot(folder: Path) -> list[CheckedFile]:
         else CheckedFile(path, role, (f"{plain(path)}: is missing; accepted: a {role} file",))
         for path, role in roles.items()
     ]
-    if limits.is_file():
-        found.append(check_file(limits, kind_named("moveit_limits")))
     found.append(_check_urdf(files.urdf))
     if any(each.problems for each in found):
         return found
@@ -212,9 +181,12 @@ def _check_robot(folder: Path) -> list[CheckedFile]:
     except Rx90Error as refused:
         faults.append(refused)
     else:
-        faults += _faults_together(files, setup, limits)
+        faults += _faults_together(files, setup)
     together = []
     for error in faults:
         of = next((path for path in roles if str(error).startswith(f"{plain(path)}: ")), None)
-        together.append(str(error) if of is None else _with_line(of, error, _lines_as_shown(of)))
+        lines: dict[str, int] = {}
+        if of is not None:
+            read_yaml(of, lines=lines)
+        together.append(str(error) if of is None else _with_line(of, error, lines))
     return [*found, CheckedFile(folder, "robot folder", tuple(together))]

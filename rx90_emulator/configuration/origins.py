@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from rx90_common.base.config import read_yaml, yaml_lines
+from rx90_common.base.config import read_yaml
 from rx90_common.base.models import FileModel, Model, unit_at
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import config_path, resolve_config
@@ -67,9 +67,9 @@ def file_values(role: str, path: Path) -> list[ShownValue]:
     kind = next(kind for kind in KINDS if kind.name == role)
     assert kind.model is not None
     kind.read(path)
-    content = read_yaml(path)
+    lines: dict[str, int] = {}
+    content = read_yaml(path, lines=lines)
     schema = kind.json_schema()
-    lines = yaml_lines(path)
     name = place_of(path)
     identified = content.get("identification", {}).get("parameters", {}) if role == "friction" else {}
     shown: list[ShownValue] = []

@@ -312,9 +312,8 @@ def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
                         f"{plain(urdf)}: <{element.tag} {key}={quoted(text)}>; accepted: numbers up to {_MAX_NUMBER:g}"
                     )
         return model, root
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", error)
-        raise IdentificationError(f"{plain(urdf)}: cannot be read ({reason}); accepted: a URDF file") from error
+    except UnicodeDecodeError as error:
+        raise IdentificationError(f"{plain(urdf)}: cannot be read ({error}); accepted: a URDF file") from error
     except (ValueError, RuntimeError, ET.ParseError) as error:
         message = next((line.removeprefix("Error:") for line in lines if line.startswith("Error:")), str(error))
         reason = " ".join(message.split()) or type(error).__name__

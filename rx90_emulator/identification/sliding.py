@@ -17,7 +17,6 @@ from rx90_common.estimation.elements import SteadyRows, fit_laws, places
 from rx90_common.estimation.fit import Fit
 from rx90_common.estimation.law import Law, Part
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.checks import Recorded, suspicion
 from rx90_emulator.identification.estimates import (
     NOT_IN_MODEL,
     SLIDING,
@@ -30,6 +29,7 @@ from rx90_emulator.identification.options import SLIDING_PARTS, model_parts
 from rx90_emulator.identification.records import BagSource, JointRecord
 from rx90_emulator.identification.rows.plateaus import BagUse
 from rx90_emulator.identification.rows.sweeps import Blocks, SweepRows, find_blocks, sweep_rows
+from rx90_emulator.identification.sanity import Recorded, mistake_alarms
 
 MIN_SPEEDS = 5
 """Least number of speeds in each direction: four determine the seven parameters of an element, and one more leaves a
@@ -174,7 +174,8 @@ def identify_sliding(
         name = min(lacking, key=lambda name: lacking[name] == _DOES_NOT_SLIDE)
         raise IdentificationError(f"{where}: {name} {lacking[name]}")
     used = ~(~blocks.sliding[blocks.plateau] @ (arm.element_matrix != 0.0)) & arm.identified
-    _, doubt = suspicion(arm, Recorded(blocks.motion, blocks.torque, used, blocks.plateau), zero=zero)
+    alarms = mistake_alarms(arm, Recorded(blocks.motion, blocks.torque, used, blocks.plateau), zero=zero)
+    doubt = "; ".join(alarms)
     rows = sweep_rows(blocks, arm, known)
     parts = None if model is None else model_parts(model, SLIDING_PARTS)
     shared = [int(e) >= len(arm.names) for e in known]

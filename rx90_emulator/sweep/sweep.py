@@ -10,7 +10,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, SweepError
-from rx90_common.base.share import ROOT, sources_hash, versions, with_imports
+from rx90_common.base.share import project_files, sources_hash, versions
 from rx90_common.description.kinematics import forward, tip_position
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import provenance_of
@@ -229,5 +229,5 @@ def _remembered(kept: dict[_Key, _Kept], key: _Key, most: int, make: Callable[[]
 
 
 def run_hash() -> str:
-    """Return a hash of all sources that take part in a run."""
-    return sources_hash(with_imports([ROOT / "rx90_emulator/sweep/sweep.py"]))
+    """Return a hash of all sources of the project."""
+    return sources_hash(project_files())

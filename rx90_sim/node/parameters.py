@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -17,7 +16,7 @@ from rx90_common.base.rates import ticks_per
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import DESCRIPTIONS, RobotFiles
-from rx90_common.exchange.parameters import RobotParameters, checked, with_robot_files
+from rx90_common.exchange.parameters import RobotParameters
 from rx90_common.exchange.topics import FREE_RUNNING, JOINT_INTERFACE, MOTOR_INTERFACE
 from rx90_common.friction import load_friction
 from rx90_common.friction.parts.scatter import LARGEST_SEED
@@ -31,10 +30,8 @@ FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
 class SimulationParameters(RobotParameters):
     """The node's parameters."""
 
-    tool: Annotated[str, Field(description=f"{DESCRIPTIONS['tool'].capitalize()}; the robot's or your own.")] = ""
-    friction: Annotated[
-        str, Field(description=f"{DESCRIPTIONS['friction'].capitalize()}; the robot's or your own.")
-    ] = ""
+    tool: Annotated[str, Field(description=f"{DESCRIPTIONS['tool'].capitalize()}; the robot's if empty.")] = ""
+    friction: Annotated[str, Field(description=f"{DESCRIPTIONS['friction'].capitalize()}; the robot's if empty.")] = ""
     step_ticks: Annotated[int, Field(ge=1, le=100_000_000, description="Ticks of one call of ~/step.")] = 1
     joint_state_rate: Annotated[int, quantity("Hz", "Rate of joint_states and friction_states.", ge=1, le=20000)] = 1000
     clock_rate: Annotated[int, quantity("Hz", "Rate of /clock.", ge=1, le=20000)] = 50
@@ -109,6 +106,11 @@ class SimulationParameters(RobotParameters):
             self.check_age_limit(self.command_age_limit)
         return self
 
+    def check_files(self) -> None:
+        """Check the initial position by the robot."""
+        files = self.files()
+        self.start(load_robot(files.urdf, files.tool))
+
     def start(self, robot: RobotModel) -> Array:
         """Return the initial position, rad, shape (n,)."""
         given = np.array(self.initial_position, np.float64)
@@ -140,11 +142,6 @@ class SimulationParameters(RobotParameters):
     def last_tick(self) -> int | None:
         """Return the tick at which the run ends, None for a run without end."""
         return round(self.duration * self.base_rate) if self.duration > 0 else None
-
-
-def simulation_parameters(given: Mapping[str, Any]) -> SimulationParameters:
-    """Return the node's parameters for what it was given, by name."""
-    return checked(SimulationParameters, with_robot_files(SimulationParameters, given))
 
 
 def build_plant(node: Node, files: RobotFiles, parameters: SimulationParameters) -> tuple[RobotModel, Plant]:

@@ -29,10 +29,8 @@ from rx90_common.exchange.topics import (
 )
 from rx90_sim.drives import warm_motors
 from rx90_sim.node.parameters import (
-    FILE_PARAMETERS,
     SimulationParameters,
     build_plant,
-    simulation_parameters,
 )
 from rx90_sim.node.ticks import Ticks
 
@@ -59,8 +57,7 @@ class Simulation:
         self._arm: SimulatedArm | None = None
         self._follow: Callable[[TimeMode | None], None] = lambda _: None
         self._also_listening: Callable[[], Sequence[Publisher]] = tuple
-        self.node.parameters.declare(simulation_parameters(self.node.parameters.values))
-        self.node.changes.follow_robot(*FILE_PARAMETERS)
+        self.node.parameters.declare(SimulationParameters.of(self.node.parameters.values))
 
     def lead(self, follow: Callable[[TimeMode | None], None], publishers: Callable[[], Sequence[Publisher]]) -> None:
         """Let a controller in this process follow the time mode.
@@ -76,7 +73,7 @@ class Simulation:
 
     def configure(self) -> None:
         """Load the robot; time stands still."""
-        parameters = simulation_parameters(self.node.parameters.values)
+        parameters = SimulationParameters.of(self.node.parameters.values)
         files = parameters.files()
         self._arm = arm = SimulatedArm(self.node, files, parameters)
         arm.ticks.listeners.others = self._also_listening

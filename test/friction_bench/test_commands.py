@@ -265,7 +265,7 @@ def test_launch_file_starts_the_node_with_parameters_that_it_has(monkeypatch: py
     """The executable exists, every default is the node's own, and its end is the launch's."""
     actions = build(monkeypatch, "friction_bench.launch.py")
     (node,) = (action for action in actions if action.kind == "Node")
-    declared = dict(bench_node.bench_parameters({}))
+    declared = dict(bench_node.BenchParameters.of({}))
     given = parameters(node)
     assert node.named["executable"] in EXECUTABLES
     assert given == {name: name for name in ("port", "rig", "seed")}

@@ -19,7 +19,7 @@ from rx90_common.exchange.cdr_stamps import cdr_stamp_ns
 from rx90_emulator.loop.own_controller import run_controller
 from rx90_emulator.loop.setup import Setup, load_setup
 from rx90_sim.node import publications
-from rx90_sim.node.parameters import simulation_parameters
+from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.ticks import NextAction, RunControl
 from rx90_sim.plant import JointInterface
 
@@ -193,7 +193,7 @@ def test_power_is_the_same_at_motors_and_joints(request: pytest.FixtureRequest, 
 def test_what_cannot_be_kept_is_refused(given: dict[str, object], words: str) -> None:
     """Rates that do not divide, a rate of the motor side, and limits that leave no time to answer are one line."""
     with pytest.raises(ConfigError, match=words):
-        simulation_parameters(given)
+        SimulationParameters.of(given)
 
 
 def test_the_arm_may_have_another_number_of_joints_and_another_coupling(seven: Setup) -> None:

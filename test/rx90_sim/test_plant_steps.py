@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -69,7 +69,7 @@ def drawn(setup: Setup, drawn: dict[str, Any]) -> Setup:
             own |= {"c1": 0.0}
         elements.append(one.with_parameters({**own, "alpha": drawn["alpha"]}))
     friction = FrictionSet(setup.friction.names, tuple(elements))
-    return with_rotors(dataclasses.replace(setup, friction=friction), 10.0 ** drawn["rotors"])
+    return with_rotors(replace(setup, friction=friction), 10.0 ** drawn["rotors"])
 
 
 @given(st.fixed_dictionaries(FACTORS))
@@ -139,6 +139,12 @@ def test_a_weak_direction_takes_more_steps(shipped: Setup, weaker: str) -> None:
     assert first == 1
     assert third == pytest.approx(3.0 * second, abs=3.0)
     assert max(sticking(setup).share for setup in setups) < WORST
+    elements = list(shipped.friction.elements)
+    other = "negative" if weaker == "positive" else "positive"
+    tables = {weaker: {"velocity": [0.0, 1.0], "torque": [2e-3] * 2}, other: {"velocity": [0.0, 1.0], "torque": [2, 2]}}
+    elements[4] = elements[4].replaced(curve=tables)
+    friction = replace(shipped.friction, elements=tuple(elements))
+    assert replace(shipped, friction=friction).plant().substeps == pytest.approx(second, abs=1)
 
 
 def test_a_refusal_names_all_that_ask_for_more(shipped: Setup) -> None:
@@ -158,7 +164,7 @@ def test_parts_count_where_they_stiffen(shipped: Setup) -> None:
     """Elasto-plastic bristles stick as LuGre's; a joint that starts cold has the viscous friction of its cold."""
     for part in (None, ElastoPlastic(break_away=0.7)):
         elements = tuple(e.replaced(c0=50.0 * e.c0, bristles=part) for e in shipped.friction.elements)
-        setup = dataclasses.replace(shipped, friction=FrictionSet(shipped.friction.names, elements))
+        setup = replace(shipped, friction=FrictionSet(shipped.friction.names, elements))
         assert setup.plant().substeps == scaled(shipped, c0=50.0).plant().substeps
     cold = TemperaturePart(
         reference=60.0,
@@ -172,7 +178,7 @@ def test_parts_count_where_they_stiffen(shipped: Setup) -> None:
     )
     elements = tuple(e.replaced(temperature=cold) for e in shipped.friction.elements)
     with pytest.raises(ConfigError, match=r"c2 is .* at its steepest"):
-        dataclasses.replace(shipped, friction=FrictionSet(shipped.friction.names, elements)).plant(1)
+        replace(shipped, friction=FrictionSet(shipped.friction.names, elements)).plant(1)
 
 
 def test_gears_that_ring_above_the_step_take_more_or_are_refused(shipped: Setup) -> None:

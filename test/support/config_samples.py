@@ -26,18 +26,12 @@ time: {column: 1, unit: ms}
 topics:
   joint_states:
     names: [shoulder, elbow]
-    position: {columns: [2, 3], unit: counts, counts_per_turn: [4096, 8192], file: 2}
+    position: {columns: [2, 3], unit: turns, factor: [0.25, 0.125]}
     velocity: {columns: [dq1, dq2], unit: rad/s}
     effort: {columns: [i1, i2], unit: A, factor: -1.5}
 delimiter: ;
 decimal: ','
 header: 2
-""",
-    "tolerances": """\
-"*": {velocity: 1.0e-6}
-joint_states:
-  position: 1.0e-9
-  joints: {joint_1: {position: 1.0e-8, effort: 2}}
 """,
     "node_parameters": """\
 /**/rx90_sim:
@@ -80,7 +74,6 @@ def shipped() -> list[tuple[str, Path]]:
     """Return kind and path of every shipped file that the project's own readers read."""
     robots = [config_path(f"robots/{name}") for name in shipped_robots()]
     found = [(role, folder / file) for folder in robots for role, file in FILES.items() if role != "urdf"]
-    found += [("moveit_limits", folder / "moveit" / "joint_limits.yaml") for folder in robots]
     found += [("friction", path) for path in sorted(config_path("friction").rglob("*.yaml"))]
     found += [("rig", path) for path in sorted(config_path("rig").glob("*.yaml"))]
     found += [("path", path) for path in sorted(config_path("paths").glob("*.yaml"))]

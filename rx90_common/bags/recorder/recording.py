@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -12,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 import rclpy
 from rclpy.context import Context
-from tqdm import tqdm
 
 from rx90_common.bags.ordering import Arrived, Dated, LogOrder, TimeSource
 from rx90_common.bags.recorder.stream import Stream, Streams, WriterCount
@@ -29,7 +27,6 @@ _ANNOUNCE_WAIT_S = 1.0
 _SETTLE_S = 0.3  # a publisher learns of its match a moment after the recorder does
 _LONGEST_STALL_S = 4.0  # below the lease in config/dds, after which a publisher forgets this process
 _MAX_HELD_BYTES = 64 << 20  # while topics are still missing
-_SHOW_PERIOD_S = 0.5
 _NAP_S = 0.1  # gathers some thousand messages: a round has a cost of its own, whatever it brings
 _MAX_PER_ROUND = 4000  # of one topic, so that none keeps the others waiting
 _QUEUE_BYTES = 256 << 20
@@ -155,42 +152,12 @@ class TopicCount:
     writers: tuple[WriterCount, ...]
 
 
-class StatusLine:
-    """Shows count, rate and simulated time on a terminal and nothing elsewhere; messages appear above it."""
-
-    def __init__(self) -> None:
-        self._bar = tqdm(unit=" msgs", unit_scale=True, disable=None, mininterval=0.0, miniters=0)
-        self._next = 0.0
-
-    def __enter__(self) -> StatusLine:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()
-
-    def say(self, line: str) -> None:
-        """Print a line."""
-        self._bar.write(line, file=sys.stdout)
-        sys.stdout.flush()
-
-    def show(self, received: int, newest_ns: int | None) -> None:
-        """Show the messages received so far and the newest stamp, at most twice a second."""
-        now = time.monotonic()
-        if self._bar.disable or now < self._next:
-            return
-        self._next = now + _SHOW_PERIOD_S
-        if newest_ns is not None:
-            self._bar.set_postfix_str(f"t = {newest_ns / NANOSECONDS:.3f} s", refresh=False)
-        self._bar.update(received - self._bar.n)
-
-
 class Recorder:
     """Records topics to a new bag until it is stopped.
 
     Args:
         topics: names, relative or absolute, each once.
         ros_args: --ros-args and what follows it (namespace, remappings), or nothing.
-        status: shows the progress to the user.
 
     Attributes:
         stalls: times, s, in which this process did not run, and which publishers may have taken for its end: whether
@@ -198,13 +165,11 @@ class Recorder:
         empty: topics of which no message has come, once the recording has ended.
     """
 
-    def __init__(self, topics: Sequence[str], ros_args: Sequence[str], status: StatusLine) -> None:
+    def __init__(self, topics: Sequence[str], ros_args: Sequence[str]) -> None:
         self._names = topics
         self._ros_args = ros_args
-        self._status = status
         self._numbers: dict[int, int] = {}  # of topics in the bag, by their places
         self._order = LogOrder()
-        self._received = 0
         self._reported = 0  # set-backs of the stamps
         self.stalls: list[float] = []
         self.empty: list[str] = []
@@ -261,14 +226,13 @@ class Recorder:
                 if all(stream.time_source is not TimeSource.CLOCK for stream in streams):
                     self._order.expect_no_clock()
                 topics = counted(len(self._names), "topic")
-                self._status.say(f"ready: all topics are matched, recording {topics} to {writer.path}")
+                print(f"ready: all topics are matched, recording {topics} to {writer.path}", flush=True)
             if not reported and math.isinf(matched_at) and now > start + _ANNOUNCE_WAIT_S:
                 reported = True
-                self._status.say(f"waiting for {', '.join(streams.missing())}")
+                print(f"waiting for {', '.join(streams.missing())}", flush=True)
             self._order_all(reader)
             if ready or self._order.held_bytes > _MAX_HELD_BYTES:
                 self._write(streams, writer, self._order.release(time.monotonic_ns()))
-            self._status.show(self._received, self._order.newest_ns)
             stop.wait(_CYCLE_S)
         reader.finish()
         self._order_all(reader)
@@ -276,13 +240,13 @@ class Recorder:
 
     def _order_all(self, reader: MessageReader) -> None:
         arrived = reader.collect()
-        self._received += sum(len(each.messages) for each in arrived)
         self._order.add(arrived)
         for before, after in self._order.set_backs[self._reported :]:
             self._reported += 1
-            self._status.say(
+            print(
                 f"time goes back from {before / NANOSECONDS:.6g} s to {after / NANOSECONDS:.6g} s: "
-                "the bag holds more than one run, and its log time goes on"
+                "the bag holds more than one run, and its log time goes on",
+                flush=True,
             )
 
     def _write(self, streams: Streams, writer: BagWriter, dated: Dated | None) -> None:

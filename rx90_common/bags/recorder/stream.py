@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib
 import re
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import compress, pairwise
 from typing import Any
 
@@ -20,7 +21,6 @@ from rosbags.interfaces import Qos
 
 from rx90_common.bags.joint_series import Int64Array
 from rx90_common.bags.ordering import Arrived, TimeSource
-from rx90_common.bags.recorded import TrajectoryCount
 from rx90_common.bags.topics import CLOCK, JOINT_STATE, JOINT_TRAJECTORY, TRANSFORMS, reports_changes
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
@@ -28,6 +28,7 @@ from rx90_common.base.quoting import quoted
 from rx90_common.base.requirements import missing_module
 from rx90_common.exchange.arrivals import ReceiveBatching
 from rx90_common.exchange.ros_start import reason
+from rx90_common.exchange.topics import COMMANDED_TRAJECTORY, OF_ACTION, TRAJECTORY_ACCEPTED
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
 _NEVER = 1 << 63  # ns
@@ -105,6 +106,35 @@ class SequenceCounter:
             return self.writers[-1]
         nearest.lost += number - nearest.last - 1
         return nearest
+
+
+class TrajectoryCount:
+    """Compares the trajectories that controllers accepted with those that arrived on their topics.
+
+    A sender of one trajectory may end before it has discovered the recorder; the controller has received
+    the trajectory, publishes it latched, and its copy is used here.
+    """
+
+    def __init__(self) -> None:
+        self._missing: Counter[tuple[str, bytes]] = Counter()  # accepted less came, by controller and content
+        types = typestore().types
+        self._no_header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "")
+
+    def add(self, topic: str, raw: bytes) -> None:
+        """Count a JointTrajectory of any topic."""
+        message: Any = typestore().deserialize_cdr(raw, JOINT_TRAJECTORY)
+        controller, _, name = topic.rpartition("/")
+        accepted = name == TRAJECTORY_ACCEPTED and message.header.frame_id != OF_ACTION
+        if accepted or name == COMMANDED_TRAJECTORY:
+            content = bytes(typestore().serialize_cdr(replace(message, header=self._no_header), JOINT_TRAJECTORY))
+            self._missing[controller, content] += 1 if accepted else -1
+
+    def missing(self, topics: Collection[str]) -> dict[str, int]:
+        """Return how many trajectories did not come, by the topic that they were sent on, of those that are given."""
+        counts: Counter[str] = Counter()
+        for (controller, _), count in (+self._missing).items():
+            counts[f"{controller}/{COMMANDED_TRAJECTORY}"] += count
+        return {topic: count for topic, count in counts.items() if topic in topics}
 
 
 class Streams:
@@ -257,7 +287,7 @@ class Stream:
         for message, info in found if self.msgtype == JOINT_TRAJECTORY else ():
             if not self._latched or info["source_timestamp"] >= self._ready_ns:  # else accepted before the recording
                 with suppress(Exception):  # rosbags has no error of its own for bytes that are no message
-                    self._trajectories.add(self.topic, typestore().deserialize_cdr(message, self.msgtype))
+                    self._trajectories.add(self.topic, message)
         if self.msgtype in (JOINT_STATE, CLOCK):
             # Nodes repeat a message while time stands still, and when it may have been lost: it is no second sample.
             new = [before != message for before, message in pairwise([self._newest, *messages])]

@@ -143,6 +143,13 @@ class CurvePart(BySign[CurveTable], FrictionPart):
         start = np.zeros(1)
         return BySign[float](positive=self.positive.at(start)[0], negative=self.negative.at(start)[0])
 
+    @property
+    def ratio(self) -> float:
+        """Return how many times the torque of one direction is that of the other at most, at rest and at the points."""
+        speed = np.array([0.0, *self.positive.velocity, *self.negative.velocity])
+        ratio = self.positive.at(speed) / self.negative.at(speed)
+        return float(np.max([ratio, 1.0 / ratio]))
+
     def sliding_torque(self, velocity: Array, torque: Array) -> Array:  # noqa: ARG002 - replaced
         """Return the torque of the tables, Nm."""
         speed = np.abs(velocity)

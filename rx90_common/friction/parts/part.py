@@ -163,7 +163,7 @@ def legend_of(model: type[FileModel], indent: str, width: int, without: Containe
             continue
         unit = f", {value['unit']}" if "unit" in value else ""
         accepted = accepted_values(value, schema).rpartition("a number ")[2]
-        optional = "" if key in schema.get("required", ()) else f"; {_default(value.get('default'))} if it is left out"
+        optional = f"; {_default(value['default'])} if it is left out" if "default" in value else ""
         lines += f"#{indent}{key:<{width}} {in_words(value['description'])}{unit}, {accepted}{optional}\n"
     return lines
 

@@ -16,9 +16,8 @@ from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import MAX_JOINTS, Array
 from rx90_common.base.errors import ConfigError, IdentificationError, TrajectoryError, check_type
-from rx90_common.base.models import MAX_JOINTS
 from rx90_common.base.quoting import counted, listed
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.drives import load_drives
@@ -91,7 +90,7 @@ def _bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
     names = message_names(bag, topic, mapping) if options.names is None else ()
     if names and not {*names} & {*joints, *motor_names(len(joints))}:
         raise IdentificationError(
-            f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or --names; {_OTHER_ARMS}"
+            f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or names in a signal map; {_OTHER_ARMS}"
         )
     return arm_layout(topic, joints, options, lambda: setup.drives, mapping)
 
@@ -130,6 +129,11 @@ class MeasuredComparison:
     saturated: Array
     remarks: tuple[str, ...]
     tolerances: MeasuredTolerances
+
+    @property
+    def compared_share(self) -> Array:
+        """Return the share of the time in which a joint's torque is compared, shape (n,)."""
+        return np.asarray(self.torque.compared.mean(axis=0))
 
     @property
     def position_rms(self) -> Array:

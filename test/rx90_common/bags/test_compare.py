@@ -17,14 +17,14 @@ from hypothesis import strategies as st
 
 from rx90_common.bags.comparison import Scope, TopicComparison, Verdict, compare_series
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.tolerance import Tolerances, parse_rule
+from rx90_common.bags.tolerance import Tolerances
 from rx90_common.bags.writing import trajectory_message, write_joint_states
 from rx90_emulator.cli.frame import run
 
 
 def compared(a: JointSeries, b: JointSeries, *rules: str, **scope: Any) -> TopicComparison:
     """Compare two series with tolerances as on the command line."""
-    return compare_series(a, b, Tolerances(map(parse_rule, rules)), Scope(**scope))
+    return compare_series(a, b, Tolerances(*rules), Scope(**scope))
 
 
 def changed(source: JointSeries, row: int, column: int, value: float, field: str = "position") -> JointSeries:
@@ -136,7 +136,7 @@ def test_a_second_message_of_a_stamp_is_counted() -> None:
     result = compared(a, joined(a, changed(a.take(slice(2, 3)), 0, 0, 99.0)))
     assert result.verdict is Verdict.DIFFERS
     assert result.b is not None
-    assert (result.b.missing, result.b.ambiguous) == (1, 1)
+    assert result.b.missing == 1
 
 
 def test_two_runs_in_one_bag() -> None:
@@ -161,7 +161,7 @@ def test_what_only_one_has() -> None:
 def test_most_special_tolerance_decides() -> None:
     """Joint of a topic before topic before joint of any topic before field; among equals the last."""
     rules = ["position=1", "*:a:position=2", "t:position=3", "t:a:position=4", "position=5", "t:a:position=6"]
-    tolerances = Tolerances(map(parse_rule, rules))
+    tolerances = Tolerances(*rules)
     assert tolerances.of("/t", "a", "position") == 6
     assert tolerances.of("/t", "b", "position") == 3
     assert tolerances.of("/u", "a", "position") == 2
@@ -179,8 +179,6 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_joint_states(folder / "same", [a.select(NAMES[::-1])], storage="sqlite3")
     write_joint_states(folder / "off", [off])
     write_joint_states(folder / "more", [a, series(topic="motor_states")])
-    (folder / "within.yaml").write_text("joint_states: {joints: {joint_2: {position: 0.0011}}}")
-    (folder / "below.yaml").write_text("'*': {position: 0.0009}")
     return folder
 
 
@@ -193,9 +191,6 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("a off --tolerance joint_states:position=0.0011", 0),
         ("a off --tolerance /joint_states:joint_2:position=0.0011", 0),
         ("a off --tolerance joint_states:joint_1:position=0.0011", 1),
-        ("a off --tolerances within.yaml", 0),
-        ("a off --tolerances below.yaml", 1),
-        ("a off --tolerances below.yaml --tolerance position=1", 0),
         ("a off --fields velocity effort", 0),
         ("a off --to 0.0049", 0),
         ("a off --from 0.006", 0),
@@ -219,7 +214,7 @@ def test_report(bags: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     run("rx90_bag", ["compare", "a", "off"])
     text = capsys.readouterr().out
     (row,) = (line.split() for line in text.splitlines() if "joint_2" in line)
-    assert row == ["position", "joint_2", "1.000e-03", "0.005000", "2.236e-04", "rad", "0", "1"]
+    assert row == ["position", "joint_2", "1.000e-03", "0.005000", "2.236e-04", "rad", "0", "1", "0"]
     assert text.rstrip().endswith("a against off: DIFFERS")
     run("rx90_bag", ["compare", "a", "off", "--json"])
     content = json.loads(capsys.readouterr().out)
@@ -265,7 +260,6 @@ def test_counts_of_stamps(stamps_a: list[int], stamps_b: list[int]) -> None:
     assert result.a.missing == len((a - b) & common)
     assert result.b.missing == len((b - a) & common)
     assert result.a.outside == len(a - common)
-    assert result.a.repeats == len(stamps_a) - len(a)
     assert (result.verdict is Verdict.SAME) == (a == b)
     within = compared(make(stamps_a), make(stamps_b), common_range=True)
     assert (within.verdict is Verdict.SAME) == (a & common == b & common)

@@ -18,7 +18,6 @@ from rx90_common.bags.logs import import_logs
 from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.plotting import plot_bags
 from rx90_common.bags.reading import read_joint_states
-from rx90_common.base.errors import BagError
 from rx90_emulator.cli.frame import run
 
 TIME = np.array([0.5, 0.75, 1.25])
@@ -42,12 +41,12 @@ def write(path: Path, text: str, encoding: str = "utf-8") -> Path:
     return path
 
 
-def imported(tmp_path: Path, mapping: str, *logs: str, topic: str = "joint_states", encoding: str = "utf-8",
+def imported(tmp_path: Path, mapping: str, log: str, topic: str = "joint_states", encoding: str = "utf-8",
              skip_corrupt: bool = False) -> JointSeries:  # fmt: skip
-    """Return what the bag that is made of these logs holds."""
+    """Return what the bag that is made of a log holds."""
     chosen = LogMapping.load(write(tmp_path / "mapping.yaml", mapping))
-    paths = [write(tmp_path / f"log_{k}.csv", text, encoding) for k, text in enumerate(logs)]
-    import_logs([(paths, chosen)], tmp_path / "bag", skip_corrupt=skip_corrupt)
+    path = write(tmp_path / "log.csv", log, encoding)
+    import_logs([(path, chosen)], tmp_path / "bag", skip_corrupt=skip_corrupt)
     return read_joint_states(tmp_path / "bag", topic)
 
 
@@ -88,10 +87,8 @@ def test_delimiter_decimal_sign_and_header_are_found_out(tmp_path: Path, text: s
     [
         ("position", "unit: deg", (180.0, -90.0), (np.pi, -np.pi / 2)),
         ("position", "unit: turns, factor: [1, -0.01]", (0.5, 100.0), (np.pi, -2 * np.pi)),
-        ("position", "unit: counts, counts_per_turn: [4096, 1000]", (1024, -250), (np.pi / 2, -np.pi / 2)),
         ("velocity", "unit: deg/s", (360.0, 1.0), (2 * np.pi, np.pi / 180)),
         ("velocity", "unit: rpm, factor: 0.5", (60.0, 120.0), (np.pi, 2 * np.pi)),
-        ("velocity", "unit: counts/s, counts_per_turn: 2000", (2000, 500), (2 * np.pi, np.pi / 2)),
         ("effort", "unit: Nm", (3.0, 4.0), (3.0, 4.0)),
         ("effort", "unit: mA, factor: [1, -1]", (300.0, 400.0), (0.3, -0.4)),
     ],
@@ -99,7 +96,7 @@ def test_delimiter_decimal_sign_and_header_are_found_out(tmp_path: Path, text: s
 def test_units_become_si(
     tmp_path: Path, field: str, unit: str, values: tuple[float, float], expected: tuple[float, float]
 ) -> None:
-    """Angles, counts, turns and currents are what they are in rad, rad/s, Nm and A, times a factor of each joint."""
+    """Angles, turns and currents are what they are in rad, rad/s, Nm and A, times a factor of each joint."""
     mapping = f"rate: 4\ntopics: {{joint_states: {{names: [a, b], {field}: {{columns: [y, x], {unit}}}}}}}\n"
     found = imported(tmp_path, mapping, f"# x y\n{values[1]} {values[0]}\n{values[1]} {values[0]}\n")
     assert getattr(found, field)[1] == pytest.approx(expected, rel=1e-14)
@@ -147,14 +144,13 @@ def test_times_of_iso_8601_are_exact(tmp_path: Path, zone: str, between: str) ->
     ("log", "stamps", "positions"),
     [
         ('t,q\n0,"0,000000"\n1,"0,001000"\n', [0, 10**9], [0.0, 1e-3]),
-        ("t,q\n20240501T120000Z,0.0\n20240501T120001.5Z,0.25\n", [MAY, MAY + 1_500_000_000], [0.0, 0.25]),
         ("t;q\n2024-05-01 12:00:00,000;0,0\n2024-05-01 12:00:00,100;0,25\n", [MAY, MAY + 10**8], [0.0, 0.25]),
     ],
 )
 def test_named_columns_of_usual_programs_are_read(
     tmp_path: Path, log: str, stamps: list[int], positions: list[float]
 ) -> None:
-    """Whole numbers beside quoted decimals; times in the basic form, and with a blank and a decimal comma."""
+    """Whole numbers beside quoted decimals; times with a blank and a decimal comma."""
     found = imported(tmp_path, NAMED, log)
     assert found.stamp_ns.tolist() == stamps
     assert found.position[:, 0].tolist() == positions  # type: ignore[index]
@@ -163,11 +159,9 @@ def test_named_columns_of_usual_programs_are_read(
 @pytest.mark.parametrize(
     ("log", "said"),
     [
-        ("t,x,q\n0.0,0.0,\n0.1,0.1,\n", "2 corrupt rows, line 2-3 (line 2: column q is empty)"),
-        ('t,q\n0.0,"1,100"\n0.1,"1,101"\n', "column q is '1,100'; accepted: decimal '.', no signs of thousands"),
-        ("t;q\n0,00;1.100,5\n0,01;1.101,5\n", "column q is '1.100,5'; accepted: decimal ',', no signs of thousands"),
+        ("t,x,q\n0.0,0.0,\n0.1,0.1,\n", "2 corrupt rows, line 2, 3 (line 2: column q is empty)"),
+        ('t,q\n0.0,"1,100"\n0.1,"1,101"\n', "(line 2: column q is '1,100'); accepted: columns as in"),
         ('t,q\n0.0,"0,0000"\n0.1,"0,0010"\n', "(line 2: column q is '0,0000')"),
-        ("t,q\n2016-12-31T23:59:60Z,0\n2017-01-01T00:00:00Z,1\n", "60Z'; accepted: seconds below 60, no leap second"),
     ],
 )
 def test_what_a_cell_holds_is_told_not_the_header(
@@ -191,17 +185,15 @@ def test_empty_cells_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert f"1 corrupt row, line 3 (line 3: {where} {is_word}empty" in capsys.readouterr().err
 
 
-def test_several_logs_and_topics(tmp_path: Path) -> None:
-    """Columns of several files that were written together become two topics of one bag."""
+def test_several_topics(tmp_path: Path) -> None:
+    """Columns of one file become two topics of one bag."""
     mapping = """\
-time: {file: 2, column: 1, unit: ms}
+time: {column: 1, unit: ms}
 topics:
-  joint_states: {names: [a], position: {columns: [q], unit: rad}, effort: {file: 2, columns: [2], unit: Nm}}
-  reference: {names: [a], position: {file: 2, columns: [3], unit: deg}}
+  joint_states: {names: [a], position: {columns: [q], unit: rad}, effort: {columns: [2], unit: Nm}}
+  reference: {names: [a], position: {columns: [3], unit: deg}}
 """
-    with pytest.raises(BagError, match=r"^rows: .*log_0.csv 2, .*log_1.csv 1; accepted: logs of as many rows each"):
-        imported(tmp_path, mapping, "q\n1\n2", "10 5 180")
-    first = imported(tmp_path, mapping, "q\n1\n2", "10 5 180\n20 6 90")
+    first = imported(tmp_path, mapping, "t,tau,r,q\n10,5,180,1\n20,6,90,2")
     assert (first.stamp_ns.tolist(), first.position.tolist()) == ([10**7, 2 * 10**7], [[1.0], [2.0]])  # type: ignore[union-attr]
     assert first.effort.tolist() == [[5.0], [6.0]]  # type: ignore[union-attr]
     assert read_joint_states(tmp_path / "bag", "reference").position == pytest.approx(np.array([[np.pi], [np.pi / 2]]))
@@ -230,13 +222,13 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
     words = ["import", str(log), str(tmp_path / "bag"), "--signals", str(mapping)]
     assert run("rx90_bag", words) == 2
     said = capsys.readouterr().err
-    assert "9 corrupt rows, line 2-5, 7-8, 10-12 (line 2: time '-0.12'" in said
+    assert "9 corrupt rows, line 2, 3, 4, 5, 7, 8, 10, 11, 12 (line 2: time '-0.12'" in said
     assert said.count("\n") == 1
     assert not (tmp_path / "bag").exists()
     assert run("rx90_bag", [*words, "--skip-corrupt"]) == 0
     said = capsys.readouterr().out
-    assert "4 of 13 rows in 0.05 s" in said
-    assert "left out: 9 corrupt rows, line 2-5, 7-8, 10-12" in said
+    assert "/joint_states: 2 joints, 4 of 13 rows" in said
+    assert "left out: 9 corrupt rows, line 2, 3, 4, 5, 7, 8, 10, 11, 12" in said
     stamps = read_joint_states(tmp_path / "bag", "joint_states").stamp_ns
     assert stamps.tolist() == [3_047_690_000_000, 3_047_700_000_000, 3_047_720_000_000, 3_047_740_000_000]
 
@@ -253,16 +245,8 @@ EXACT = "delimiter: ','\nheader: 1\nexact: true\n"
         (("[2, 3]", "[2, qb]"), b"t,qa,qc\n1,2,3", "log.csv: no column 'qb'; there are t, qa, qc"),
         (("[2, 3]", "[2, qb]"), b"t,qb,qb\n1,2,3", "log.csv: more than one column 'qb'; there are t, qb, qb"),
         (("[2, 3]", "[2, 0]"), b"1,2,3", "position.columns[1] is 0; accepted: the number of a column, from 1 on, or"),
-        (("topics:", "delimiter: ','\ndecimal: ','\ntopics:"), b"1,2,3", "decimal is ',', and so is delimiter"),
-        (
-            ("rad", "rad, counts_per_turn: 4096"),
-            b"1,2,3",
-            "counts_per_turn is 4096.0; accepted: none beside unit rad",
-        ),
         (("rad", "rad, factor: [1, 0]"), b"1,2,3", "position.factor[1] is 0; accepted: a finite number other than 0"),
-        (("rad", "rad, file: 2"), b"1,2,3", ": 1 log; accepted: 2, those that "),
-        (("[2, 3]", "[qb, 3]"), b"t,qa,qb\n1,2,3", ": column 3 in joint_states.position is that of another joint"),
-        (("[2, 3]", "[2, 1]"), b"1,2,3", "log.csv: column 1 in joint_states.position is that of the times; accepted"),
+        (("[2, 3]", "[2, 2]"), b"1,2,3", "position.columns is [2, 2]; accepted: a list of columns, one for each name"),
         (
             ("[a, b]", '[a, "b\\0"]'),
             b"1,2,3",
@@ -340,8 +324,8 @@ def test_damaged_lines_of_an_exported_file_are_left_out(tmp_path: Path, capsys: 
     assert run("rx90_bag", ["import", str(log), str(tmp_path / "bag")]) == 2
     assert run("rx90_bag", ["import", "--skip-corrupt", str(log), str(tmp_path / "bag")]) == 0
     said = capsys.readouterr().out
-    assert "/joint_states: 2 joints, 3 messages" in said
-    assert f"{log}: left out: 4 corrupt rows, line 2, 4-5, 8 (line 2: 1 field, others have 3)" in said
+    assert "/joint_states: 2 joints, 3 of 7 rows" in said
+    assert "left out: 4 corrupt rows, line 2, 4, 5, 8 (line 2: 1 field, others have 3)" in said
     found = read_joint_states(tmp_path / "bag", "joint_states")
     assert found.stamp_ns.tolist() == [10**9, 3 * 10**9, 4 * 10**9]
     write(log, "t,a,b\nx,1,2\n")
@@ -361,7 +345,7 @@ def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureF
         label = f"effort [{unit.removeprefix('m')}]"
         assert series.quantities["effort"] == series.take(slice(0, 2)).select(["b"]).quantities["effort"] == label
         (plot,) = plot_bags([folder / "bag"])
-        assert plot.label("effort") == label.replace(" [", ", ").removesuffix("]")
+        assert plot.panels[0].label == label.replace(" [", ", ").removesuffix("]")
         tables, again = folder / "tables", folder / "again"
         export_bag(folder / "bag", tables)
         assert (tables / "joint_states.csv").read_text().splitlines()[0] == f"time [s],a {label},b {label}"

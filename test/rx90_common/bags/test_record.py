@@ -244,9 +244,7 @@ def test_what_is_missing_is_reported_once(tmp_path: Path, start: Start, node: No
 
 
 @pytest.mark.ros
-def test_a_trajectory_that_did_not_come_fails(
-    tmp_path: Path, start: Start, node: Node, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_trajectory_that_did_not_come_fails(tmp_path: Path, start: Start, node: Node) -> None:
     """What the controller has accepted and nobody recorded is counted; goals, and what came before, are not asked for.
 
     The message of a sender that never learned of the recorder leaves no gap in any sequence number.
@@ -278,9 +276,6 @@ def test_a_trajectory_that_did_not_come_fails(
     code, _, err = recorders["lacking"].finish(signal.SIGINT)
     lacking = "not recorded: 2 of the trajectories of /c/joint_trajectory that the controller has accepted: sent before"
     assert (code, err) == (1, f"{lacking} the recording was ready, or lost\n")
-    assert run("rx90_bag", ["info", str(tmp_path / "lacking")]) == 0
-    lacks = "/c/joint_trajectory lacks 3 of the trajectories that the controller accepted: sent before the recording"
-    assert lacks in capsys.readouterr().out
 
 
 @pytest.mark.ros
@@ -353,7 +348,7 @@ def test_a_disk_that_takes_no_more_is_a_failure(tmp_path: Path, start: Start, no
     recorder.wait_for("ready: all topics")
     suite.publish(8000, 0, acknowledged=False)  # the recorder holds the newest second
     code, _, err = recorder.finish()
-    half = "; what was written before stays, and rx90_bag info says how much of it is whole"
+    half = "; what was written before stays"
     assert (code, err.strip()) == (3, f"rx90_bag: {tmp_path / 'bag'}: cannot be written (File too large){half}")
     with pytest.raises(BagError, match=r"bag\.mcap is cut off"), BagReader(tmp_path / "bag"):
         pass
@@ -459,7 +454,6 @@ def test_types_of_others_are_recorded(
     assert run("rx90_bag", ["info", str(tmp_path / "bag")]) == 0
     said = capsys.readouterr().out
     assert re.search(rf"{STATE}.* 3 ", said)
-    assert re.search(r"/diagnostics .* 3 stamps of another clock; by log time", said)
     assert run("rx90_bag", ["compare", str(tmp_path / "bag"), str(tmp_path / "bag")]) == 0
 
 
@@ -482,12 +476,12 @@ def test_a_definition_goes_into_its_bag_alone(tmp_path: Path, storage: str) -> N
 @pytest.mark.ros
 def test_a_type_that_is_not_there_leaves_no_bag(tmp_path: Path, node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     """The refusal comes once the topic is found: by then the folder and those above it are there; none stays."""
-    from rx90_common.bags.recorder.recording import Recorder, StatusLine
+    from rx90_common.bags.recorder.recording import Recorder
 
     node.create_publisher(String, "note", 1)
     monkeypatch.delattr("std_msgs.msg.String")
-    with StatusLine() as status, pytest.raises(BagError, match="/note has type std_msgs/msg/String, which the std_"):
-        Recorder(["note"], [], status).run(lambda: BagWriter(tmp_path / "new" / "bag"), StopRequest())
+    with pytest.raises(BagError, match="/note has type std_msgs/msg/String, which the std_"):
+        Recorder(["note"], []).run(lambda: BagWriter(tmp_path / "new" / "bag"), StopRequest())
     assert not (tmp_path / "new").exists()
 
 

@@ -87,8 +87,7 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
         "metadata.yaml says 31 messages of /joint_states",
     ),
     "with 1e20": (metadata(lambda c: topic_of(c).update(message_count=1e20)), "is 1e+20; accepted: an integer >= 0"),
-    "with -1": (metadata(lambda c: c.update(message_count=-1)), "message_count is -1; accepted: an integer >= 0"),
-    "with other sum": (metadata(lambda c: c.update(message_count=7)), "metadata.yaml says 7 messages in all"),
+    "with -1": (metadata(lambda c: topic_of(c).update(message_count=-1)), "is -1; accepted: an integer >= 0"),
     "with other type": (
         metadata(lambda c: topic_of(c)["topic_metadata"].update(type="a/msg/B")), "metadata.yaml says",
     ),
@@ -101,9 +100,9 @@ DAMAGES: dict[str, tuple[Damage, str]] = {
     ),
     "storage cut at the end": (
         truncate(0.99),
-        "bag.mcap is cut off (its recorder was killed, or the disk was full?): 30 messages up to t = 0.029000 s are",
+        "bag.mcap is cut off (its recorder was killed, or the disk was full?); 'mcap recover' restores what is whole",
     ),
-    "storage cut early": (truncate(0.5), "cut off before its first whole chunk: nothing can be recovered"),
+    "storage cut early": (truncate(0.5), "bag.mcap is cut off"),
 }  # fmt: skip
 
 
@@ -233,8 +232,8 @@ def test_a_bit_that_has_changed_is_noticed_or_does_no_harm(tmp_path: Path, kind:
 
 INDEX_FAULTS = {
     "the place of a chunk": (0x08, 16, "is damaged: "),
-    "a count of the statistics": (0x0B, 48, "messages should be there"),
-    "a channel of the summary": (0x04, 0, "its summary lacks channel"),
+    "a count of the statistics": (0x0B, 48, "is damaged: it has 4 messages, its topics 0"),
+    "a channel of the summary": (0x04, 0, "is damaged: it has 4 messages, its topics 0"),
     "a channel's metadata": (0x04, 21, "is damaged: "),
     "the kind of a record in the summary": (0x04, -9, "is damaged: "),
     "the footer": (0x02, 0, "is damaged: "),
@@ -265,14 +264,14 @@ def test_a_chunk_takes_no_more_memory_than_its_head_says(
     """A few kB that decompress to 64 MB are refused after some MB, and a chunk that is cut off at once."""
     file = tmp_path / "bag.mcap"
     content = compress(bytes(64 << 20))
-    for cut, complaint in ((content, "a chunk is longer than 1,000 bytes"), (content[:20], "a chunk is shorter")):
+    for cut in (content, content[:20]):
         chunk = struct.pack("<QQQII", 0, 0, 1000, 0, len(kind)) + kind.encode() + struct.pack("<Q", len(cut)) + cut
         records = ((0x01, bytes(8)), (0x06, chunk), (0x0F, bytes(4)), (0x02, bytes(20)))  # without an index
         body = b"".join(struct.pack("<BQ", op, len(record)) + record for op, record in records)
         file.write_bytes(MCAP_MAGIC + body + MCAP_MAGIC)
         tracemalloc.start()
         try:
-            with pytest.raises(BagError, match=complaint):
+            with pytest.raises(BagError, match="the chunk at byte 25"):
                 read_all(file)
             assert tracemalloc.get_traced_memory()[1] < 16 << 20
         finally:
@@ -351,9 +350,6 @@ def test_what_the_metadata_say_beside_the_counts_is_not_needed(tmp_path: Path, o
     write_joint_states(tmp_path / "bag", [series(30)])
     OTHERWISE[otherwise](tmp_path / "bag")
     np.testing.assert_array_equal(read_joint_states(tmp_path / "bag", "joint_states").position, series(30).position)
-    with BagReader(tmp_path / "bag") as bag:
-        note = "metadata.yaml is missing; read as they are: bag.mcap"
-        assert bag.notes == ([note] if otherwise == "no metadata" else [])
 
 
 @pytest.mark.parametrize(
@@ -363,7 +359,7 @@ def test_what_the_metadata_say_beside_the_counts_is_not_needed(tmp_path: Path, o
 def test_types_that_cannot_be_parsed_and_compressed_bags(
     tmp_path: Path, storage: str, mode: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Topics of unknown types are listed and left aside; storage and compression are named; a file alone will do."""
+    """Topics of unknown types are listed and left aside; the storage is named; a file alone will do."""
     bag = tmp_path / "bag"
     writer = Writer(bag, version=9, storage_plugin=StoragePlugin[storage.upper()])
     if mode != "NONE":
@@ -381,11 +377,10 @@ def test_types_that_cannot_be_parsed_and_compressed_bags(
         writer.write(events, 5, b"\0\1\0\0" + bytes(16))
         writer.write(old, 7, bytes(ROS1.serialize_ros1(joint_state(9, ["b"], [2.0], store=ROS1), JOINT_STATE)))
     kind = {"mcap": "mcap", "sqlite3": "db3"}[storage]
-    words = {"NONE": "", "MESSAGE": "zstd messages", "FILE": "zstd files", "STORAGE": "zstd chunks"}[mode]
     (file,) = (file for file in bag.iterdir() if file.name != "metadata.yaml")
     for path in (bag, shutil.copy(file, tmp_path / "alone")):
         summary = summarise(path)
-        assert (summary.storage, summary.compression) == (kind, words)
+        assert summary.storage == kind
         assert {t.topic: t.count for t in summary.topics} == {"/joint_states": 40, "/add/_service_event": 1, "/old": 1}
         read = read_joint_bag(path).series
         assert read["/joint_states"][0].stamp_ns.tolist() == STAMPS
@@ -393,11 +388,11 @@ def test_types_that_cannot_be_parsed_and_compressed_bags(
     assert run("rx90_bag", ["compare", str(bag), str(bag)]) == 0
     assert "; 1 other topic not compared\n" in capsys.readouterr().out
     assert run("rx90_bag", ["info", str(bag)]) == 0
-    assert f"{bag}: {kind}{f' ({words})' * bool(words)}, " in capsys.readouterr().out
+    assert f"{bag}: {kind}, " in capsys.readouterr().out
 
 
-INDEXES = {"all": IndexType.ALL, "none of messages": IndexType.CHUNK, "none of chunks": IndexType.MESSAGE,
-           "no chunks": IndexType.ALL, "no summary": IndexType.NONE}  # fmt: skip
+INDEXES = {"all": IndexType.ALL, "none of chunks": IndexType.MESSAGE, "no chunks": IndexType.ALL,
+           "no summary": IndexType.NONE}  # fmt: skip
 
 
 @pytest.mark.parametrize("index", INDEXES)
@@ -405,7 +400,7 @@ INDEXES = {"all": IndexType.ALL, "none of messages": IndexType.CHUNK, "none of c
 def test_an_mcap_file_is_read_by_whatever_index_it_has(
     tmp_path: Path, index: str, compression: CompressionType
 ) -> None:
-    """Files of the mcap project's writer, with less and less of an index, of another profile, with other topics.
+    """Files of the mcap project's writer, with less and less of an index, and with it in any order of time.
 
     Of chunks that hold other topics than those asked for no message too many is read.
     """
@@ -416,23 +411,21 @@ def test_an_mcap_file_is_read_by_whatever_index_it_has(
         use_chunking=index != "no chunks", use_statistics=summary, use_summary_offsets=summary,
         repeat_channels=summary, repeat_schemas=summary,
     )  # fmt: skip
-    writer.start(profile="")
+    writer.start(profile="ros2")
     joints, late, other = (
-        writer.register_channel(topic, encoding, writer.register_schema(kind, schema, b""))
-        for topic, kind, encoding, schema in (
-            ("/joint_states", JOINT_STATE, "cdr", "ros2msg"),
-            ("/late", JOINT_STATE, "cdr", "ros2msg"),
-            ("/other", "Other", "json", "jsonschema"),
-        )
+        writer.register_channel(topic, "cdr", writer.register_schema(kind, "ros2msg", b""))
+        for topic, kind in (("/joint_states", JOINT_STATE), ("/late", JOINT_STATE), ("/other", "a/msg/B"))
     )
-    for stamp in STAMPS[::-1]:
+    for stamp in STAMPS[::-1] if index == "all" else STAMPS:
         data = bytes(ROS2.serialize_cdr(joint_state(stamp, ["a"], [stamp * 1e-9]), JOINT_STATE))
         writer.add_message(joints, log_time=stamp, publish_time=stamp, data=data)
         writer.add_message(other if stamp < STAMPS[20] else late, log_time=stamp, publish_time=stamp, data=data)
     writer.finish()
-    assert {(t.topic, t.encoding, t.count) for t in summarise(path).topics} == {
-        ("/joint_states", "cdr", 40), ("/late", "cdr", 20), ("/other", "json", 20),
-    }  # fmt: skip
+    assert {(t.topic, t.count) for t in summarise(path).topics} == {
+        ("/joint_states", 40),
+        ("/late", 20),
+        ("/other", 20),
+    }
     for topic, stamps in (("joint_states", STAMPS), ("late", STAMPS[20:])):
         assert read_joint_states(path, topic).stamp_ns.tolist() == stamps
     with BagReader(path) as bag:
@@ -441,35 +434,30 @@ def test_an_mcap_file_is_read_by_whatever_index_it_has(
     assert found == [("/other" if stamp < STAMPS[20] else "/late", stamp) for stamp in STAMPS]
 
 
-def test_parts_of_a_recording_are_read_as_one(tmp_path: Path) -> None:
-    """Without metadata files come in the order of log time, equal times in that of their numbers: 10 follows 9."""
-    for i in range(3, 13):
-        write_joint_states(tmp_path / f"part_{i}", [series(2, seed=i)])
-        (tmp_path / "bag").mkdir(exist_ok=True)
-        shutil.copy(tmp_path / f"part_{i}" / f"part_{i}.mcap", tmp_path / "bag" / f"bag_{i}.mcap")
-    read = read_joint_states(tmp_path / "bag", "joint_states")
-    parts = [series(2, seed=i).position for i in range(3, 13)]
-    np.testing.assert_array_equal(read.position, np.vstack([part[row : row + 1] for row in (0, 1) for part in parts]))
-
-
-@pytest.mark.parametrize(
-    "names", ["a b", "bag_0 bag_2", "a_0 b_1", "bag_0 bag_00", "bag bag_0", "bag_0.mcap bag_1.db3"]
-)
-def test_files_that_are_not_of_one_recording_are_refused(
-    tmp_path: Path, names: str, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("known", [True, False])
+def test_files_of_a_split_recording_need_their_metadata(
+    tmp_path: Path, known: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Files of one folder without metadata, of which one is missing or foreign, are one line."""
-    write_joint_states(tmp_path / "whole", [series()])
-    folder = tmp_path / "bag"
-    folder.mkdir()
-    for name in names.split():
-        shutil.copy(tmp_path / "whole" / "whole.mcap", folder / (name if "." in name else f"{name}.mcap"))
-    assert run("rx90_bag", ["info", str(folder)]) == 2
-    there = ", ".join(sorted(file.name for file in folder.iterdir()))
-    assert capsys.readouterr() == ("", (
-        f"rx90_bag: {folder}: metadata.yaml is missing, and {there} are not the parts of one recording; accepted: "
-        "NAME_0.mcap, NAME_1.mcap and so on without a gap, or each file by its path\n"
-    ))  # fmt: skip
+    """Parts come in the order of log time, equal times in that of the list; without metadata each is read alone."""
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    names = [f"bag_{i}.mcap" for i in range(9, 12)]
+    for i, name in enumerate(names):
+        write_joint_states(tmp_path / f"part_{i}", [series(2, seed=i)])
+        shutil.copy(tmp_path / f"part_{i}" / f"part_{i}.mcap", bag / name)
+    if known:
+        shutil.copy(tmp_path / "part_0" / "metadata.yaml", bag)
+        metadata(lambda c: (c.update(relative_file_paths=names), topic_of(c).update(message_count=6)))(bag)
+        read = read_joint_states(bag, "joint_states")
+        parts = [series(2, seed=i).position for i in range(3)]
+        np.testing.assert_array_equal(
+            read.position, np.vstack([part[row : row + 1] for row in (0, 1) for part in parts])
+        )
+    else:
+        assert run("rx90_bag", ["info", str(bag)]) == 2
+        assert f"{bag}: metadata.yaml is missing, and there are {', '.join(sorted(names))}; accepted: one file" in (
+            capsys.readouterr().err
+        )
 
 
 def test_names_in_a_bag_forge_no_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -621,5 +609,5 @@ def test_what_unpacks_to_far_more_is_refused_before(name: str, tmp_path: Path) -
     )
     assert not done.stderr
     line, peak = done.stdout.splitlines()
-    assert re.search("bytes unpacked; accepted: up to|another length than 1,000 bytes|holds 0 bytes; its header", line)
+    assert re.search("bytes unpacked; accepted: up to|another length than 1,000 bytes|is no NPZ file, or damaged", line)
     assert int(peak) <= 500

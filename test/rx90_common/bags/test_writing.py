@@ -18,8 +18,7 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
 
-from rx90_common.bags import writing
-from rx90_common.bags.reading import read_bag, read_joint_states
+from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.bags.writing import (
     BagWriter,
@@ -149,7 +148,6 @@ def test_bag_is_whole_when_the_disk_is_nearly_full(
     Of a bag that gets its name at the end nothing stays. No room for a new bag's folder is a failure, too.
     """
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=5 << 20))
-    monkeypatch.setattr(writing, "_BYTES_PER_SPACE_CHECK", 100_000)
     written = series(3000)
     with pytest.raises(BagWriteError, match=r"nearly full \(5 MiB left; accepted: 64 MiB or more\)$") as failure:
         write_joint_states(tmp_path / "new" / "bag", [written], storage=storage)
@@ -238,19 +236,3 @@ def test_a_checkpoint_outlives_the_process(tmp_path: Path, storage: str) -> None
     write_one(bag, connection, 1_000_000_000, message.cdr)
     assert file.read_bytes().count(b"marked content") == 2
     bag.close()
-
-
-def test_a_path_beyond_that_of_a_database_is_refused(tmp_path: Path) -> None:
-    """SQLite takes paths of 512 bytes with that of the journal; one byte more is refused, and nothing stays."""
-    deep = tmp_path.joinpath(*["d" * 100] * 2)
-    path = deep / ("x" * ((512 - len(str(deep / "a" / "b.db3-journal")) + 2) // 2))
-    with BagWriter(path, "sqlite3") as bag:
-        bag.add_topic("a", "std_msgs/msg/String")
-    assert len(str(path / f"{path.name}.db3-journal")) in {511, 512}
-    read_bag(path)
-    path = deep / f"{path.name}x"
-    size = len(str(path / f"{path.name}.db3"))
-    with pytest.raises(BagError, match=rf"a path of {size} bytes; accepted by SQLite: up to 504"):
-        BagWriter(path, "sqlite3")
-    assert not path.exists()
-    write_joint_states(path, [series()])

@@ -80,7 +80,7 @@ BROKEN: list[tuple[str | bytes, str]] = [
     ("a:\n" + "- 1\n" * 190_000, "has 190,001 commas and line ends; accepted: up to 150,000"),
     ("a:\n" + "- - - - - -\n" * 70_000, "more than 150,000 values, line 250"),
     ("a: !" + "x" * 100_000 + " 1", "could not determine a constructor for the tag '!xxx"),
-    ("a" * (3 << 20) + "b", "larger than 3 MiB"),
+    ("a" * (3 << 20) + "b", "larger than 3,145,728 bytes"),
 ]
 
 

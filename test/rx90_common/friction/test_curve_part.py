@@ -15,6 +15,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
 
 import rx90_emulator as rx
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import model_text
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
@@ -129,11 +130,18 @@ def test_elements_without_a_curve_keep_their_bits_beside_one() -> None:
 
 def test_a_file_has_one_table_or_one_for_each_sign() -> None:
     """Both come back as they were written, one table for both signs as one."""
-    element = FrictionElement(tau_c=1.0, tau_s=1.0, omega_s=1.0, delta=1.0, c0=1e4, c1=0.0, c2=0.0)
+    bristle = {"c0": 1e4, "c1": 0.0, "c2": 0.0}
     for block in (STRIBECK, {"positive": STRIBECK, "negative": OTHER}):
-        file = FrictionFile.of({"joint": {**element.model_dump(exclude_defaults=True), "curve": block}})
+        file = FrictionFile.of({"joint": {**bristle, "curve": block}})
         assert file.elements.model_dump(mode="json", exclude_defaults=True)["joint"]["curve"] == block
         assert model_text(file).count("velocity:") == (1 if block is STRIBECK else 2)
+
+    torque = file.elements["joint"].tau_s
+    assert (torque.positive, torque.negative) == (32.0, pytest.approx(pchip(CurveTable(**OTHER), np.zeros(1))[0]))
+    with pytest.raises(ConfigError, match=r"joint\.omega_s is missing"):
+        FrictionFile.of({"joint": {**bristle, "curve": STRIBECK, "load": {"driving": 0.1, "driven": 0.1}}})
+    with pytest.raises(ConfigError, match=r"joint\.tau_c is missing"):
+        FrictionFile.of({"joint": bristle})
 
 
 def test_a_sweep_s_paths_reach_the_points(shipped: Setup) -> None:

@@ -7,14 +7,16 @@ import re
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numba
 import pytest
+from numba.core.registry import CPUDispatcher
 from processes import TIMEOUT, files_up_to
 
-from rx90_common.base.share import ROOT
+from rx90_common.base.share import ROOT, files_with_kernels, module_file
 from rx90_common.kernels.compiled import kernel
 
 pytestmark = pytest.mark.slow
@@ -47,7 +49,7 @@ def copy_sources(folder: Path) -> Path:
 
 
 def test_copies_of_the_same_sources_share_compiled_code(tmp_path: Path) -> None:
-    """A second clone compiles nothing; another processor, and a change in a function that a kernel calls, do.
+    """A second clone compiles nothing, whatever its models; another processor or function that a kernel calls does.
 
     That holds for kernels and for the codec, whose functions are compiled with the first codec, not by an import. A
     program says once that it compiles, whatever else is in the cache; with its kernels there, nothing.
@@ -60,6 +62,8 @@ def test_copies_of_the_same_sources_share_compiled_code(tmp_path: Path) -> None:
     out, err = said(start(f"import sys\n{ANNOUNCE}{codec}{exponential}", one))
     assert out == "1.0\n"
     assert re.fullmatch(f"imported\n{ANNOUNCED}", err)
+    with (two / "rx90_common/base/models.py").open("a", encoding="utf-8") as declarations:
+        declarations.write("# Changed.\n")
     there = f"import sys\n{ANNOUNCE}{codec}{exponential}print('computed', file=sys.stderr)\n{other}"
     assert re.fullmatch(f"imported\ncomputed\n{ANNOUNCED}", said(start(there, two))[1])
     assert re.fullmatch(ANNOUNCED, said(start(ANNOUNCE + exponential, two, NUMBA_CPU_NAME="generic"))[1])
@@ -70,6 +74,18 @@ def test_copies_of_the_same_sources_share_compiled_code(tmp_path: Path) -> None:
     out, err = said(start(ANNOUNCE + exponential, two))
     assert out == "2.0\n"
     assert re.fullmatch(ANNOUNCED, err)
+
+
+def test_what_kernels_take_from_elsewhere_is_in_the_name_of_the_cache() -> None:
+    """Classes and functions that compiled code names come from files whose change compiles it again."""
+    files = files_with_kernels()
+    for file in files:
+        module = import_module(".".join(file.relative_to(ROOT).with_suffix("").parts))
+        for function in vars(module).values():
+            if isinstance(function, CPUDispatcher):
+                for name in function.py_func.__code__.co_names:
+                    place = getattr(function.py_func.__globals__.get(name), "__module__", None)
+                    assert place is None or module_file(place) in {None, *files}, (function, name)
 
 
 @pytest.fixture

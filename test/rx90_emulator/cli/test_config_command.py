@@ -25,7 +25,6 @@ from rx90_emulator.configuration.origins import setup_values
 
 Captured = pytest.CaptureFixture[str]
 Show = Callable[..., dict[str, dict[str, object]]]
-PACE = ".".join(("rx90_sim", "real_time_factor"))
 NODE_FILE = """\
 /**/rx90_sim:
   ros__parameters:
@@ -122,7 +121,10 @@ def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captu
     odd = tmp_path / "odd.yaml"
     odd.write_text("mass: 1.0\n", encoding="utf-8")
     assert run("rx90_config", ["check", str(odd)]) == 2
-    assert "odd.yaml: of no kind that is checked, as MoveIt's own files; accepted: drives," in capsys.readouterr().err
+    assert (
+        "odd.yaml: of no kind that its keys tell, as MoveIt's own files; accepted: --kind with one of"
+        in capsys.readouterr().err
+    )
     slip = tmp_path / "slip.yaml"
     for wrong, said in (
         ("joint_name: [a]\npoints: []\n", ":1: joint_name is not a known key (did you mean joint_names?); accepted"),
@@ -159,7 +161,6 @@ def test_a_urdf_is_checked_as_one(tmp_path: Path, shipped_files: RobotFiles, cap
     [
         ("friction.yaml", ("joint_4:", "joint_7:"), r"friction.yaml:\d+: elements.joint_7 .*mean joint_4\?"),
         ("poses.yaml", ("[0.0, -0.6,", "[0.0, -6.6,"), r"poses.yaml:? pose 1: joint_2 is -6.6 rad; accepted: \["),
-        ("moveit/joint_limits.yaml", ("joint_2:", "elbow:"), r"joint_limits.joint_2 is missing; accepted: joint_1, jo"),
         ("robot.urdf", ("<robot", "<robott"), r"robot.urdf:(\d+:)? "),
         ("robot.urdf", ('"tool0"', '"mount"'), r"robot.urdf:? link 'tool0' is None; accepted: a link of that name"),
         ("task.yaml", ("start: [0.6,", "start: [2.6,"), r"task.yaml:? the line cannot be travelled at 0.000 m "),
@@ -168,7 +169,7 @@ def test_a_urdf_is_checked_as_one(tmp_path: Path, shipped_files: RobotFiles, cap
 def test_a_robot_folder_is_checked_as_a_whole(
     arm: Path, capsys: Captured, file: str, change: tuple[str, str], said: str
 ) -> None:
-    """Names of joints, poses and limits must fit the arm; one fault in a good folder is one line."""
+    """Names of joints and poses must fit the arm; one fault in a good folder is one line."""
     assert run("rx90_config", ["check", str(arm)]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == f"{arm}: robot folder, no problem"
     edited(arm / file, change)
@@ -229,38 +230,17 @@ def test_every_value_is_shown_with_the_line_that_it_comes_from(show: Show, file:
 
 
 def test_units_defaults_and_the_choice_of_files_are_shown(show: Show) -> None:
-    """What no file has is a default of the code; the rig's file is that of an option, of its node, or shipped."""
+    """What no file has is a default of the code; the rig's file is that of an option, or shipped."""
     usual = show("--robot", "tx40")
     assert usual["friction.elements.joint_1.alpha"]["origin"] == "default of the code"
     assert usual["drives.motor.peak_current"]["unit"] == "A"
     assert usual["file.tool"]["value"] == "none"
     assert (usual["file.rig"]["value"], usual["file.rig"]["origin"]) == ("rig/gm8224.yaml", "default of the code")
     assert usual["rig.emulation.joint_friction.model"]["value"] == "coulomb_viscous"
-    of_node = show("-p", "friction_bench:seed:=7", "-p", "friction_bench:rig:=rig/gm8224_lugre.yaml")
-    bench = {name.partition(".")[2]: one for name, one in of_node.items() if name.startswith("friction_bench.")}
-    assert (bench["seed"]["value"], bench["seed"]["origin"]) == (7, "command line")
-    assert (bench["baud"]["value"], bench["baud"]["origin"]) == (19200, "rig rig/gm8224_lugre.yaml")
-    assert of_node["file.rig"]["origin"] == "command line"
-    assert of_node["rig.emulation.joint_friction.model"]["value"] == "lugre"
-
-
-def test_what_the_nodes_are_given_wins_in_the_order_of_ros(show: Show, tmp_path: Path) -> None:
-    """A single parameter wins over a file, that over the robot's files and the code; each says where it comes from."""
-    file = tmp_path / "nodes.yaml"
-    file.write_text(NODE_FILE, encoding="utf-8")
-    usual = show("--nodes")
-    assert usual[PACE]["origin"] == "default of the code"
-    assert str(usual["controller.servo.kp"]["origin"]).startswith("robots/rx90b/controller.yaml:")
-    values = show("--params-file", str(file))
-    for name, value, line in ((PACE, 0.5, 3), ("controller.servo.kp", [1, 2, 3, 4, 5, 6], 7)):
-        assert (values[name]["value"], values[name]["origin"]) == (value, f"{file}:{line}")
-    assert values["controller.feed_forward.coulomb"]["value"] is False
-    assert values["file.tool"]["value"] == usual["file.tool"]["value"]
-    single = show("--params-file", str(file), "-p", "robot:=tx40", "--ros-args", "-p", "rx90_sim:real_time_factor:=0")
-    assert single[PACE]["origin"] == "command line"
-    assert single[PACE.replace("sim.real_time_factor", "controller.robot")]["value"] == "tx40"
-    assert single["file.drives"]["value"] == "robots/tx40/drives.yaml"
-    assert single["file.drives"]["origin"] == "robot tx40"
+    other = show("--robot", "tx40", "--rig", "rig/gm8224_lugre.yaml")
+    assert other["file.rig"]["origin"] == "command line"
+    assert other["rig.emulation.joint_friction.model"]["value"] == "lugre"
+    assert other["file.drives"]["origin"] == "robot tx40"
 
 
 OFFERED = {

@@ -23,7 +23,7 @@ import rclpy
 from rclpy.node import Node
 from rx90_common.base.errors import ConfigError
 from rx90_common.exchange import lifecycle
-from rx90_common.exchange.parameters import NodeModel, NodeParameters, checked
+from rx90_common.exchange.parameters import NodeModel, NodeParameters
 from rx90_common.base.models import quantity
 from typing import Annotated
 
@@ -33,7 +33,7 @@ class Parameters(NodeModel):
 class Stub:
     def __init__(self):
         self.node = Node("stub", automatically_declare_parameters_from_overrides=True)
-        self.value = checked(Parameters, NodeParameters(self.node).values).value
+        self.value = Parameters.of(NodeParameters(self.node).values).value
         if self.value == 2.0:
             raise ConfigError("value is 2; accepted: less")
         self.running = True
@@ -201,7 +201,7 @@ def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
             start = f"{program}: {package} cannot be loaded (NumPy 1.26.4 is too old); accepted: a version"
         else:
             start = f"{program}: needs {package}, which is not installed; accepted: "
-            where = "a sourced ROS 2 Jazzy" if is_ros(package) else SOURCES[package].pip
+            where = "a sourced ROS 2 Jazzy" if is_ros(package) else SOURCES[package]
             assert where in errors.removeprefix(start), errors
         assert errors.startswith(start), errors
     assert list(tmp_path.iterdir()) == []
@@ -210,7 +210,7 @@ def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
 def test_each_source_is_a_distribution_of_the_set_up() -> None:
     """What pip is told to install is what setup.py requires, or offers as an extra."""
     named = set(re.findall(r'"([A-Za-z0-9-]+)>=', (ROOT / "setup.py").read_text(encoding="utf-8")))
-    assert {source.pip for source in SOURCES.values()} <= named
+    assert set(SOURCES.values()) <= named
 
 
 def test_an_error_of_the_project_itself_is_none_of_a_package() -> None:

@@ -41,11 +41,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ("compare a off --tolerance joint_states:joint_9:position=1", "joint_9, which no compared topic has"),
         ("compare a off --from 1e999999", "--from is '1e999999'; accepted: a time in s, e.g. 1.25, up to 4,294,9"),
-        ("compare a off --from 2 --to 1", "accepted: a start before the end"),
+        ("compare a off --from 2 --to 1", "neither a nor off has a JointState message in the window"),
         ("compare a a --align trajectory", "no trajectory in it; accepted: a bag with rx90_controller/trajectory"),
         ("plot a --topic joints", "no topic /joints; JointState topics: /joint_states"),
         ("plot a --output mine.html", "mine.html exists; accepted: another name, or --force"),
-        ("plot a later", "/joint_states: no stamp is in both bags, t = 0 to 0.019 s and 1000 to 1000.019 s; accep"),
+        ("plot a later", "/joint_states: no stamp is in both bags; accepted: the same times, or --align start"),
         ("export more --output x.csv", "x.csv would hold 2 topics, /joint_states, /motor_states"),
         ("export a --output x.mat", "x.mat: the suffix says the format; accepted: .csv, .parquet, .npz, or none"),
         ("record -o taken", "taken exists; accepted: a new name"),

@@ -12,7 +12,8 @@ import pytest
 from hinge_arm import Hinge, make_hinge
 from shared_files import made_once
 
-from benchmarks.synthetic_sweeps import Noise, Program, drive_torque, measured, random_friction
+from benchmarks.random_friction import random_friction
+from benchmarks.synthetic_sweeps import Noise, Program, drive_torque, measured
 from rx90_common.base.errors import DONE
 from rx90_common.friction import FrictionSet
 from rx90_emulator.cli.frame import run

@@ -233,7 +233,7 @@ def test_the_wrists_friction_comes_back_from_the_engine(shipped: Setup, arm: Rig
     names = directions(shipped.robot.joint_names, shipped.drives.turning)
     poses = Poses.of(shipped)
     options = PlanOptions(
-        speeds=9, travel=0.2, poses=dataclasses.replace(poses, sweeps=poses.sweeps[:1]),
+        speeds=9, travel=0.2, poses=poses.replaced(sweeps={"positions": poses.sweeps.positions[:1]}),
         groups=tuple(name for name in names if {"5", "6"} & set(name)),
     )  # fmt: skip
     fit = identify_sliding(on_the_engine(shipped, options), arm)

@@ -347,8 +347,10 @@ def test_dxf_that_is_none_is_one_line(tmp_path: File, text: str) -> None:
 )
 def test_a_file_that_would_take_the_memory_is_refused_unread(tmp_path: File, name: str, part: str, count: int) -> None:
     """By its bytes, its lines, and the characters of one."""
+    if name.endswith(".dxf"):
+        pytest.importorskip("ezdxf")
     (tmp_path / name).write_text(part * count)
-    with pytest.raises(Rx90Error, match=r"holds .*; accepted: up to"):
+    with pytest.raises(Rx90Error, match=r"(holds|larger) .*; accepted: up to"):
         Drawing(tmp_path / name, unit="mm").read()
 
 
