@@ -218,10 +218,9 @@ def emulated(job: Job, folder: Path) -> Measured:
 
 def _identified(arm: SyntheticArm, logs: Sequence[JointLog], folder: Path, ignored: int | None = None) -> Measured:
     """Identify from all logs but the last, and compare with what is true, but for a joint that is ignored."""
-    coupling = [f"{value:g}" for value in arm.coupling.ravel()]
     files = _written(arm, logs, folder)
-    more = ["--urdf", folder / "arm.urdf", *(["--coupling", *coupling] if arm.coupled else [])]
-    said = excitation(files[:-1], files[-1:], folder / "signals.yaml", folder / "found", more)
+    urdf = ["--urdf", folder / "arm.urdf"]
+    said = excitation(files[:-1], files[-1:], folder / "signals.yaml", folder / "found", urdf)
     result = Measured({}, [], [], said.processor)
     if said.broken:
         result.wrong.append(said.broken)
@@ -262,7 +261,10 @@ def _written(arm: SyntheticArm, logs: Sequence[JointLog], folder: Path) -> list[
     """Write tables, map and a description whose masses are off by 40 %."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "arm.urdf").write_text(arm.urdf(wrong=0.4), encoding="utf-8")
-    (folder / "signals.yaml").write_text(signal_map(arm.names), encoding="utf-8")
+    signals = signal_map(arm.names)
+    if arm.coupled:
+        signals += yaml.safe_dump({"coupling": arm.coupling.ravel().tolist()})
+    (folder / "signals.yaml").write_text(signals, encoding="utf-8")
     return [log.write(folder / f"run_{number}.csv") for number, log in enumerate(logs)]
 
 

@@ -6,7 +6,7 @@ names: [shoulder, elbow]
 position: {columns: [2, 3], unit: deg}
 velocity: {columns: [dq1, dq2], unit: rad/s}
 effort: {columns: [i1, i2], unit: A, factor: [1, -1]}
-gear: [100, 80]                      # of motors: as --gear, --coupling, --torque-constant and --zero
+gear: [100, 80]                      # of motors; coupling, torque_constant, zero, spring likewise
 torque_constant: [0.1, 0.08]
 ```
 
@@ -182,6 +182,16 @@ class SignalMapFile(MessageColumns):
     zero: Annotated[
         _Numbers | None, Field(description="Recorded angle of each joint where its angle in the URDF is 0, rad.")
     ] = None
+    spring: Annotated[
+        _Numbers | None,
+        Field(description="Amplitude k of a gravity-compensation spring on each joint, torque -k sin(q), Nm."),
+    ] = None
+    torque_delay: Annotated[
+        float | None,
+        quantity(
+            "s", "How much later a torque acted than in the sample period that ends at its stamp.", ge=-0.05, le=0.05
+        ),
+    ] = None
     record_time: Annotated[bool, Field(description="Whether a bag's times of recording replace the stamps.")] = False
     time: TimeColumn | None = None
     rate: Annotated[
@@ -220,8 +230,11 @@ class SignalMapFile(MessageColumns):
         return columns
 
 
-MESSAGE_KEYS: Final = ("topic", "names", "gear", "coupling", "torque_constant", "zero", "record_time")
-"""Those of them that describe messages; they are options of commands, too."""
+MESSAGE_KEYS: Final = (
+    *("topic", "names", "gear", "coupling", "torque_constant", "zero"),
+    *("spring", "torque_delay", "record_time"),
+)
+"""Those of them that describe messages and drives; some are options of commands, too."""
 
 
 class LogMapping(SignalMapFile):

@@ -376,12 +376,25 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
     for fault, place in faults:
         if fault["type"] == _UNKNOWN_KEY or any(inner != place and inner[: len(place)] == place for inner in places):
             continue  # of several kinds of value, another one is meant
-        if fault["type"] not in _MISSING or place not in meant:  # one mistake would be told twice
-            lines.append(_line(schema, fault, place, where, content))
+        if fault["type"] in _MISSING and place in meant:
+            continue  # one mistake would be told twice
+        line = _line(schema, fault, place, where, content)
+        misspelt = _misspelt_tag(fault, place, where, schema, content)
+        lines.insert(0 if misspelt else len(lines), misspelt or line)
     lines = list(dict.fromkeys(lines))  # two kinds of a union, or both signs, say the same
     if len(told) < len(every):
         lines.append(f"{where}{': ' if where else ''}{len(every) - len(told):,} more faults, which are not told")
     return lines
+
+
+def _misspelt_tag(fault: Mapping[str, Any], place: Place, where: str, schema: JsonSchema, content: Any) -> str:
+    """Return the line for a key that should be the one that chooses a kind; empty if there is none like it."""
+    given = value_at(content, place[:-1])
+    if fault["type"] not in _MISSING or not isinstance(given, Mapping):
+        return ""
+    node = schema_at(schema, place[:-1], content)
+    near = nearest(str(place[-1]), (str(key) for key in given if key not in node.get("properties", {})))
+    return _unknown_key(where, (*place[:-1], near), str(place[-1]), node) if near else ""
 
 
 def _unknown_key(where: str, place: Place, near: str, node: JsonSchema) -> str:

@@ -16,8 +16,8 @@ from rx90_emulator.cli.options import (
     POSITIVE,
     add_arm_arguments,
     add_message_arguments,
-    add_record_arguments,
     add_robot_arguments,
+    add_zero_argument,
     place,
 )
 from rx90_emulator.identification.options import (
@@ -40,7 +40,7 @@ rx90_identify FOLDER --output FILE [options]          (FOLDER of excitation runs
 _EPILOG = """\
 example of another robot, with currents of its motors on /arm/motors:
   rx90_identify --sliding sweeps.bag --presliding wiggle.bag --validation run.bag --output friction.yaml \\
-      --urdf arm.urdf --topic arm/motors --joints shoulder elbow --names m1 m2 --gear 100 80 --torque-constant 0.12 0.1
+      --urdf arm.urdf --topic arm/motors --joints shoulder elbow --gear 100 80 --torque-constant 0.12 0.1
 a bag is a rosbag2 folder, an .mcap or .db3 file, or a .bag file of ROS 1; docs/howto/identification.md says what the
 motions should be. Where the validation bag does not confirm the result, it is written all the same, and the verdict is
 no.
@@ -119,7 +119,9 @@ def main(options: argparse.Namespace) -> int:
     # Here, because --help must not wait for it.
     from rx90_emulator.identification import job
 
-    robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
+    robot = RobotOptions(
+        **{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__ if hasattr(options, name)}
+    )
     limits = {"torque": options.torque_tolerance, "total": options.total_torque_tolerance}
     tolerances = {name: value for name, value in limits.items() if value is not None}
     if what == "check":
@@ -204,10 +206,8 @@ def add_compare_measured(parser: argparse.ArgumentParser) -> None:
                         help="largest difference of a joint's position, rad (%(default)s)")  # fmt: skip
     add_robot_arguments(parser)
     layout = parser.add_argument_group("what the bag holds", "by default motor_states or joint_states as here")
-    add_message_arguments(
-        layout, topic="motor_states, else joint_states", names="as here", coupling="the robot's wrist"
-    )
-    add_record_arguments(layout)
+    add_message_arguments(layout, "motor_states, else joint_states")
+    add_zero_argument(layout)
 
 
 def compare_measured(options: argparse.Namespace) -> int:
@@ -216,7 +216,13 @@ def compare_measured(options: argparse.Namespace) -> int:
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.identification.job import run_comparison
 
-    layout = MeasuredLayout(**{name: getattr(options, name) for name in MeasuredLayout.__dataclass_fields__})
+    layout = MeasuredLayout(
+        topic=options.topic,
+        gear=options.gear,
+        torque_constant=options.torque_constant,
+        zero=options.zero,
+        signals=options.signals,
+    )
     tolerances = MeasuredTolerances(
         options.torque_tolerance, options.total_torque_tolerance, options.position_tolerance
     )

@@ -37,7 +37,6 @@ CONTROLLER = "rx90_controller"
 """Name of the controller node, unless another one is given."""
 STORAGE = "mcap"
 """Storage format of bags, unless another one is asked for."""
-_LONGEST_DELAY = 0.05  # s; more is a slip of the unit
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -286,12 +285,7 @@ def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
     either.add_argument("--fallback", metavar="FILE",
                         help="friction file for omega_d and for parameters that are not identifiable, or none (shipped "
                         "for this project's robot, none for another)")  # fmt: skip
-    either.add_argument("--torque-delay", metavar="S", default=0.0,
-                        type=number(f"s, from {-_LONGEST_DELAY:g} to {_LONGEST_DELAY:g}",
-                                    lambda value: abs(value) <= _LONGEST_DELAY),
-                        help="how much later a recorded torque acted than in the sample period that ends at its stamp, "
-                        "s: half a period for torques of the very instant (%(default)g)")  # fmt: skip
-    add_record_arguments(either)
+    add_zero_argument(either)
     other = parser.add_argument_group(
         "another robot", "n is the number of joints; lists follow --joints. SI units, and gravity along -z of the "
         "URDF's root link."
@@ -305,41 +299,25 @@ def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
     other.add_argument("--rotor-inertia", nargs="+", metavar="J",
                        type=number("0 or a positive number", lambda value: value >= 0.0),
                        help="of each motor, seen through its gear (times its square), kg m^2 (0)")  # fmt: skip
-    other.add_argument("--spring", nargs="+", type=FINITE, metavar="K",
-                       help="gravity-compensation springs, torque -K sin(q) on each joint, Nm (0)")  # fmt: skip
 
 
-def add_record_arguments(group: argparse._ActionsContainer) -> None:
-    """Add the options that say how times and angles of any bag are read."""
-    group.add_argument("--record-time", action="store_true",
-                       help="take the times at which messages were recorded, not the stamps in "
-                       "their headers")  # fmt: skip
+def add_zero_argument(group: argparse._ActionsContainer) -> None:
+    """Add the option of the encoders' zeros, of any robot."""
     group.add_argument("--zero", nargs="+", type=FINITE, metavar="RAD",
                        help="what the encoder of each joint says where its angle in the URDF is 0, which is "
                        "subtracted, rad (0)")  # fmt: skip
 
 
-def add_message_arguments(
-    group: argparse._ActionsContainer,
-    topic: str = "joint_states",
-    names: str = "as --joints",
-    coupling: str = "identity, also of six joints",
-) -> None:
-    """Add the options that say what JointState messages hold; the arguments name the defaults."""
+def add_message_arguments(group: argparse._ActionsContainer, topic: str = "joint_states") -> None:
+    """Add the options that say what JointState messages hold, by default of a topic."""
     group.add_argument("--signals", type=Path, metavar="FILE",
-                       help="signal map: YAML that says the same as these options, and what the columns of a CSV, "
-                       "Parquet or NPZ table hold (the file named as the table, with .yaml)")  # fmt: skip
+                       help="signal map: YAML that says the same as these options and more (names in the messages, "
+                       "coupled motors, springs, times), and what the columns of a CSV, Parquet or NPZ table hold (the "
+                       "file named as the table, with .yaml)")  # fmt: skip
     group.add_argument("--topic", help=f"JointState topic ({topic})")
-    group.add_argument("--names", nargs="+", metavar="NAME",
-                       help="what the messages call these joints, or their motors with --gear; their order there is "
-                       f"free, and others may be there, too ({names})")  # fmt: skip
     group.add_argument("--gear", nargs="+", type=_NOT_ZERO, metavar="N",
                        help="motor turns per joint turn, negative where they turn against each other; says that "
                        "the messages hold the motors' positions, velocities and efforts (the joints')")  # fmt: skip
-    group.add_argument("--coupling", nargs="+", type=FINITE, metavar="C",
-                       help="where motors turn with several joints: turns of each motor per joint turn without the "
-                       "gears, row by row, n x n; such a motor has a friction element of its own "
-                       f"({coupling})")  # fmt: skip
     group.add_argument("--torque-constant", nargs="+", type=_NOT_ZERO, metavar="K",
                        help="torque per unit of effort, where effort is a current: Nm/A of the motor with --gear, else "
                        "at the joint (1)")  # fmt: skip

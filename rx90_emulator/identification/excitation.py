@@ -191,7 +191,7 @@ def _check_robot(robot: RobotOptions, *, rotors: bool) -> None:
     """Refuse late torques, and a model without rotors if the drives' torques accelerate them."""
     if robot.torque_delay:
         raise IdentificationError(
-            f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
+            f"torque_delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
         )
     if not rotors and (robot.urdf is None or robot.rotor_inertia is not None):
         given = "without --urdf" if robot.urdf is None else "with --rotor-inertia"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from functools import cached_property
@@ -23,6 +23,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.topics import FIELDS
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed, plain, quoted
@@ -256,13 +257,48 @@ def read_record(
         currents: whether efforts in A without torque constants are taken as they are.
     """
     path = Path(path)
-    series = read_joint_states(
-        path, layout.topic, (*layout.messages, *layout.followed), record_time=layout.record_time, mapping=layout.mapping
-    )
-    own = len(layout.messages)
+    names = (*layout.messages, *layout.followed)
+    count = len(layout.messages)
+    series = read_joint_states(path, layout.topic, names, record_time=layout.record_time, mapping=layout.mapping)
     if layout.followed and series.effort is not None:  # whatever it is
-        series = replace(series, effort=np.where(np.arange(series.effort.shape[1]) < own, series.effort, 0.0))
+        series = replace(series, effort=np.where(np.arange(len(names)) < count, series.effort, 0.0))
     where = f"{path}: {series.topic}"
+    unit = _unit(where, series, layout, currents=currents)
+    good = _good_rows(where, series)
+    time = series.stamp_ns[good] / NANOSECONDS
+    fields = {name: values[good] for name, values in series.fields.items()}
+    _check_sizes(where, fields)
+    new = repeated_samples(fields["position"])
+    alarms = []
+    if new is not None:
+        alarms.append(_repeated_text(new, time))
+        time = time[new]
+        fields = {name: values[new] for name, values in fields.items()}
+    if layout.turns is None:
+        alarms += _unwrap(names, time, fields["position"])
+    no_velocity = _add_velocity(where, names, time, fields)
+    joints = layout.joint_side({name: values[:, :count] for name, values in fields.items()})
+    size = 1 if rate is None or len(time) < 2 else max(1, round((len(time) - 1) / (time[-1] - time[0]) / rate))
+    means = {name: block_means(np.hstack([joints[name], fields[name][:, count:]]), size) for name in FIELDS}
+    return JointRecord(
+        (*layout.names, *layout.followed),
+        block_means(time, size),
+        means["position"],
+        means["velocity"],
+        means["effort"],
+        path,
+        digest(path),
+        missing=_missing(series.time),
+        outliers=len(series.stamp_ns) - len(good),
+        no_velocity=no_velocity,
+        alarms=tuple(f"{path}: {alarm}" for alarm in alarms),
+        content=Content.of(fields["position"], fields["effort"]),
+        unit=unit,
+    )
+
+
+def _unit(where: str, series: JointSeries, layout: BagLayout, *, currents: bool) -> str:
+    """Return the unit of the torques; refuse logs without positions or efforts."""
     for name in ("position", "effort"):
         values = series.fields.get(name)
         if values is None or np.isnan(values).all():
@@ -270,66 +306,35 @@ def read_record(
     if not np.nan_to_num(series.fields["effort"]).any():
         raise IdentificationError(f"{where} carries effort 0 throughout; accepted: measured efforts")
     unit = series.units["effort"]
-    if unit != "Nm" and (unit != "A" or (layout.torque_constant is None and not currents)):
-        raise IdentificationError(
-            f"{where}: its efforts are in {plain(unit)}; accepted: Nm, or A with --torque-constant"
-        )
-    good = _good_rows(where, series)
-    time = series.stamp_ns[good] / NANOSECONDS
-    fields = {name: each[good] for name, each in series.fields.items()}
+    if unit == "Nm" or (unit == "A" and layout.torque_constant is not None):
+        return "Nm"
+    if unit == "A" and currents:
+        return "A"
+    raise IdentificationError(f"{where}: its efforts are in {plain(unit)}; accepted: Nm, or A with --torque-constant")
+
+
+def _check_sizes(where: str, fields: Mapping[str, Array]) -> None:
+    """Refuse numbers that no joint reaches, and efforts so small that their squares are none."""
     for name, values in fields.items():
-        # Numbers that no joint reaches, and efforts so small that their squares are none.
         most = float(np.abs(values).max(initial=0.0))
         least = 1.0 / _MAX_VALUE if name == "effort" else 0.0
         if most > _MAX_VALUE or 0.0 < most < least:
             accepted = f"{least:g} to {_MAX_VALUE:g}" if least else f"up to {_MAX_VALUE:g}"
             raise IdentificationError(f"{where}: the largest {name} is {most:.3g}; accepted: {accepted}")
-    names = (*layout.messages, *layout.followed)
-    alarms = []
-    held = repeated_samples(fields["position"])
-    if held is not None:
-        changes = np.count_nonzero(held) / (time[-1] - time[0])
-        alarms.append(
-            f"{path}: the positions change {changes:.3g} times a second, in {len(time) / (time[-1] - time[0]):.3g} "
-            "samples; the first sample with each is used; accepted: a log with a new position in each sample"
-        )
-        time = time[held]
-        fields = {name: values[held] for name, values in fields.items()}
-    if layout.turns is None:
-        alarms += [f"{path}: {alarm}" for alarm in _unwrap(names, time, fields["position"])]
-    no_velocity = JointRecord.no_velocity
-    if "velocity" not in fields:
-        fields["velocity"] = _differentiated(time, fields["position"])
-    else:
-        velocity = fields["velocity"]
-        fewest = min(_MIN_DISTINCT_VELOCITIES, len(time) / 4)
-        poor = [k for k, column in enumerate(velocity.T) if len(np.unique(column)) < fewest]
-        velocity[:, poor] = _differentiated(time, fields["position"][:, poor])
-        no_velocity = f"those of {listed([names[k] for k in poor])} have few values" if poor else ""
-        _check_velocity(where, names, time, fields["position"], velocity)
-    content = Content.of(fields["position"], fields["effort"])
-    joints = layout.joint_side({name: values[:, :own] for name, values in fields.items()})
-    together = {name: np.hstack([values, fields[name][:, own:]]) for name, values in joints.items()}
-    size = 1 if rate is None or len(time) < 2 else round((len(time) - 1) / (time[-1] - time[0]) / rate)
-    size = max(size, 1)
-    outliers = len(series.stamp_ns) - len(good)
-    kind = "A" if unit == "A" and layout.torque_constant is None else "Nm"
-    missing = _missing(series.time)
-    return JointRecord(
-        (*layout.names, *layout.followed),
-        block_means(time, size),
-        block_means(together["position"], size),
-        block_means(together["velocity"], size),
-        block_means(together["effort"], size),
-        path,
-        digest(path),
-        missing,
-        outliers,
-        no_velocity,
-        alarms=tuple(alarms),
-        content=content,
-        unit=kind,
-    )
+
+
+def _add_velocity(where: str, names: Sequence[str], time: Array, fields: dict[str, Array]) -> str:
+    """Differentiate positions where a log has no velocity of a joint, or a coarse one; return why."""
+    position = fields["position"]
+    velocity = fields.get("velocity")
+    if velocity is None:
+        fields["velocity"] = _differentiated(time, position)
+        return JointRecord.no_velocity
+    fewest = min(_MIN_DISTINCT_VELOCITIES, len(time) / 4)
+    poor = [k for k, column in enumerate(velocity.T) if len(np.unique(column)) < fewest]
+    velocity[:, poor] = _differentiated(time, position[:, poor])
+    _check_velocity(where, names, time, position, velocity)
+    return f"those of {listed([names[k] for k in poor])} have few values" if poor else ""
 
 
 def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
@@ -343,7 +348,9 @@ def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
     elif len(back):
         wrong = f"the stamp goes back from {stamp[back[0]]:.9f} s to {stamp[back[0] + 1]:.9f} s"
     if wrong:
-        raise IdentificationError(f"{where}: {wrong}; accepted: increasing stamps, or --record-time")
+        raise IdentificationError(
+            f"{where}: {wrong}; accepted: increasing stamps, or record_time: true in a signal map"
+        )
     finite = [np.isfinite(values).all(axis=1) for values in series.fields.values()]
     rows = np.flatnonzero(np.append(True, steps > 0) & np.all(finite, axis=0))
     if len(rows) == 0:
@@ -373,6 +380,14 @@ def repeated_samples(position: Array) -> Mask | None:
     count = np.arange(len(changed))
     since = count - np.maximum.accumulate(np.where(changed, count, 0))
     return np.asarray(since % math.ceil(1.5 * float(np.median(lengths))) == 0)
+
+
+def _repeated_text(new: Mask, time: Array) -> str:
+    lasting = float(time[-1] - time[0])
+    return (
+        f"the positions change {np.count_nonzero(new) / lasting:.3g} times a second, in {len(time) / lasting:.3g} "
+        "samples; the first sample with each is used; accepted: a log with a new position in each sample"
+    )
 
 
 def _unwrap(names: Sequence[str], time: Array, position: Array) -> Iterator[str]:

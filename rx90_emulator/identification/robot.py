@@ -102,6 +102,8 @@ def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMa
             )
     mapped = maps[0].messages if maps else {}
     for key in mapped:
+        if not hasattr(options, key):
+            raise ConfigError(f"{plain(maps[0].path)}: {key} is of no use here; accepted: without it")
         if getattr(options, key) not in (None, False):
             raise ConfigError(f"{_option(key)} beside {key} in {plain(maps[0].path)}; accepted: one of them")
     return replace(options, **mapped), given
@@ -146,7 +148,7 @@ def arm_layout(
     motors = own and topic.rpartition("/")[2] == MOTOR_STATES
     gear = own_drives().gear if own_drives is not None and motors and options.gear is None else _array(options.gear)
     if own and gear is None and options.coupling is not None:
-        raise IdentificationError("--coupling without --gear; accepted: for the motors' states, with their --gear")
+        raise IdentificationError("coupling without gears; accepted: for the motors' states, with their --gear")
     turns = None
     if gear is not None:
         usual = np.eye(n) if own_drives is None else own_drives().turning.turns

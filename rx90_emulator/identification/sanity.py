@@ -13,7 +13,7 @@ named; a mistake that the rigid body compensates, such as the zero of a vertical
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 from typing import NamedTuple
@@ -88,12 +88,10 @@ def _filtered(record: JointRecord, step: float) -> tuple[Array, Array]:
     series = np.column_stack([np.interp(even, stamp, column) for column in np.hstack([position, torque]).T])
     sections = butter(2, band, fs=rate, output="sos")
     curve = CubicSpline(even, sosfiltfilt(sections, series, axis=0))
-    n = position.shape[1]
     at = record.time[0] + margin + step * np.arange(count)
-    gap = np.flatnonzero(np.diff(record.time) > 4.0 * record.period)
-    at = at[[not np.any((record.time[gap] < t + margin) & (record.time[gap + 1] > t - margin)) for t in at]]
-    motion = np.stack([curve(at)[:, :n], curve(at, 1)[:, :n], curve(at, 2)[:, :n]])
-    return motion, np.stack([curve(at + lag)[:, n:] for lag in LAGS])
+    at = at[np.interp(at, record.time[1:], np.diff(record.time)) < 4.0 * record.period]  # in no gap
+    motion, _ = np.split(np.stack([curve(at, order) for order in range(3)]), 2, axis=2)
+    return motion, np.split(np.stack([curve(at + lag) for lag in LAGS]), 2, axis=2)[1]
 
 
 class Mistake(NamedTuple):
@@ -102,8 +100,8 @@ class Mistake(NamedTuple):
     Attributes:
         quantity: in words.
         motors: indices.
-        gear: factor of the gear, which turns motion and torque round.
-        constant: factor of the torque constant.
+        motion: factor of the positions.
+        effort: factor of the efforts.
         turn: to be added to the zero of the joint, rad, and to be subtracted from that of the second one.
         swapped: whether positions, and whether efforts of the two are each other's.
         delay: by how much all torques are late, s.
@@ -111,24 +109,24 @@ class Mistake(NamedTuple):
 
     quantity: str
     motors: tuple[int, ...] = ()
-    gear: float = 1.0
-    constant: float = 1.0
+    motion: float = 1.0
+    effort: float = 1.0
     turn: float = 0.0
     swapped: tuple[bool, bool] = (False, False)
     delay: float = 0.0
-
-    def positions(self, count: int) -> Array:
-        """Return right positions for given ones of so many motors, shape (n, n)."""
-        return self._matrix(count, self.gear, swapped=self.swapped[0])
-
-    def efforts(self, count: int) -> Array:
-        """Return right efforts for given ones, shape (n, n)."""
-        return self._matrix(count, self.gear * self.constant, swapped=self.swapped[1])
 
     @property
     def turns(self) -> Array:
         """Return what is to be added to the zero of each of the motors' joints, rad."""
         return self.turn * np.array([1.0, -1.0])[: len(self.motors)]
+
+    def matrices(self, count: int) -> list[Array]:
+        """Return right positions for given ones of so many motors, shape (n, n), and efforts likewise."""
+        motors = list(self.motors)
+        matrices = [np.eye(count), np.eye(count)]
+        for matrix, sign, swapped in zip(matrices, (self.motion, self.effort), self.swapped, strict=True):
+            matrix[motors] = sign * matrix[motors[::-1] if swapped else motors]
+        return matrices
 
     def text(self, names: Sequence[str]) -> str:
         """Return it in words."""
@@ -136,21 +134,13 @@ class Mistake(NamedTuple):
             return f"{self.quantity} by {1e3 * self.delay:.0f} ms"
         return f"{self.quantity} of {' and '.join(names[motor] for motor in self.motors)}"
 
-    def _matrix(self, count: int, sign: float, *, swapped: bool) -> Array:
-        matrix = np.eye(count)
-        motors = list(self.motors)
-        if swapped:
-            matrix[motors] = matrix[motors[::-1]]
-        matrix[motors] *= sign
-        return matrix
-
 
 def _mistakes(motors: Sequence[int]) -> Iterator[Mistake]:
     """Yield mistakes, the usual before the rare."""
     for motor in motors:
-        yield Mistake("sign of the effort", (motor,), constant=-1.0)
-        yield Mistake("sign of the gear", (motor,), gear=-1.0)
-        yield Mistake("sign of the position", (motor,), gear=-1.0, constant=-1.0)
+        yield Mistake("sign of the effort", (motor,), effort=-1.0)
+        yield Mistake("sign of the gear", (motor,), motion=-1.0, effort=-1.0)
+        yield Mistake("sign of the position", (motor,), motion=-1.0)
         for quarters in (-1, 1, 2):
             yield Mistake("zero", (motor,), turn=0.5 * math.pi * quarters)
     for pair in pairwise(motors):
@@ -221,84 +211,63 @@ class _Trials:
         moved = recorded.used.any(axis=0)
         self.joints = np.flatnonzero(moved).tolist()
         self._size = np.sqrt(np.mean(recorded.torque**2, axis=0, where=recorded.used | ~moved)) + 1e-9
-        identified = np.flatnonzero(arm.identified)
-        gear = np.ones(len(arm.names))
-        gear[identified] = 1.0 if options.gear is None else options.gear
-        constant = np.ones(len(arm.names))
-        constant[identified] = 1.0 if options.torque_constant is None else options.torque_constant
-        self._turns = gear[:, None] * arm.coupling
-        self._push = self._turns.T * constant
+        factors = np.ones((2, len(arm.names)))
+        for factor, values in zip(factors, (options.gear, options.torque_constant), strict=True):
+            factor[arm.identified] = 1.0 if values is None else values
+        self._turns = factors[0][:, None] * arm.coupling
+        self._push = self._turns.T * factors[1]
         self._motion = recorded.motion
-        self._torque = recorded.torque
-        self._later = recorded.later
+        # At each delay that can be tried, of which the middle one is none.
+        self._torques = recorded.torque[None] if recorded.later is None else recorded.later
         self.model = self._fitted(recorded.motion)
         self.residual = self.model.residual(recorded.torque)
 
-    def undo(self, mistakes: Iterable[Mistake]) -> Mistake | None:
+    def undo(self, joints: Sequence[int]) -> Mistake | None:
         """Undo the mistake that explains the torque best, and return it, if it does so clearly."""
-        trials = [(self._without(mistake), mistake) for mistake in mistakes]
-        if not trials:
-            return None
+        delays = LAGS if len(self._torques) == len(LAGS) else LAGS[:0]
+        mistakes = [*(Mistake("delay of the torques", delay=float(lag)) for lag in delays), *_mistakes(joints)]
+        trials = [(mistake, *self._without(mistake)) for mistake in mistakes]
         # Of mistakes that explain it equally well, the first.
-        (residual, model), mistake = min(trials, key=lambda trial: round(self._unlikelihood(trial[0][0]), 3))
-        if not self._clear(self.residual / self._errors(residual), residual / self._errors(residual)):
+        best = min(trials, key=lambda trial: round(float(np.log(self._errors(trial[-1])).mean()), 3), default=None)
+        if best is None or not self._clear(best[-1]):
             return None
-        self._motion = self._moved(mistake)
-        efforts = self._pushed(mistake)
-        self._torque = self._late(mistake) @ efforts
-        self._later = None if self._later is None or mistake.delay else self._later @ efforts
-        self.model = model
-        self.residual = residual
+        mistake, self._motion, self._torques, self.model, self.residual = best
         return mistake
-
-    def _clear(self, before: Array, after: Array) -> bool:
-        """Return whether residuals, in errors, are clearly less after than before: in sum, or in nearly all blocks."""
-        rows = np.bincount(self._block)
-        blocks = rows > 0.5 * rows.mean()
-        first = np.bincount(self._block, before**2)[blocks] + 1e-9
-        second = np.bincount(self._block, after**2)[blocks] + 1e-9
-        falls = first - second, np.log(first / second)
-        errors = [float(np.std(fall)) / math.sqrt(len(fall)) for fall in falls]
-        clear = any(float(np.mean(fall)) > _CLEAR_SE * error for fall, error in zip(falls, errors, strict=True))
-        return clear and float(np.sum(before**2 - after**2)) > _MIN_GAIN * len(after)
 
     @property
     def unexplained(self) -> float:
         """Return the RMS of the residual, each joint's in parts of its own torque."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
-    def delays(self) -> Iterator[Mistake]:
-        """Yield delays of the torque that can be tried."""
-        if self._later is not None:
-            yield from (Mistake("delay of the torques", delay=float(lag)) for lag in LAGS)
+    def _without(self, mistake: Mistake) -> tuple[Array, Array, _SimplestModel, Array]:
+        """Return motion, torques, their model and its residual with a mistake undone."""
+        positions, efforts = mistake.matrices(len(self._turns))
+        torques = self._torques @ np.linalg.solve(self._push.T, efforts.T @ self._push.T)
+        if mistake.delay:
+            torques = torques[[int(np.argmin(np.abs(LAGS - mistake.delay)))]]
+        motion = self._motion
+        model = self.model
+        if mistake.turn or (positions != np.eye(len(positions))).any():
+            motion = motion @ np.linalg.solve(self._turns, positions @ self._turns).T
+            motion[0][:, list(mistake.motors)] -= mistake.turns
+            model = self._fitted(motion)
+        return motion, torques, model, model.residual(torques[len(torques) // 2])
 
-    def _without(self, mistake: Mistake) -> tuple[Array, _SimplestModel]:
-        """Return the residual and the model with a mistake undone."""
-        moves = mistake.turn or (mistake.positions(len(self._turns)) != np.eye(len(self._turns))).any()
-        model = self._fitted(self._moved(mistake)) if moves else self.model
-        return model.residual(self._late(mistake) @ self._pushed(mistake)), model
-
-    def _moved(self, mistake: Mistake) -> Array:
-        positions = mistake.positions(len(self._turns))
-        motion = self._motion @ np.linalg.solve(self._turns, positions @ self._turns).T
-        motion[0][:, list(mistake.motors)] -= mistake.turns
-        return motion
-
-    def _pushed(self, mistake: Mistake) -> Array:
-        """Return what turns rows of joint torques into those with right efforts, shape (n, n)."""
-        return np.asarray(np.linalg.solve(self._push.T, mistake.efforts(len(self._turns)).T @ self._push.T))
-
-    def _late(self, mistake: Mistake) -> Array:
-        if self._later is None or not mistake.delay:
-            return self._torque
-        return np.asarray(self._later[int(np.argmin(np.abs(LAGS - mistake.delay)))])
+    def _clear(self, residual: Array) -> bool:
+        """Return whether a residual is clearly less than the one now: in sum, or in nearly all blocks."""
+        errors = self._errors(residual)
+        rows = np.bincount(self._block)
+        whole = rows > 0.5 * rows.mean()
+        now = np.bincount(self._block, (self.residual / errors) ** 2)[whole] + 1e-9
+        then = np.bincount(self._block, (residual / errors) ** 2)[whole] + 1e-9
+        clear = False
+        for fall in (now - then, np.log(now / then)):
+            clear |= float(np.mean(fall)) > _CLEAR_SE * float(np.std(fall)) / math.sqrt(len(fall))
+        gain = float(np.sum((self.residual**2 - residual**2) / errors**2))
+        return clear and gain > _MIN_GAIN * len(residual)
 
     def _fitted(self, motion: Array) -> _SimplestModel:
         return _SimplestModel(self._arm, motion, self._used, self._size)
-
-    def _unlikelihood(self, residual: Array) -> float:
-        """Return minus the logarithm of the likelihood, a row."""
-        return float(np.log(self._errors(residual)).mean())
 
     def _errors(self, residual: Array) -> Array:
         """Return the RMS of the residual of each row's joint, shape (r,)."""
@@ -324,7 +293,7 @@ def find_mistakes(
         return mistakes, ""
     before = trials.unexplained
     unnamed = trials.joints
-    while mistake := trials.undo([*trials.delays(), *_mistakes(unnamed)]):
+    while mistake := trials.undo(unnamed):
         mistakes.append(mistake)
         unnamed = [joint for joint in unnamed if joint not in mistake.motors]
     return mistakes, f"{before:.1%} of the torques are unexplained, with this undone {trials.unexplained:.1%}"
@@ -351,16 +320,16 @@ def mistake_alarms(
     accepted = []
     for mistake in mistakes:
         motors = [joints.index(motor) for motor in mistake.motors]
-        gear[motors] *= mistake.gear
-        constant[motors] *= mistake.constant
+        gear[motors] *= mistake.motion
+        constant[motors] *= mistake.motion * mistake.effort
         zeros[motors] += mistake.turns
         if any(mistake.swapped):
             accepted.append("names or columns of these two in the other order")
         if mistake.delay:
             accepted.append("stamps of the time when the torques acted")
-    if any(mistake.gear < 0.0 for mistake in mistakes):
+    if any(mistake.motion < 0.0 for mistake in mistakes):
         accepted.append(_option("gear", gear))
-    if any(mistake.constant < 0.0 for mistake in mistakes):
+    if any(mistake.motion * mistake.effort < 0.0 for mistake in mistakes):
         accepted.append(_option("torque-constant", constant))
     if any(mistake.turn for mistake in mistakes):
         accepted.append(_option("zero", zeros.round(6) + 0.0))

@@ -90,7 +90,7 @@ def _bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
     names = message_names(bag, topic, mapping) if options.names is None else ()
     if names and not {*names} & {*joints, *motor_names(len(joints))}:
         raise IdentificationError(
-            f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or --names; {_OTHER_ARMS}"
+            f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or names in a signal map; {_OTHER_ARMS}"
         )
     return arm_layout(topic, joints, options, lambda: setup.drives, mapping)
 
@@ -129,6 +129,11 @@ class MeasuredComparison:
     saturated: Array
     remarks: tuple[str, ...]
     tolerances: MeasuredTolerances
+
+    @property
+    def compared_share(self) -> Array:
+        """Return the share of the time in which a joint's torque is compared, shape (n,)."""
+        return np.asarray(self.torque.compared.mean(axis=0))
 
     @property
     def position_rms(self) -> Array:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
 from foreign_arms import Curve, Program, drive_torque, micro_oscillation, write, write_fallback, write_urdf
 
 from rx90_common.base.errors import DONE
@@ -37,6 +38,13 @@ def identified(arguments: Sequence[object], output: Path, capsys: pytest.Capture
         for name, entry in values.items():
             assert file.elements[element].parameters[name] == entry["value"], (element, name)
     return parameters
+
+
+def signal_map(folder: Path, **keys: object) -> list[object]:
+    """Return the option of a signal map with these keys."""
+    file = folder / "signals.yaml"
+    file.write_text(yaml.safe_dump(keys), encoding="utf-8")
+    return ["--signals", file]
 
 
 def assert_found(found: dict[str, Any], curve: Curve) -> None:
@@ -68,7 +76,7 @@ def test_a_single_joint_in_bags_of_ros_1(tmp_path: Path, capsys: pytest.CaptureF
     write(tmp_path / "micro.bag", "/hinge/state", ["hinge"], 1000.0, rows, "ros1")
     bags = ["--sliding", tmp_path / "sweeps.bag", "--presliding", tmp_path / "micro.bag"]
     # Each torque is that of its stamp, not the mean of the period before it.
-    robot = ["--urdf", urdf, "--topic", "hinge/state", "--torque-delay", 0.0005]
+    robot = ["--urdf", urdf, "--topic", "hinge/state", *signal_map(tmp_path, torque_delay=0.0005)]
     found = identified([*bags, *robot], tmp_path / "f.yaml", capsys)["hinge"]
     assert_found(found, CURVE)
     assert abs(found["c0"]["value"] / C0 - 1.0) < 0.02
@@ -88,7 +96,8 @@ def test_currents_of_motors_among_other_joints(tmp_path: Path, capsys: pytest.Ca
         q, v, i = (np.column_stack([np.full(len(values), 7.0), values[:, [2, 0, 1]]])
                    for values in ((motion[0] + ZERO) * GEAR, motion[1] * GEAR, current))  # fmt: skip
         write(tmp_path / bag, "/arm/motors", ["gripper", "m3", "m1", "m2"], 100.0, (q, v, i), "sqlite3")
-    robot = ["--urdf", urdf, "--topic", "arm/motors", "--joints", *names, "--names", "m1", "m2", "m3"]
+    robot = ["--urdf", urdf, "--topic", "arm/motors", "--joints", *names]
+    robot += signal_map(tmp_path, names=["m1", "m2", "m3"])
     motors = ["--gear", *GEAR, "--torque-constant", *CONSTANT, "--fallback", write_fallback(tmp_path / "g.yaml", names)]
     bags = ["--sliding", tmp_path / "sweeps", "--validation", tmp_path / "run", "--zero", *ZERO]
     found = identified([*bags, *robot, *motors], tmp_path / "f.yaml", capsys)
@@ -113,7 +122,7 @@ def test_a_coupled_wrist(tmp_path: Path, capsys: pytest.CaptureFixture[str], sid
     motion = Program(directions, [pose[1:] for pose in POSES], SPEEDS, 100.0).motion()
     curves = [CURVE, CURVE.scaled(0.5), Curve(2.0, 2.0, 2.6, 2.7, 0.08, 1.0, 0.6)]
     torque = measured(drive_torque(model, matrix, curves, motion, 100.0), 4)
-    fields, options = (*motion, torque), ["--coupling", 1, 0, -1, 1]
+    fields, options = (*motion, torque), signal_map(tmp_path, coupling=[1, 0, -1, 1], record_time=side == "joints")
     if side == "motors":
         turns = GEAR[:2, None] * coupling
         fields = motion[0] @ turns.T, motion[1] @ turns.T, np.linalg.solve(turns.T, torque.T).T / CONSTANT[:2]
@@ -121,7 +130,6 @@ def test_a_coupled_wrist(tmp_path: Path, capsys: pytest.CaptureFixture[str], sid
     elements = [*names, "-tilt+roll"]
     write(tmp_path / "bag", "/wrist", names, 100.0, fields, header=side == "motors")
     options += ["--fallback", write_fallback(tmp_path / "g.yaml", elements), "--urdf", urdf, "--topic", "wrist"]
-    options += [] if side == "motors" else ["--record-time"]
     found = identified(["--sliding", tmp_path / "bag", *options], tmp_path / "f.yaml", capsys)
     for name, curve in zip(elements, curves, strict=True):
         assert_found(found[name], curve)

@@ -72,7 +72,7 @@ REFUSED_CASES = {
         sliding(position=lambda h: 1e3 * h.position, velocity=lambda h: 1e3 * h.velocity),
         r"hinge moves through \d+ rad, in its URDF through 6 rad at most, which looks like deg or .*--gear",
     ),
-    "unstamped": (sliding(header=False), "every stamp is 0.0* s; accepted: .*--record-time"),
+    "unstamped": (sliding(header=False), "every stamp is 0.0* s; accepted: .*record_time: true"),
     "checked_by_itself": (
         lambda h, f: ["--sliding", h.bag, "--validation", shutil.copytree(h.bag, f / "copy")],
         "copy: also used for the identification as .*run",
