@@ -35,18 +35,12 @@ from benchmarks.random_arms import SyntheticArm, random_arm
 from benchmarks.report import accepted, arguments, in_processes, merge, print_table
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import Rx90Error
+from rx90_common.estimation.law import Part
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
-from rx90_emulator.identification.excitation.friction import (
-    ALL_PARTS,
-    WITHOUT_BRISTLES,
-    FrictionSelection,
-    identify_friction_parts,
-    predicted_torque,
-)
-from rx90_emulator.identification.excitation.law import Part
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.fitted import TRIED, FittedArm, fit_arm
 from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.rows.excitation import ExcitationProblem
+from rx90_emulator.identification.rows.filtering import Bandwidths, filter_record
 
 Columns = Callable[[Array, Array, Array], Array]
 """Columns of base parameters for positions, velocities and accelerations: (m, n) each to (m, n, b)."""
@@ -261,9 +255,12 @@ def experiment(case: Case, *, bristles: bool = False, runs: int = RUNS) -> Outco
     """Identify an arm from some runs and predict another one."""
     outcome = Outcome()
     problem = case.problem([case.run(number) for number in range(runs)])
-    found = identify_friction_parts(problem, ALL_PARTS if bristles else WITHOUT_BRISTLES)
-    truth = case.truth(problem, found.fit.sigma)
-    for value, deviation, true in zip(found.fit.value, found.fit.deviation, truth.base, strict=False):
+    found = fit_arm(problem, (*TRIED, Part.BRISTLE) if bristles else TRIED)
+    joints = range(len(case.rigid.names))
+    sigma = np.array([np.median(np.abs(found.fit.residual[problem.joint == joint])) for joint in joints])
+    truth = case.truth(problem, sigma)
+    first = len(found.fit.x)
+    for value, deviation, true in zip(found.fit.linear, found.deviation[first:], truth.base, strict=True):
         outcome.note("base", value - true, deviation, 1.0)
     laws = case.arm.friction
     bare = replace(
@@ -276,7 +273,8 @@ def experiment(case: Case, *, bristles: bool = False, runs: int = RUNS) -> Outco
         for kind, value, deviation, true in _friction(found, values):
             outcome.note(kind + text, value - true, deviation, 1.0 if kind == "exponent" else true)
     there = [
-        (Part.STRIBECK in parts, law.rise > 0.0) for parts, law in zip(found.parts, case.arm.friction, strict=True)
+        (Part.STRIBECK in fitted.parts, law.rise > 0.0)
+        for fitted, law in zip(found.laws, case.arm.friction, strict=True)
     ]
     rises = [has for has, true in there if true], [has for has, true in there if not true]
     outcome.stribeck = sum(rises[0]), len(rises[0]), sum(rises[1]), len(rises[1])
@@ -284,13 +282,14 @@ def experiment(case: Case, *, bristles: bool = False, runs: int = RUNS) -> Outco
     return outcome
 
 
-def _friction(found: FrictionSelection, truth: Truth) -> Iterator[tuple[str, float, float, float]]:
+def _friction(found: FittedArm, truth: Truth) -> Iterator[tuple[str, float, float, float]]:
     """Yield kind, value, deviation and true value of what was identified of friction."""
     kinds = (("tau_c_positive", "Coulomb", truth.coulomb), ("c2", "viscous", truth.viscous),
              ("alpha", "exponent", truth.exponent))  # fmt: skip
-    for number, one in enumerate(found.elements):
+    for number in range(len(found.laws)):
+        estimates = found.estimates(number)
         for name, kind, values in kinds:
-            estimate = one.parameters[name]
+            estimate = estimates[name]
             if estimate.identifiable:
                 yield kind, estimate.value, estimate.deviation, float(values[number])
 
@@ -298,15 +297,16 @@ def _friction(found: FrictionSelection, truth: Truth) -> Iterator[tuple[str, flo
 def _predict(
     run: tuple[Case, ExcitationRun],
     problem: ExcitationProblem,
-    found: FrictionSelection,
+    found: FittedArm,
     truth: Truth,
     outcome: Outcome,
 ) -> None:
     """Predict the torque of an unseen run, and note its errors over those of the best model, and over the noise."""
     case, unseen = run
     bandwidths = problem.runs[0].bandwidths
-    there = case.problem([unseen], bandwidths)
-    error = there.torque - predicted_torque(found, there)
+    pieces = filter_record(as_read(unseen.record(case.arm)), bandwidths)
+    there = problem.other(pieces)
+    error = there.torque - found.predicted(there)
     noise = _at_rows(case, there, unseen, unseen.noise)
     best = _at_rows(case, there, unseen, unseen.torque - best_model(case, unseen, truth, there))
     # What the filter takes from the recorded torque is the same for each model that is smooth: noise and ripple.

@@ -36,7 +36,7 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, make_plan
 from rx90_emulator.identification.presliding.fit import identify_presliding
 from rx90_emulator.identification.records import JointRecord
-from rx90_emulator.identification.sliding.fit import identify_sliding
+from rx90_emulator.identification.sliding import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 

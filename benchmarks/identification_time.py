@@ -20,7 +20,7 @@ from benchmarks.excitation_runs import MISFIT, FourierMotion, measured, write_ru
 from benchmarks.random_arms import random_arm
 from benchmarks.report import accepted, arguments, merge, print_table
 from rx90_common.process.children import executable
-from rx90_emulator.identification.excitation.identify import identify_excitation
+from rx90_emulator.identification.excitation import identify_excitation
 from rx90_emulator.identification.options import RobotOptions
 
 BAGS_LIMIT = 40.0

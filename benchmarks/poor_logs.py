@@ -3,7 +3,7 @@
     python -m benchmarks.poor_logs [arms] [--first SEED]
 
 Random arms of 2 and 3 joints with Coulomb and viscous friction, of which everything is known, pass through what
-`rx90_identify --excitation` does with a log: shocks, bandwidths, signs, fit. Three runs of 12 s at 200 Hz are recorded
+`rx90_identify --excitation` does with a log: bandwidths, signs, fit. Three runs of 12 s at 200 Hz are recorded
 as they should be, or with jittering stamps, gaps, 25 samples per second, one run alone, one joint whose effort is noise
 alone, one whose effort is negated. Of the others' parameters 95 % intervals are counted; a negated effort has to be
 refused by the name of its joint, nothing else at all, and an unseen run has to be confirmed.
@@ -12,7 +12,6 @@ refused by the name of its joint, nothing else at all, and an unseen run has to 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,11 +22,10 @@ from benchmarks.random_arms import FrictionLaw, SyntheticArm, random_arm
 from benchmarks.report import arguments, in_processes, print_table
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import INTERRUPTED, IdentificationError
-from rx90_emulator.identification.excitation.bandwidths import choose_bandwidths
-from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record, without_shocks
-from rx90_emulator.identification.excitation.friction import identify_friction_parts, predicted_torque
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.fitted import simplest_fit
 from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.rows.excitation import ExcitationProblem
+from rx90_emulator.identification.rows.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.sanity import Recorded, alarms
 
 CONDITIONS = ("good", "jitter", "gaps", "low rate", "few instants", "dead joint", "negated torque")
@@ -84,13 +82,11 @@ def experiment(arguments: tuple[int, str]) -> Outcome:
     arm = plain(seed)
     rigid, last = Case.of(arm, NOISE, RATE, seed=seed).rigid, arm.names[-1]
 
-    def equations(some: Sequence[JointRecord], bandwidths: Bandwidths) -> ExcitationProblem:
-        return ExcitationProblem.of(rigid, [run for one in some for run in filter_record(one, bandwidths)])
-
     numbers = [1000 * seed + number for number in range(1 if condition == "few instants" else RUNS)]
-    records = [without_shocks(log(arm, number, condition), arm.element_matrix)[0] for number in numbers]
+    records = [log(arm, number, condition) for number in numbers]
     try:
-        bandwidths, problem = choose_bandwidths(records, equations)
+        bandwidths = Bandwidths.of(records)
+        problem = ExcitationProblem.of(rigid, [run for record in records for run in filter_record(record, bandwidths)])
         doubts = alarms(rigid, Recorded.of(records, rigid))
         if doubts:
             raise IdentificationError(doubts[0])
@@ -99,21 +95,21 @@ def experiment(arguments: tuple[int, str]) -> Outcome:
         return Outcome(wrong="" if right else f"refused: {error}")
     if condition == "negated torque":
         return Outcome(wrong="a negated torque was not noticed")
-    found = identify_friction_parts(problem, ())
+    found = simplest_fit(problem)
     outcome = Outcome()
-    count = len(problem.names)
+    first = len(found.fit.x)
     if condition != "dead joint":
-        pairs = zip(found.fit.value[:count], found.fit.deviation[:count], truth(problem, arm), strict=True)
+        pairs = zip(found.fit.linear, found.deviation[first:], truth(problem, arm), strict=True)
         outcome.held += [abs(value - true) < 1.96 * deviation for value, deviation, true in pairs]
-    for name, one, law in zip(arm.names, found.elements, arm.friction, strict=True):
+    for number, (name, law) in enumerate(zip(arm.names, arm.friction, strict=True)):
         if condition != "dead joint" or name != last:
             for key, true in (("tau_c_positive", law.coulomb), ("c2", law.c2)):
-                estimate = one.parameters[key]
+                estimate = found.estimates(number)[key]
                 if estimate.identifiable:
                     outcome.held.append(abs(estimate.value - true) < 1.96 * estimate.deviation)
     if condition != "dead joint":
-        there = equations([log(arm, 1000 * seed + RUNS, "good")], bandwidths)
-        left = there.torque - predicted_torque(found, there)
+        there = problem.other(filter_record(log(arm, 1000 * seed + RUNS, "good"), bandwidths))
+        left = there.torque - found.predicted(there)
         outcome.unseen = float(np.linalg.norm(left) / np.linalg.norm(there.torque))
         if outcome.unseen > CONFIRMED:
             outcome.wrong = f"an unseen run of the same arm is not confirmed: {outcome.unseen:.1%}"

@@ -88,8 +88,8 @@ if TYPE_CHECKING:
     from rx90_emulator.correction.path import TrajectoryPath as TrajectoryPath
     from rx90_emulator.correction.recorded import learn_from_record as learn_from_record, measured as measured
     from rx90_emulator.identification.arm import RigidArm as RigidArm
-    from rx90_emulator.identification.excitation.identify import identify_excitation as identify_excitation
-    from rx90_emulator.identification.excitation.identify import (
+    from rx90_emulator.identification.excitation import identify_excitation as identify_excitation
+    from rx90_emulator.identification.excitation import (
         excitation_problem as excitation_problem,
         predict_torque as predict_torque,
         regressor as regressor,

@@ -1,6 +1,7 @@
 """Read a URDF and report errors in one line, before any library reads it.
 
-Only a fixed-base arm of 1 to 7 revolute joints in series passes; fixed side branches are allowed.
+Only a fixed-base arm of 1 to 7 revolute joints in series passes; fixed side branches are allowed. A continuous joint
+with a speed and an effort counts as revolute, half a turn either way.
 """
 
 from __future__ import annotations
@@ -117,6 +118,15 @@ class LinkBody(NamedTuple):
     inertia: tuple[float, ...]
 
 
+def _bound(joint: ET.Element) -> None:
+    """Let a continuous joint turn by half a turn either way."""
+    limit = joint.find("limit")
+    if limit is not None:
+        joint.set("type", "revolute")
+        limit.set("lower", str(-math.pi))
+        limit.set("upper", str(math.pi))
+
+
 class UrdfFile:
     """A checked URDF; every refusal names file, element, value and what is accepted.
 
@@ -141,6 +151,8 @@ class UrdfFile:
                 joint.set("type", "fixed")
                 for mimic in joint.findall("mimic"):
                     joint.remove(mimic)
+            elif joint.get("type") == "continuous":
+                _bound(joint)
         self.links = self._named("link")
         self._joints = self._named("joint")
         self._parent_joint = self._tree()

@@ -14,6 +14,5 @@ __all__ = [
     "compiled_elements",
     "element",
     "friction_file",
-    "held_out",
     "load_friction",
 ]

@@ -22,7 +22,7 @@ from rx90_emulator.cli.options import (
     node_of,
     whole_number,
 )
-from rx90_emulator.identification.options import DECLARED, QUICK, ExcitationOptions, Wall
+from rx90_emulator.identification.experiments.options import QUICK, RANGES, ExcitationOptions, Wall
 
 _EPILOG = """\
 Bags that are complete stay, whatever ends the run. No motion is checked for collisions, but for those of --excitation
@@ -54,9 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     plan.add_argument("--joints", nargs="+", metavar="NAME",
                       help="with --urdf of any arm: its joints of interest from base to tip; the others are held at 0 "
                       "(all that turn and mimic no other)")  # fmt: skip
-    plan.add_argument("--acceleration", type=POSITIVE, nargs="+", metavar="A",
-                      help="with --urdf of any arm: limits, rad/s^2, one for all joints or one each (the speed limit "
-                      "in 0.5 s)")  # fmt: skip
+    plan.add_argument("--acceleration", type=POSITIVE, metavar="A",
+                      help="with --urdf of any arm: limit of each joint, rad/s^2 (speed limit in 0.5 s)")  # fmt: skip
     plan.add_argument("--output", type=new_folder, metavar="FOLDER",
                       help="write each motion there, for any controller: NAME.yaml, a trajectory, and NAME.csv, its "
                       "set-points; must not exist")  # fmt: skip
@@ -73,15 +72,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_excitation(verb: argparse.ArgumentParser) -> None:
-    verb.add_argument("--excitation", action="store_true", help="instead: Fourier series of all joints at once, for "
+    verb.add_argument("--excitation", action="store_true", help="instead: a Fourier series of all joints at once, for "
                       "rx90_identify --excitation")  # fmt: skip
     group = verb.add_argument_group("with --excitation")
-    for name, entry in DECLARED.items():
-        default = getattr(ExcitationOptions, name)
-        choices = entry.choices or None
-        kind = {int: whole_number, float: FINITE}.get(type(default), str)
-        group.add_argument(f"--{name}", type=kind, choices=choices, help=f"{entry.about} ({default})",
-                           metavar=None if choices else type(default).__name__[0].upper())  # fmt: skip
+    for name, (_, _, meaning) in RANGES.items():
+        default = vars(ExcitationOptions)[name]
+        kind = whole_number if isinstance(default, int) else FINITE
+        group.add_argument(f"--{name}", type=kind, metavar="N", help=f"{meaning} ({default})")
     group.add_argument("--keep-above", type=FINITE, metavar="Z", help="a table: links and tool stay above this height "
                        "over the base's origin, m")  # fmt: skip
     group.add_argument("--wall", type=FINITE, nargs=4, action="append", metavar=("NX", "NY", "NZ", "D"),
@@ -90,26 +87,19 @@ def _add_excitation(verb: argparse.ArgumentParser) -> None:
     group.add_argument("--home", type=FINITE, nargs="+", metavar="RAD",
                        help="where every run begins and ends, one value per joint (the home of the robot's poses; the "
                        "middle of the joints' ranges where there are none)")  # fmt: skip
-    group.add_argument("--torque-noise", type=POSITIVE, nargs="+", metavar="NM", help="standard deviation of each "
-                       "joint's torque in 100 independent samples per second, which weighs the joints and tells the "
-                       "expected deviations (1 %% of the URDF's effort)")  # fmt: skip
 
 
 def _excitation_options(options: argparse.Namespace) -> ExcitationOptions | None:
     """Return the options of excitation runs; None without --excitation."""
-    names = (*DECLARED, "torque_noise")
-    check_needs(options, (*names, "keep_above", "wall", "home"), ("excitation",))
+    check_needs(options, (*RANGES, "keep_above", "wall", "home"), ("excitation",))
     check_apart(options, ("group", "speeds"), "excitation", "without it, all joints move at once")
     if not options.excitation:
         return None
-    if options.clearance is not None and options.keep_above is None and not options.wall:
-        raise IdentificationError(f"--clearance {options.clearance} without --keep-above or --wall; accepted: with one")
-    given = {name: value for name in names if (value := getattr(options, name)) is not None}
-    if options.torque_noise is not None:
-        given["torque_noise"] = tuple(options.torque_noise)
-    walls = [] if options.keep_above is None else [Wall.above(options.keep_above)]
-    walls += [Wall.through(numbers) for numbers in options.wall or ()]
-    return ExcitationOptions(**{**(QUICK if options.quick else {}), **given}, walls=tuple(walls))
+    walls = [Wall.through(numbers) for numbers in options.wall or ()]
+    if options.keep_above is not None:
+        walls.append(Wall.above(options.keep_above))
+    given = {name: value for name in RANGES if (value := vars(options)[name]) is not None}
+    return ExcitationOptions(walls=tuple(walls), **given, **(QUICK if options.quick else {}))
 
 
 def main(options: argparse.Namespace) -> None:
@@ -144,9 +134,8 @@ def main(options: argparse.Namespace) -> None:
         plan = plan_experiments(setup, options.group, quick=options.quick, speeds=options.speeds)
         print(series.describe(plan, arm), flush=True)
     else:
-        runs = series.plan_with_progress(arm, excitation)
-        plan = tuple(runs.experiments)
-        print(series.describe_excitation(runs), flush=True)
+        plan, remarks = series.plan_with_progress(arm, excitation)
+        print(series.describe(plan, arm, remarks), flush=True)
     if options.verb == "plan":
         if options.output is not None:
             series.write_motions(options.output, plan, arm, options.rate or _RATE)

@@ -74,11 +74,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       "predicts better is chosen)")  # fmt: skip
     bags.add_argument("--no-rotors", action="store_true", help="with --excitation and --urdf: leave the inertias of "
                       "rotors out, for torques of sensors between gear and link")  # fmt: skip
-    bags.add_argument("--prior", type=POSITIVE, metavar="SHARE", help="with --excitation: let the inertials of the "
-                      "description count, with this relative standard deviation (they do not)")  # fmt: skip
     bags.add_argument("--bandwidth", type=POSITIVE, metavar="HZ", help="with --excitation: of the low-pass of the "
-                      "positions, a third of it for torques (of a few, the widest that predicts as well as the "
-                      "best)")  # fmt: skip
+                      "positions, a third of it for torques (twenty times the band of the motion)")  # fmt: skip
     bags.add_argument("--friction", metavar="FILE", help="a given friction file, or a shipped one "
                       "(robots/tx40/friction.yaml): it is "
                       "held against the --validation bags, and nothing is identified")  # fmt: skip
@@ -101,7 +98,7 @@ _WITHOUT = "without excitation runs"
 _UNUSED = (
     ("excitation", "folder sliding presliding friction report", "with --excitation",
      "--validation BAG ... alone, and --output FOLDER"),
-    ("check sweeps", "bristles prior bandwidth no_rotors", _WITHOUT, "with --excitation BAG ..."),
+    ("check sweeps", "bristles bandwidth no_rotors", _WITHOUT, "with --excitation BAG ..."),
     ("check", "folder sliding presliding output model", "with --friction",
      "--validation BAG ... alone, for nothing is identified or written"),
 )  # fmt: skip
@@ -140,7 +137,7 @@ def main(options: argparse.Namespace) -> int:
         wider = ExcitationTolerances(tolerances.get("total", RECORDED.total), tolerances.get("torque", RECORDED.torque))
         confirmed = job.run_excitation(
             options.excitation, robot, options.validation, wider, options.output,
-            bristles=options.bristles, model=options.model, prior=options.prior, rotors=not options.no_rotors,
+            bristles=options.bristles, model=options.model, rotors=not options.no_rotors,
             bandwidth=options.bandwidth, force=options.force,
         )  # fmt: skip
     if confirmed:

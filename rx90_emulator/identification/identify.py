@@ -31,7 +31,6 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
     with_passive_fading,
 )
-from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.experiments.plan import IdentificationBags, read_emulated, read_index
 from rx90_emulator.identification.options import (
     NO_TOLERANCES,
@@ -44,7 +43,8 @@ from rx90_emulator.identification.options import (
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import RecordedRobot
-from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
+from rx90_emulator.identification.rows.filtering import Bandwidths
+from rx90_emulator.identification.sliding import SlidingFit, identify_sliding
 from rx90_emulator.identification.validation.prediction import Validation, validate
 
 _RATES = {"sliding": 250.0, "presliding": None, "excitation": 1000.0, "validation": 1000.0}
@@ -269,8 +269,7 @@ def _bandwidths(file: FrictionFile, where: str) -> Bandwidths | None:
         raise IdentificationError(
             f"{where}: identification.bandwidths is {plain(str(found))}; accepted: position and torque above 0 Hz"
         )
-    recorded = found.get("recorded_velocity") is True
-    return Bandwidths(numbers[0], numbers[1], "those of the identified runs", recorded)
+    return Bandwidths(numbers[0], numbers[1], "those of the identified runs")
 
 
 def check_given_once(bags: Mapping[str, Sequence[Path]]) -> None:

@@ -17,8 +17,7 @@ from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, MODEL_FILES, RobotFiles
 from rx90_common.process.files import write_all, write_text
 from rx90_controller.law.parameters import load_controller
-from rx90_emulator.identification.excitation.identify import identify_excitation
-from rx90_emulator.identification.excitation.result import ExcitationIdentification
+from rx90_emulator.identification.excitation import identify_excitation
 from rx90_emulator.identification.experiments.plan import IdentificationBags, read_index
 from rx90_emulator.identification.identify import FrictionIdentification, check_friction, identify_friction
 from rx90_emulator.identification.options import (
@@ -38,6 +37,7 @@ from rx90_emulator.identification.output.summary import (
     identification_summary,
     measured_summary,
 )
+from rx90_emulator.identification.result import ExcitationIdentification
 from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured, simulated_setup
 from rx90_emulator.loop.setup import Setup
 

@@ -1,4 +1,4 @@
-"""Options: the robot that bags come from, tolerances, and the choices for excitation runs.
+"""Options: the robot that bags come from, and tolerances.
 
 They are declared once, for checks and for --help, so this module imports nothing slow.
 """
@@ -10,14 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, TypeAlias, get_type_hints
+from typing import TypeAlias
 
-from rx90_common.base.errors import ConfigError, IdentificationError
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 
 COULOMB_VISCOUS = "coulomb-viscous"
 SLIDING_PARTS = ("viscous-exponent", "stribeck-rise")
-MODEL_PARTS = (*SLIDING_PARTS, "bristle", "bristle-damping")
+MODEL_PARTS = (*SLIDING_PARTS, "bristle")
 """Parts that a friction model may have beside Coulomb and viscous friction, by their names in tables."""
 
 
@@ -27,8 +27,6 @@ def model_parts(model: Sequence[str], accepted: Sequence[str] = MODEL_PARTS) -> 
     if unknown or not model:
         found = quoted(unknown[0]) if unknown else "no part"
         raise ConfigError(f"--model: {found}; accepted: {', '.join((COULOMB_VISCOUS, *accepted))}")
-    if "bristle-damping" in model and "bristle" not in model:
-        raise ConfigError("--model: bristle-damping without bristle; accepted: both, or neither")
     return tuple(name for name in accepted if name in model)
 
 
@@ -169,118 +167,3 @@ class MeasuredTolerances(_Tolerances):
     torque: float = 0.25
     total_torque: float = 0.1
     position: float = 5e-3
-
-
-QUICK = {"runs": 1, "periods": 1, "steps": 15}
-"""Options of a short plan: one run, and a validation run."""
-_LONGEST_S = 600.0  # of a run's periodic part
-_FARTHEST = 1000.0  # m, of a plane from the base
-
-
-@dataclass(frozen=True)
-class Wall:
-    """A plane of which the arm stays on one side.
-
-    Attributes:
-        normal: unit vector in the base's frame, shape (3,), pointing to the side where the arm may be.
-        distance: normal @ x for points x of the plane, m.
-        name: for messages.
-    """
-
-    normal: tuple[float, float, float]
-    distance: float
-    name: str
-
-    @classmethod
-    def above(cls, height: float) -> Wall:
-        """Return a horizontal table at a height, m, over the base's origin; refuses as `through`."""
-        return cls.through((0.0, 0.0, 1.0, height), f"--keep-above {height:g}")
-
-    @classmethod
-    def through(cls, numbers: Sequence[float], name: str = "") -> Wall:
-        """Return the wall n x = d for four numbers n, d, with n of any length: the arm stays where n x > d."""
-        name = name or f"--wall {' '.join(f'{one:g}' for one in numbers)}"
-        length = math.hypot(*numbers[:3])
-        if not (len(numbers) == 4 and length > 0.0 and all(map(math.isfinite, (*numbers, length)))):
-            raise IdentificationError(f"{name}; accepted: NX NY NZ D, of which the first three are not all 0")
-        x, y, z, distance = (one / length for one in numbers)
-        if abs(distance) > _FARTHEST:
-            raise IdentificationError(f"{name}: {abs(distance):g} m from the base; accepted: up to {_FARTHEST:g} m")
-        return cls((x, y, z), distance, name)
-
-
-@dataclass(frozen=True)
-class OptionRange:
-    """What an option accepts: a number in [low, high], a whole one if `low` is an integer, or one of the choices."""
-
-    about: str
-    low: float = 0
-    high: float = 0
-    choices: tuple[str, ...] = ()
-
-    def check(self, name: str, value: object) -> None:
-        """Refuse a value that is not accepted."""
-        kinds = int if isinstance(self.low, int) else int | float
-        noun = "an integer" if isinstance(self.low, int) else "a number"
-        accepted = f"{noun} in [{self.low:g}, {self.high:g}]"
-        good = isinstance(value, kinds) and not isinstance(value, bool) and self.low <= value <= self.high
-        if self.choices:
-            accepted = f"one of {', '.join(self.choices)}"
-            good = value in self.choices
-        if not good:
-            raise ConfigError(f"--excitation: {name} is {quoted(value)}; accepted: {accepted}")
-
-
-_NOISE = OptionRange("standard deviation of a joint's torque, Nm", 1e-6, 1e6)
-
-
-@dataclass(frozen=True)
-class ExcitationOptions:
-    """The options of a plan; the other fields declare their meaning and range themselves.
-
-    Attributes:
-        walls: planes that links and tool stay clear of.
-        torque_noise: standard deviation of the noise of each joint's torque, Nm, shape (n,); by default 1 % of the
-            URDF's effort.
-        validation: whether a run is planned for validation alone.
-    """
-
-    criterion: Annotated[
-        str,
-        OptionRange(
-            "condition: condition number of the weighted columns; d: determinant of the information",
-            choices=("condition", "d"),
-        ),
-    ] = "d"
-    runs: Annotated[
-        int, OptionRange("to identify from, of different speeds; one more is for the validation", 1, 20)
-    ] = 3
-    harmonics: Annotated[int, OptionRange("of the base frequency in each joint's series", 3, 50)] = 10
-    period: Annotated[float, OptionRange("s, of the base frequency", 1.0, _LONGEST_S)] = 12.0
-    periods: Annotated[int, OptionRange("of each run", 1, 100)] = 3
-    share: Annotated[
-        float, OptionRange("of the limits of speed, acceleration and torque that may be used", 0.05, 1.0)
-    ] = 0.8
-    seed: Annotated[
-        int,
-        OptionRange("of the random motions that the search begins with; the same seed gives the same plan", 0, 2**31),
-    ] = 0
-    clearance: Annotated[float, OptionRange("m, least distance to the planes", 0.0, 10.0)] = 0.02
-    steps: Annotated[int, OptionRange("of the search, for each run", 2, 10_000)] = 60
-    walls: tuple[Wall, ...] = ()
-    torque_noise: tuple[float, ...] | None = None
-    validation: bool = True
-
-    def __post_init__(self) -> None:
-        for name, accepted in DECLARED.items():
-            accepted.check(name, vars(self)[name])
-        DECLARED["period"].check("period times periods", self.period * self.periods)
-        for value in self.torque_noise or ():
-            _NOISE.check("torque-noise", value)
-
-
-_hints = get_type_hints(ExcitationOptions, include_extras=True)
-DECLARED: dict[str, OptionRange] = {
-    name: hint.__metadata__[0] for name, hint in _hints.items() if hasattr(hint, "__metadata__")
-}
-"""Meaning and range of each option."""

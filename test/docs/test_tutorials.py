@@ -12,8 +12,6 @@ import pytest
 from page_session import PageSession, blocks
 from processes import Processes
 
-from rx90_emulator.identification.excitation import filtering
-
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 MADE = {
     "python": (
@@ -43,8 +41,6 @@ def test_a_page_does_what_it_says(
     folder = tmp_path / "reader"
     folder.mkdir()
     monkeypatch.chdir(folder)
-    # Tests of identification look at all rows; words and files need a part.
-    monkeypatch.setattr(filtering, "_MAX_ROWS", 4000)
     mpl.use("Agg")
     PageSession(page, processes).run()
     for made in MADE.get(page.stem, "").split():

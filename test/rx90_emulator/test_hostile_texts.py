@@ -27,7 +27,6 @@ from rx90_emulator.cli.frame import run
 from rx90_emulator.conformance.battery import Nominal, run_cs7b, step
 from rx90_emulator.conformance.check import CaseResult, CheckResult
 from rx90_emulator.demo.demonstration import RunReport
-from rx90_emulator.identification.output.plots import correlation
 from rx90_emulator.loop.setup import Setup
 
 _NOTE_CANVAS = """() => {
@@ -140,7 +139,7 @@ def _drawn(_arm: Arm, page: Path) -> None:
     figures = [chart(text, text, text) for text in TEXTS]
     for shown, text in zip(figures, TEXTS, strict=True):
         shown.line([0.0, 1.0], [0.0, 1.0], name=text)
-    drawn = [*([shown] for shown in figures), [correlation(TEXTS, np.eye(len(TEXTS)), TEXTS[0])]]
+    drawn = [*([shown] for shown in figures), [chart("", "", "")]]
     named = {"title": TEXTS[0], "paths": TEXTS, "topics": [*TEXTS, "heat"], "figures": drawn}
     page.write_text(render_page("rx90_common.bags", "bag.html.j2", **named), encoding="utf-8")
 

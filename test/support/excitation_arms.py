@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from benchmarks.excitation_runs import Disturbances, FourierMotion, measured
 from benchmarks.random_arms import FrictionLaw, SyntheticArm, random_arm
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
-from rx90_emulator.identification.excitation.law import coulomb_viscous
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.rows.excitation import ExcitationProblem
+from rx90_emulator.identification.rows.filtering import Bandwidths, FilteredRun, filter_record
 
 Array = NDArray[np.float64]
 
@@ -46,20 +45,14 @@ def runs_of(
     seeds: Sequence[int] = (0,),
     periods: int = 2,
 ) -> tuple[FilteredRun, ...]:
-    """Return filtered runs with their set-points."""
+    """Return filtered runs."""
     made = [measured(arm, FourierMotion.random(arm, k, periods=periods), rate, k, disturbances) for k in seeds]
     records = [run.record(arm) for run in made]
     chosen = bandwidths or Bandwidths.of(records)
-    pairs = zip(records, made, strict=True)
-    return tuple(part for record, run in pairs for part in filter_record(record, chosen, run.reference))
+    return tuple(part for record in records for part in filter_record(record, chosen))
 
 
-def all_columns(problem: ExcitationProblem) -> Array:
-    """Return the columns of base parameters, Coulomb and viscous friction."""
-    return np.hstack([problem.regressor, coulomb_viscous(problem)])
-
-
-def truth(problem: ExcitationProblem, arm: SyntheticArm) -> Array:
-    """Return the true values of these parameters."""
+def truth(problem: ExcitationProblem, arm: SyntheticArm) -> tuple[Array, Array]:
+    """Return the true base parameters, and Coulomb and viscous torque of each element."""
     friction = [value for law in arm.friction for value in (law.coulomb, law.c2)]
-    return np.append(problem.base.combination @ standard_values(arm), friction)
+    return problem.base.combination @ standard_values(arm), np.array(friction)

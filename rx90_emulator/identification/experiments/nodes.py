@@ -49,72 +49,78 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
         ExchangeError: if a node does not appear, time stands still, or the controller refuses a trajectory.
         ProcessError: if the recorder repeatedly loses messages, or ends early.
     """
-    names = setup.robot.joint_names
-    total = sum(experiment.duration for experiment in plan)
-    layout = "{l_bar}{bar}| {n:.0f}/{total:.0f} s [{elapsed}<{remaining}]"
-    # A recorder that still runs at the end is stopped properly.
     with (
         client_node("rx90_experiment", timeout, partial(print, flush=True)) as client,
+        # A recorder that still runs at the end is stopped properly.
         ProcessGroup(folder, grace=20.0) as recorders,
+        tqdm(total=round(sum(experiment.duration for experiment in plan)), unit="s", disable=None) as bar,
     ):
         trajectory = TrajectoryClient(client, controller)
         trajectory.wait_for_controller()
+        names = setup.robot.joint_names
         set_points = trajectory.set_points(names)
-
-        def follow(points: TrajectoryPoints, show: Callable[[float], object]) -> float:
-            return follow_trajectory(client, trajectory, names, set_points, points, show)
-
-        here = set_points.position
+        follow = partial(follow_trajectory, client, trajectory, names, set_points)
+        motion = Motion(np.asarray(set_points.position))
         start = plan[0].points.position[0]
-        assert here is not None  # the client has waited for the first
-        gap = float(np.abs(start - here).max())
-        if gap > setup.controller.trajectory.start_tolerance:
-            motion = Motion(here)
+        if np.abs(start - motion.pose).max() > setup.controller.trajectory.start_tolerance:
             motion.move(start, setup.robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION)
-            client.say(f"approach: {math.degrees(gap):.1f} deg, {motion.duration:.1f} s")
+            client.say(f"approach: {motion.duration:.1f} s")
             follow(motion.points(names), lambda _: None)
-        with tqdm(total=total, bar_format=layout, mininterval=0.2, miniters=0, disable=None) as bar:
+        for number, experiment in enumerate(plan):
+            bar.set_description_str(experiment.name)
+            before = bar.n
 
-            def show(done: float, elapsed: float) -> None:
-                bar.update(done + elapsed - bar.n)
+            def show(elapsed: float, before: float = before) -> None:
+                bar.update(before + round(elapsed) - bar.n)
 
-            for number, experiment in enumerate(plan):
-                name = experiment.name
-                bag = folder / experiment.name
-                done = float(bar.n)
-                bar.set_description_str(name)
-                # Repeated if the recorder lost messages: the machine was busy for a moment.
-                for attempt in range(1, _ATTEMPTS + 1):
-                    words = executable("rx90_bag", "record", "--output", bag, *TOPICS[experiment.kind])
-                    recorder = recorders.start(name, words)
-                    recorder.wait_for("ready: all", timeout)
-                    end = follow(experiment.points, partial(show, done))
-                    recorder.signal(signal.SIGINT)
-                    if code := recorder.wait(timeout):
-                        what = f"the recorder ended with exit code {code}"
-                    elif (last := _last_time(bag)) < end:
-                        what = f"the bag ends at {last:.3f} s, before the motion does at {end:.3f} s"
-                    else:
-                        show(done, experiment.duration)
-                        break
-                    show(done, 0.0)
-                    if attempt == _ATTEMPTS:
-                        raise ExchangeError(f"{name}: {what} (see {recorder.log})")
-                    # Experiments end where they begin, so this one can be repeated.
-                    bar.write(f"{name}: {what}; again", file=sys.stderr)
-                    shutil.rmtree(bag, ignore_errors=True)
-                if not number and (friction := text_parameter(client, "rx90_sim", "friction")):
-                    try:
-                        write_emulated(folder, load_friction(resolve_config(friction), setup.friction.names))
-                    except ConfigError as error:  # its files are on another machine
-                        client.say(f"the simulation's friction is not kept beside the bags: {error}")
-                write_index(folder, plan[: number + 1])
+            # Repeated if the recorder lost messages, because the machine was busy: experiments end where they begin.
+            for attempt in range(1, _ATTEMPTS + 1):
+                fault = _record(recorders, experiment, folder, timeout, partial(follow, show=show))
+                if not fault:
+                    break
+                if attempt == _ATTEMPTS:
+                    raise ExchangeError(f"{experiment.name}: {fault}")
+                bar.write(f"{experiment.name}: {fault}; again", file=sys.stderr)
+                shutil.rmtree(folder / experiment.name, ignore_errors=True)
+            if not number and (friction := text_parameter(client, "rx90_sim", "friction")):
+                try:
+                    write_emulated(folder, load_friction(resolve_config(friction), setup.friction.names))
+                except ConfigError as error:  # its files are on another machine
+                    client.say(f"the simulation's friction is not kept beside the bags: {error}")
+            write_index(folder, plan[: number + 1])
+
+
+def _record(
+    recorders: ProcessGroup,
+    experiment: Experiment,
+    folder: Path,
+    timeout: float,
+    follow: Callable[[TrajectoryPoints], float],
+) -> str:
+    """Record an experiment, and return what is wrong with its bag; empty for nothing."""
+    bag = folder / experiment.name
+    recorder = recorders.start(
+        experiment.name, executable("rx90_bag", "record", "--output", bag, *TOPICS[experiment.kind])
+    )
+    recorder.wait_for("ready: all", timeout)
+    end = follow(experiment.points)
+    recorder.signal(signal.SIGINT)
+    if code := recorder.wait(timeout):
+        return f"the recorder ended with exit code {code} (see {recorder.log})"
+    last = _last_time(bag)
+    if last < end:
+        return f"the bag ends at {last:.3f} s, before the motion does at {end:.3f} s"
+    return ""
 
 
 def follow_trajectory(
-    client: ClientNode, trajectory: TrajectoryClient, names: Sequence[str], set_points: NewestPositions,
-    points: TrajectoryPoints, show: Callable[[float], object],
-) -> float:  # fmt: skip
+    client: ClientNode,
+    trajectory: TrajectoryClient,
+    names: Sequence[str],
+    set_points: NewestPositions,
+    points: TrajectoryPoints,
+    show: Callable[[float], object],
+) -> float:
     """Send a trajectory, wait until the controller's set-points are at its end, and return when it ended, s."""
 
     def newest() -> tuple[float, Array, float]:
@@ -183,10 +189,6 @@ class FollowedTrajectory:
         Raises:
             ExchangeError: if time stands still, or the trajectory does not begin or end.
         """
-
-        def near(other: Array) -> bool:
-            return bool(np.abs(position - other).max() <= _AT_REST)
-
         if self._last_time == -math.inf:
             self._due = now + _PATIENCE, clock + _PATIENCE
         if now > self._last_time:
@@ -194,13 +196,13 @@ class FollowedTrajectory:
             self._last_advance = clock
         elif clock - self._last_advance > self._timeout:
             raise ExchangeError(f"the controller's time stood still at {now:.3f} s for {self._timeout:g} s")
-        if self._began is None and not near(self._before):
+        if self._began is None and np.abs(position - self._before).max() > _AT_REST:
             self._began = now - self._rest
             self.end = self._began + self._duration
             self._due = self.end + _PATIENCE, clock + self._duration + _PATIENCE
         if self._began is not None:
             self.elapsed = min(max(0.0, now - self._began), self._duration)
-            self.done = now > self.end + POLL and near(self._end)
+            self.done = now > self.end + POLL and bool(np.abs(position - self._end).max() <= _AT_REST)
         # Both clocks: without a pace, seconds of simulated time pass while a message is on its way.
         if not self.done and now > self._due[0] and clock > self._due[1]:
             raise ExchangeError("the controller did not run the trajectory to its end; it says why on its terminal")

@@ -1,7 +1,4 @@
-"""The plan of sweeps, micro-oscillations and a validation: motions, speeds, poses and durations.
-
-A series of experiments is a folder: a bag of each, an index of them by use, and the friction of an emulator.
-"""
+"""The plan of sweeps, micro-oscillations and a validation: motions, speeds, poses and durations."""
 
 from __future__ import annotations
 
@@ -11,17 +8,17 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.models import FileModel, Names, PerJoint, quantity, read_model
-from rx90_common.base.quoting import counted, plain, quoted
+from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import DriveParameters
@@ -82,13 +79,6 @@ class PoseList(FileModel):
         tuple[PerJoint, ...], Field(strict=False, min_length=1), quantity("rad", "Joint positions of each pose.")
     ]
 
-    @field_validator("positions")
-    @classmethod
-    def _check_lengths(cls, positions: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-        if len({len(pose) for pose in positions}) > 1:
-            raise ValueError("rows of different lengths; accepted: rows that are equally long")
-        return positions
-
 
 class PosesFile(FileModel):
     """Where the experiments of an identification take place."""
@@ -129,24 +119,26 @@ class Poses:
 
     def check(self, robot: RobotModel) -> None:
         """Check that an arm reaches the poses."""
-        poses = {"home": self.home} | {f"pose {i}": pose for i, pose in enumerate(self.sweeps, 1)}
-        poses |= {f"pose {i} of the validation": pose for i, pose in enumerate(self.validation, 1)}
-        for what, pose in poses.items():
-            if len(pose) != len(robot.joint_names):
-                accepted = f"accepted: {len(robot.joint_names)}, one for each joint"
-                raise IdentificationError(f"{what}: {counted(len(pose), 'number')}; {accepted}")
-            check_pose(what, pose, robot)
+        check_pose("home", self.home, robot)
+        for number, pose in enumerate(self.sweeps, 1):
+            check_pose(f"pose {number}", pose, robot)
+        for number, pose in enumerate(self.validation, 1):
+            check_pose(f"pose {number} of the validation", pose, robot)
 
 
-def check_pose(what: str, pose: Sequence[float], robot: RobotModel) -> None:
-    """Check that an arm reaches a pose, rad, with one position for each joint."""
+def check_pose(pose_name: str, pose: Sequence[float], robot: RobotModel) -> None:
+    """Check that an arm has a pose, rad, within its joints' ranges."""
+    count = len(robot.joint_names)
+    if len(pose) != count:
+        raise IdentificationError(f"{pose_name}: {counted(len(pose), 'number')}; accepted: {count}, one for each joint")
     for name, value, low, high in zip(robot.joint_names, pose, robot.lower, robot.upper, strict=True):
         if not low <= value <= high:
             raise IdentificationError(
-                f"{what}: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
+                f"{pose_name}: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
             )
 
 
+_MIN_SPEEDS = 5  # with fewer the Stribeck curve is not determined
 _MAX_SPEEDS = 1000  # two hours for each group
 
 
@@ -175,15 +167,8 @@ class PlanOptions:
     burst: float = 8.0
 
     def __post_init__(self) -> None:
-        from rx90_emulator.identification.sliding.fit import MIN_SPEEDS  # takes a while
-
-        if not MIN_SPEEDS <= self.speeds <= _MAX_SPEEDS:
-            raise IdentificationError(f"{self.speeds} speeds; accepted: {MIN_SPEEDS} to {_MAX_SPEEDS}")
-
-
-_QUICK: dict[str, Any] = {
-    "speeds": 8, "travel": 0.016, "presliding_cycles": (2e-3,), "tone_amplitudes": (4e-5,), "burst": 3.0
-}  # fmt: skip
+        if not _MIN_SPEEDS <= self.speeds <= _MAX_SPEEDS:
+            raise IdentificationError(f"{self.speeds} speeds; accepted: {_MIN_SPEEDS} to {_MAX_SPEEDS}")
 
 
 def plan_experiments(
@@ -201,12 +186,15 @@ def plan_experiments(
         IdentificationError: for an unknown group or a number of speeds that is not acceptable.
         ConfigError: if the robot has no poses.
     """
-    poses = Poses.of(setup)
-    how: dict[str, Any] = {} if speeds is None else {"speeds": speeds}
+    options = PlanOptions(poses=Poses.of(setup), groups=tuple(groups))
     if quick:
-        poses = replace(poses, sweeps=poses.sweeps[:1])
-        how = _QUICK | how
-    return make_plan(setup.robot, setup.drives, PlanOptions(poses=poses, groups=tuple(groups), **how))
+        pose = replace(options.poses, sweeps=options.poses.sweeps[:1])
+        options = replace(
+            options, poses=pose, speeds=8, travel=0.016, presliding_cycles=(2e-3,), tone_amplitudes=(4e-5,), burst=3.0
+        )
+    if speeds is not None:
+        options = replace(options, speeds=speeds)
+    return make_plan(setup.robot, setup.drives, options)
 
 
 def directions(names: Sequence[str], turning: Coupling) -> dict[str, Array]:
@@ -216,14 +204,14 @@ def directions(names: Sequence[str], turning: Coupling) -> dict[str, Array]:
     against each other 5 and 6 but not 7, both together all three, 7 at twice the speed.
     """
     unit = np.eye(len(names))
-    found = dict(zip(names, unit, strict=True))
+    vectors = dict(zip(names, unit, strict=True))
     for motor in turning.sums:
         first, *others = np.flatnonzero(turning.turns[motor]).tolist()
         together = "_".join(names[k].removeprefix("joint_") for k in (first, *others))
         signs = np.sign(turning.turns[motor])
-        found[f"joints_{together}_together"] = signs * signs[first]
-        found[f"joints_{together}_against"] = 2.0 * unit[first] - signs * signs[first]
-    return found
+        vectors[f"joints_{together}_together"] = signs * signs[first]
+        vectors[f"joints_{together}_against"] = 2.0 * unit[first] - signs * signs[first]
+    return vectors
 
 
 _SAMPLING_PERIOD = Rates().position_period  # s, that of joint_states too
@@ -276,34 +264,32 @@ _LIMIT_MARGIN = 0.02  # rad, from a sweep to the joints' limits
 
 def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions | None = None) -> tuple[Experiment, ...]:
     """Plan all experiments for an arm."""
-    chosen = options or PlanOptions()
-    chosen.poses.check(robot)
-    known = directions(robot.joint_names, drives.turning)
-    for name in chosen.groups:
-        if name not in known:
-            raise IdentificationError(f"unknown group {quoted(name)}; accepted: {', '.join(known)}")
-    picked = {name: known[name] for name in known if not chosen.groups or name in chosen.groups}
-    planned = [_sweeps(robot, drives, chosen, name, vector) for name, vector in picked.items()]
-    planned += [_oscillations(robot, chosen, name, one) for name, one in picked.items() if "together" not in name]
-    planned.append(_validation(robot, chosen))
-    names: dict[str, str] = {}
-    for name, _, motion, _ in planned:
-        _approach(robot, motion, chosen.poses.home)
-        earlier = names.setdefault(file_stem(name), name)
-        if earlier != name:
-            raise IdentificationError(
-                f"experiments {quoted(earlier)} and {quoted(name)}: one file name; accepted: names of "
-                "joints that differ in more than / \\ and :"
-            )
-    return tuple(
-        Experiment(file_stem(name), kind, motion.points(robot.joint_names), n) for name, kind, motion, n in planned
-    )
+    options = options or PlanOptions()
+    options.poses.check(robot)
+    vectors = directions(robot.joint_names, drives.turning)
+    for name in options.groups:
+        if name not in vectors:
+            raise IdentificationError(f"unknown group {quoted(name)}; accepted: {', '.join(vectors)}")
+    groups = [name for name in vectors if not options.groups or name in options.groups]
+    plan = [_sweeps(robot, drives, options, name, vectors[name]) for name in groups]
+    plan += [_oscillations(robot, options, name, vectors[name]) for name in groups if "together" not in name]
+    plan.append(_validation(robot, options))
+    if len({experiment.name for experiment in plan}) < len(plan):
+        raise IdentificationError(
+            f"joints {listed(robot.joint_names)}: two would share a file; accepted: names that differ in more than "
+            "/ \\ and :"
+        )
+    return tuple(plan)
 
 
-_Planned = tuple[str, Kind, Motion, int]
+def _experiment(robot: RobotModel, name: str, kind: Kind, motion: Motion, sweeps: int, home: ArrayLike) -> Experiment:
+    _approach(robot, motion, home)
+    return Experiment(file_stem(name), kind, motion.points(robot.joint_names), sweeps)
 
 
-def _sweeps(robot: RobotModel, drives: DriveParameters, options: PlanOptions, name: str, direction: Array) -> _Planned:
+def _sweeps(
+    robot: RobotModel, drives: DriveParameters, options: PlanOptions, name: str, direction: Array
+) -> Experiment:
     """Return the sweeps of a direction: many speeds, each in one direction at one pose, rather than few everywhere.
 
     The error by ripple that is synchronous with the sampling differs between speeds, not between poses, and changes its
@@ -335,10 +321,10 @@ def _sweeps(robot: RobotModel, drives: DriveParameters, options: PlanOptions, na
             _approach(robot, motion, start)
             motion.rest(0.1)
             sweep(motion, speed)
-    return f"sliding_{name}", Kind.SLIDING, motion, len(speeds)
+    return _experiment(robot, f"sliding_{name}", Kind.SLIDING, motion, len(speeds), options.poses.home)
 
 
-def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction: Array) -> _Planned:
+def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction: Array) -> Experiment:
     """Return presliding cycles and micro-oscillations of a direction."""
     motion = Motion(options.poses.home)
     _approach(robot, motion, np.asarray(options.poses.sweeps[0]) - 0.03 * direction)
@@ -351,10 +337,11 @@ def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction:
         motion.oscillate(direction, [amplitude], [1.0], 2.0)
         motion.oscillate(direction, [tone_amplitude / len(_TONES)] * len(_TONES), _TONES, options.burst)
     motion.rest(0.2)
-    return f"presliding_{name}", Kind.PRESLIDING, motion, 2 * len(options.tone_amplitudes)
+    count = 2 * len(options.tone_amplitudes)
+    return _experiment(robot, f"presliding_{name}", Kind.PRESLIDING, motion, count, options.poses.home)
 
 
-def _validation(robot: RobotModel, options: PlanOptions) -> _Planned:
+def _validation(robot: RobotModel, options: PlanOptions) -> Experiment:
     """Return moves of all joints at once that no other experiment contains: fast, slow, with reversals."""
     motion = Motion(options.poses.home)
     poses = options.poses.validation
@@ -366,7 +353,7 @@ def _validation(robot: RobotModel, options: PlanOptions) -> _Planned:
         np.array([0.02, -0.015, 0.02, -0.03, 0.03, -0.02, 0.025][: len(robot.joint_names)]), [1.0], [0.5], 6.0
     )
     motion.rest(0.2)
-    return "validation", Kind.VALIDATION, motion, len(poses) + 1
+    return _experiment(robot, "validation", Kind.VALIDATION, motion, len(poses) + 1, options.poses.home)
 
 
 def _approach(robot: RobotModel, motion: Motion, pose: ArrayLike) -> None:
@@ -417,14 +404,30 @@ class IdentificationBags:
         validation: Iterable[Path | str] = (),
     ) -> IdentificationBags:
         """Return bags given by their names."""
-        return cls(*(tuple(Path(bag) for bag in bags) for bags in (sliding, presliding, validation)))
+        return cls(tuple(map(Path, sliding)), tuple(map(Path, presliding)), tuple(map(Path, validation)))
 
 
 def write_index(folder: Path, done: Sequence[Experiment]) -> None:
     """Write the uses of the bags recorded so far; after each experiment, so that a series may be interrupted."""
-    there = [kind for kind in Kind if kind is not Kind.EXCITATION or any(one.kind is kind for one in done)]
-    content = {str(kind): [e.name for e in done if e.kind is kind] for kind in there}
-    write_text(folder / INDEX, yaml_text(content))
+    bags = {str(kind): [experiment.name for experiment in done if experiment.kind is kind] for kind in Kind}
+    if not bags["excitation"]:
+        del bags["excitation"]
+    write_text(folder / INDEX, yaml_text(bags))
+
+
+def read_index(folder: Path) -> IdentificationBags:
+    """Return the bags of a series."""
+    if not os.path.lexists(folder / INDEX):
+        raise IdentificationError(
+            f"{folder}: no {INDEX}; accepted: a folder that rx90_experiment wrote, or --sliding, --presliding and "
+            "--validation"
+        )
+    index = read_model(ExperimentsFile, folder / INDEX)
+    uses = (index.sliding, index.presliding, index.validation, index.excitation)
+    for name in sum(uses, ()):
+        if not (folder / name).exists():
+            raise IdentificationError(f"{folder / INDEX} names {plain(name)}, which is not there")
+    return IdentificationBags(*(tuple(folder / name for name in names) for names in uses))
 
 
 def write_emulated(folder: Path, friction: FrictionSet) -> None:
@@ -437,26 +440,5 @@ def write_emulated(folder: Path, friction: FrictionSet) -> None:
 def read_emulated(bags: Iterable[Path]) -> dict[str, FrictionElement]:
     """Return the friction that all bags were made with, by element; empty if it is not known for all of them."""
     places = {bag.absolute().parent / EMULATED for bag in bags}
-    found = [FrictionFile.read(place).elements.entries if place.is_file() else {} for place in sorted(places)]
-    return found[0] if all(one == found[0] for one in found) else {}
-
-
-def read_index(folder: Path) -> IdentificationBags:
-    """Return the bags of a series."""
-    if not os.path.lexists(folder / INDEX):
-        raise IdentificationError(f"{folder}: no {INDEX}; accepted: a folder that rx90_experiment wrote, or --sliding, "
-                                  "--presliding and --validation")  # fmt: skip
-    index = read_model(ExperimentsFile, folder / INDEX)
-    for name in (*index.sliding, *index.presliding, *index.excitation, *index.validation):
-        if not (folder / name).exists():
-            raise IdentificationError(f"{folder / INDEX} names {plain(name)}, which is not there")
-    return IdentificationBags(
-        _bags(folder, index.sliding),
-        _bags(folder, index.presliding),
-        _bags(folder, index.validation),
-        _bags(folder, index.excitation),
-    )
-
-
-def _bags(folder: Path, names: Sequence[str]) -> tuple[Path, ...]:
-    return tuple(folder / name for name in names)
+    frictions = [FrictionFile.read(place).elements.entries if place.is_file() else {} for place in sorted(places)]
+    return frictions[0] if all(friction == frictions[0] for friction in frictions) else {}

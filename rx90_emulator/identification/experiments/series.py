@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -12,7 +13,6 @@ from tqdm import tqdm
 
 from rx90_common.bags.topics import absolute
 from rx90_common.bags.writing import string_message, write_joint_states
-from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import counted, plain
@@ -20,103 +20,25 @@ from rx90_common.process.files import write_all
 from rx90_controller.trajectory.points import message_content
 from rx90_controller.trajectory.spline import interpolate
 from rx90_emulator.identification.experiments.arms import PlannedArm
-from rx90_emulator.identification.experiments.excitation import ROWS, ExcitationPlan, plan_excitation
+from rx90_emulator.identification.experiments.excitation import plan_excitation
+from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.experiments.plan import TOPICS, Experiment, write_emulated, write_index
-from rx90_emulator.identification.options import ExcitationOptions
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
 
-def describe(plan: Sequence[Experiment], arm: PlannedArm) -> str:
+def describe(plan: Sequence[Experiment], arm: PlannedArm, remarks: Iterable[str] = ()) -> str:
     """Return a table of the plan: runs, time, and the largest use of the arm's limits in each experiment."""
-    lines = [f"{'experiment':<30}{'runs':>6}{'time s':>9}   most of the speed limit   most of the torque limit"]
-    names = (*arm.robot.joint_names, *arm.motors)
-    for one in plan:
-        shares, _ = arm.check(one)
-        used = [np.append(shares[name], shares[f"motor_{name}"]) for name in ("speed", "torque")]
-        speed, torque = (f"{share.max():>6.0%} ({names[int(np.argmax(share))]})" for share in used)
-        lines.append(f"{one.name:<30}{one.sweeps:>6}{one.duration:>9.1f}   {speed}          {torque}")
-    runs = counted(sum(one.sweeps for one in plan), "run")
-    return "\n".join([*lines, f"{counted(len(plan), 'experiment')}, {runs}, {_whole_time(plan)}"])
-
-
-def _whole_time(plan: Sequence[Experiment]) -> str:
+    lines = [f"{'experiment':<30}{'runs':>6}{'time s':>9}   most of the limits of position, speed and torque"]
+    for experiment in plan:
+        used = arm.check(experiment)
+        limits = (used["position"], max(used["speed"], used["motor speed"]), max(used["torque"], used["motor torque"]))
+        cells = (f"{share:.0%} ({whose})" for share, whose in limits)
+        lines.append(f"{experiment.name:<30}{experiment.sweeps:>6}{experiment.duration:>9.1f}   {'  '.join(cells)}")
+    runs = counted(sum(experiment.sweeps for experiment in plan), "run")
     total = sum(experiment.duration for experiment in plan)
-    return f"{total:.0f} s of motion ({total / 60.0:.1f} min)"
-
-
-_PER_LINE = 3
-_SMALL = 1e-3  # of the largest parameter of its kind: a smaller expected value counts as zero
-_LARGEST_SHARE = 100.0  # of the expected value: a larger deviation is given in its unit
-
-
-def describe_excitation(plan: ExcitationPlan) -> str:
-    """Return the table of a plan: use of the limits by each run, and the expected deviations."""
-    information = plan.information
-    workspace = plan.workspace
-    arm = plan.arm
-    home = ", ".join(f"{angle:.4g}" for angle in arm.home)
-    lines = [
-        f"home {home} rad: {arm.chosen_home}",
-        f"{'run':<16}{'time s':>7}  {'share of the limits: position, speed, acceleration, torque'}",
-    ]
-    for experiment in plan.experiments:
-        lines += _run_lines(plan, experiment)
-    size = np.sqrt(np.diag(information))
-    scaled = information / np.outer(size, size)
-    condition = np.sqrt(np.linalg.cond(scaled)) if size.all() else np.inf
-    noise = "as given" if plan.options.torque_noise else "1 % of the URDF's effort, assumed"
-    if arm.coupled:
-        lines.append(
-            f"{', '.join(arm.motors[number] for number in arm.coupled)}: through their gears; accepted are the speed "
-            "of their joint alone (assumed) and the drive's peak torque"
-        )
-    lines += arm.remarks
-    lines += [
-        f"condition number {condition:.3g}, log det of the information {np.linalg.slogdet(information)[1]:.4g} "
-        f"({len(information)} parameters; without the validation)",
-        f"expected deviations at a torque noise ({noise}) of {', '.join(f'{value:.3g}' for value in plan.noise)} Nm in "
-        f"{ROWS:g} independent samples per second; in % of the value in the robot's files, else in SI units:",
-    ]
-    base = plan.base.combination @ plan.standard.values()
-    expected = np.abs(np.concatenate([base, *arm.friction]))
-    kinds = np.array([name.split(".")[-1][:1] for name in plan.names])
-    deviations = np.sqrt(np.diag(np.linalg.pinv(scaled, hermitian=True))) / size
-    known = expected > _SMALL * np.array([expected[kinds == kind].max() for kind in kinds])
-    known &= deviations < _LARGEST_SHARE * expected  # a kind of which all are 0 but for rounding
-    cells = [
-        f"{name:<17}{f'{deviation / value:.2%}' if is_known else f'{deviation:.2g}':>10}"
-        for name, value, is_known, deviation in zip(plan.names, expected, known, deviations, strict=True)
-    ]
-    lines += ["  " + "   ".join(cells[first : first + _PER_LINE]) for first in range(0, len(cells), _PER_LINE)]
-    if workspace.meshes:
-        lines.append(f"meshes do not count for collisions: those of {', '.join(workspace.meshes)}")
-    if workspace.uncounted:
-        lines.append(f"too near to each other at home to count: {', '.join(workspace.uncounted)}")
-    return "\n".join([*lines, f"{counted(len(plan.experiments), 'run')}, {_whole_time(plan.experiments)}"])
-
-
-def _run_lines(plan: ExcitationPlan, experiment: Experiment) -> Iterator[str]:
-    """Yield lines on joints, coupled motors and walls of a run; speeds are those of nine tenths of the moving time."""
-    shares, setpoints = plan.arm.check(experiment)
-
-    def speeds(velocity: Array) -> str:
-        parts = []
-        for sign, moving in (("+", velocity[velocity > 0.0]), ("-", velocity[velocity < 0.0])):
-            low, high = np.percentile(np.abs(moving), (5.0, 95.0)) if len(moving) else (0.0, 0.0)
-            parts.append(f"{sign}{low:.2g} to {high:.2g}")
-        return f"{', '.join(parts)} rad/s"
-
-    head = f"{experiment.name:<16}{experiment.duration:>7.1f}"
-    for number, name in enumerate(plan.arm.robot.joint_names):
-        cells = "".join(f"{shares[key][number]:>6.0%}" for key in ("position", "speed", "acceleration", "torque"))
-        yield f"{head:<23}  {name:<10}{cells}   {speeds(setpoints[:, 1, number])}"
-        head = ""
-    for number in plan.arm.coupled:
-        used = f"{shares['motor_speed'][number]:>12.0%}{shares['motor_torque'][number]:>12.0%}"
-        yield f"{'':<25}{plan.arm.motors[number]:<10}{used}   {speeds(setpoints[:, 1] @ plan.arm.turns[number])}"
-    for wall, (distance, name) in zip(plan.workspace.walls, plan.workspace.lowest(setpoints[::5, 0]), strict=True):
-        yield f"{'':<25}{wall.name}: {name} comes as near as {distance:.3f} m"
+    whole = f"{counted(len(plan), 'experiment')}, {runs}, {total:.0f} s of motion ({total / 60.0:.1f} min)"
+    return "\n".join([*lines, *remarks, whole])
 
 
 def write_motions(folder: Path, plan: Sequence[Experiment], arm: PlannedArm, rate: float) -> None:
@@ -133,30 +55,27 @@ def write_motions(folder: Path, plan: Sequence[Experiment], arm: PlannedArm, rat
     """
     names = arm.robot.joint_names
     files = dict[Path, bytes]()
-    quantities = ("position [rad]", "velocity [rad/s]", "acceleration [rad/s^2]")
-    head = ",".join(["time [s]", *(plain(f"{name} {what}") for what in quantities for name in names)])
-    for one in plan:
-        points = one.points
+    head = ["time [s]"]
+    for quantity in ("position [rad]", "velocity [rad/s]", "acceleration [rad/s^2]"):
+        head += [plain(f"{name} {quantity}") for name in names]
+    for experiment in plan:
+        points = experiment.points
         assert points.velocity is not None  # a Motion has all three
         curve = interpolate(points.times, points.position, points.velocity, points.acceleration)
-        time = np.arange(math.floor(one.duration * rate) + 1) / rate
-        rows = zip(time.tolist(), curve.sample(time).reshape(len(time), -1).tolist(), strict=True)
-        text = "\n".join([head, *(f"{at:.9f},{','.join(map(repr, row))}" for at, row in rows), ""])
-        files[folder / f"{one.name}.csv"] = text.encode()
-        files[folder / f"{one.name}.yaml"] = yaml_text(message_content(names, points)).encode()
+        time = np.arange(math.floor(experiment.duration * rate) + 1) / rate
+        rows = np.column_stack([time, curve.sample(time).reshape(len(time), -1)])
+        table = io.StringIO()
+        np.savetxt(table, rows, fmt="%.12g", delimiter=",", header=",".join(head), comments="")
+        files[folder / f"{experiment.name}.csv"] = table.getvalue().encode()
+        files[folder / f"{experiment.name}.yaml"] = yaml_text(message_content(names, points)).encode()
     with _new_folder(folder):
         write_all(files)
 
 
-def plan_with_progress(arm: PlannedArm, options: ExcitationOptions) -> ExcitationPlan:
+def plan_with_progress(arm: PlannedArm, options: ExcitationOptions) -> tuple[tuple[Experiment, ...], list[str]]:
     """Plan excitation runs with a progress line."""
-    with tqdm(unit="step", disable=None, delay=1e-9) as bar:  # what is refused before the first step needs none
-
-        def step(name: str) -> None:
-            bar.set_description_str(name, refresh=False)
-            bar.update()
-
-        return plan_excitation(arm, options, step)
+    with tqdm(desc="search", unit="step", disable=None, delay=1e-9) as bar:  # what is refused at once needs none
+        return plan_excitation(arm, options, bar.update)
 
 
 _SETTLING_S = 0.2  # s, after the end

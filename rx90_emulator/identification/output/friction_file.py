@@ -24,9 +24,9 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
     digits,
 )
-from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.records import BagSource, in_unit
+from rx90_emulator.identification.rows.filtering import Bandwidths
 
 _REMARKS = """\
 #
@@ -87,10 +87,10 @@ def elements_text(
         identification["unit"] = unit
     if bandwidths is not None:
         identification["bandwidths"] = {"position": float(bandwidths.position), "torque": float(bandwidths.torque)}
-        identification["bandwidths"] |= {"recorded_velocity": True} if bandwidths.recorded_velocity else {}
     if result is not None:
-        sizes = {name: np.abs(one.velocity) for name, one in zip(names, result.sliding.curves, strict=True)}
-        speeds = {name: (float(one.min()), float(one.max())) for name, one in sizes.items() if len(one)}
+        curves = zip(names, result.sliding.curves, strict=True)
+        sizes = {name: np.abs(curve.velocity) for name, curve in curves if curve is not None}
+        speeds = {name: (float(size.min()), float(size.max())) for name, size in sizes.items()}
     if speeds:
         identification["speeds"] = {name: [digits(speed, 3) for speed in pair] for name, pair in speeds.items()}
     if result is not None:

@@ -7,26 +7,21 @@ from typing import Final
 
 import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker
-from bokeh.palettes import RdBu11, interp_palette
 from bokeh.plotting import figure
-from bokeh.transform import linear_cmap
-from scipy.signal import welch
 
 from rx90_common.base.arrays import Array
 from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.style import COLOURS, GREY, INK
-from rx90_emulator.identification.excitation.result import ExcitationIdentification
-from rx90_emulator.identification.identify import FrictionIdentification
-from rx90_emulator.identification.sliding.quality import CurvePoints
+from rx90_emulator.identification.result import ExcitationIdentification
+from rx90_emulator.identification.sliding import CurvePoints
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
-from rx90_emulator.identification.validation.verdict import JointTorque, RunTorques
+from rx90_emulator.identification.validation.verdict import TorquePrediction
 
 _DRAWN_S = 60.0  # s of a run in a plot: more could not be resolved
 _RECORDED: Final = COLOURS[5]
 _PREDICTED: Final = COLOURS[1]
 _DIFFERENCE: Final = COLOURS[6]
-_TIME = "time since the first motion, s"
 _SPEED = "velocity of the element, rad/s"
 _INTERVAL = 1.96  # standard deviations, 95 %
 _DRAWN_SHARE = 20  # one of so many parts of a micro-oscillation is drawn: more loops would cover each other
@@ -40,41 +35,32 @@ def _compared(shown: figure, time: Array, recorded: tuple[str, Array], predicted
     shown.line(time, predicted[1], name=predicted[0], color=_PREDICTED, line_width=1.1)
 
 
-def validation(check: Validation) -> list[figure]:
-    """Show the torques of a validation, and the distance of the tips if there is one."""
-    torque = check.torque
+def torques(torque: TorquePrediction, names: Sequence[str], unit: str, predicted: str = "predicted") -> list[figure]:
+    """Show the first minute of measured and predicted torques, and their difference where a joint moves."""
+    time = torque.time - torque.time[0]
+    rows = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
     figures = []
-    for k, name in enumerate(check.names):
-        shown = chart(name, "", check.unit, height=120)
-        _compared(shown, torque.time, ("recorded", torque.recorded[:, k]), ("predicted", torque.predicted[:, k]))
-        shown.line(torque.time, torque.difference[:, k], name="difference", color=_DIFFERENCE)
-        figures.append(shown)
-    if len(check.tip_distance):
-        shown = chart("tips", "", "distance, µm", height=120)
-        shown.line(check.tip_time, check.tip_distance * 1e6, color=COLOURS[0])
+    for k, name in enumerate(names):
+        shown = chart(name, "", unit, height=120)
+        _compared(shown, time[rows], ("measured", torque.recorded[rows, k]), (predicted, torque.predicted[rows, k]))
+        shown.line(time[rows], torque.difference[rows, k], name="difference", color=_DIFFERENCE)
         figures.append(shown)
     over_one_x(figures, "time, s")
     return figures
 
 
-def measured_torques(result: MeasuredComparison) -> list[figure]:
-    """Show measured and simulated torques."""
-    torque = result.agreement
-    time = result.time - result.time[0]
-    rows = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
-    figures = []
-    for k, name in enumerate(result.names):
-        shown = chart(name, "", "Nm", height=120)
-        _compared(shown, time[rows], ("measured", torque.recorded[rows, k]), ("simulated", torque.predicted[rows, k]))
-        shown.line(time[rows], torque.difference[rows, k], name="difference", color=_DIFFERENCE)
-        figures.append(shown)
-    over_one_x(figures, "time since the comparison began, s")
-    return figures
+def tips(check: Validation) -> list[figure]:
+    """Show the distance of the tips, if there is one."""
+    if not len(check.tip_distance):
+        return []
+    shown = chart("tips", "time, s", "distance, µm", height=120)
+    shown.line(check.tip_time, check.tip_distance * 1e6, color=COLOURS[0])
+    return [shown]
 
 
 def measured_positions(result: MeasuredComparison) -> list[figure]:
     """Show measured and simulated positions, each beside their difference."""
-    time = result.time - result.time[0]
+    time = result.torque.time - result.torque.time[0]
     rows = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
     figures = []
     for k, name in enumerate(result.names):
@@ -137,14 +123,6 @@ def sliding_curve(name: str, curve: CurvePoints) -> list[figure]:
     return [above, below]
 
 
-def sliding_trend(name: str, curve: CurvePoints) -> figure:
-    """Show the residuals of an element along the motion, against the time."""
-    shown = chart(name, "time in the series, s", "residual, Nm", height=130)
-    shown.hspan([0.0], line_color=INK)
-    shown.scatter(curve.time, np.sign(curve.velocity) * (curve.torque - curve.fitted), color=COLOURS[0], size=5)
-    return shown
-
-
 def presliding_loop(name: str, position: Array, torques: Mapping[str, Array]) -> figure:
     """Show torques against position in the middle of a micro-motion: measured and simulated."""
     count = len(position)
@@ -155,143 +133,6 @@ def presliding_loop(name: str, position: Array, torques: Mapping[str, Array]) ->
     return shown
 
 
-def sliding_correlations(result: FrictionIdentification) -> list[figure]:
-    """Show the correlations of each element's parameters; the two regimes, fitted one after the other, have none."""
-    figures = []
-    pairs = zip(result.arm.element_names, result.sliding.estimates, result.presliding.estimates, strict=True)
-    for name, sliding, presliding in pairs:
-        names = (*sliding.parameters, *presliding.parameters)
-        first = len(sliding.parameters)
-        matrix = np.full((len(names), len(names)), np.nan)
-        matrix[:first, :first] = sliding.correlation
-        matrix[first:, first:] = presliding.correlation
-        if np.isfinite(matrix).any():
-            figures.append(correlation(names, matrix, name))
-    return figures
-
-
-def correlation(names: Sequence[str], values: Array, title: str = "") -> figure:
-    """Show correlations from -1 to 1, (k, k), as colours; nothing where they are NaN."""
-    count = len(names)
-    row, column = np.nonzero(np.isfinite(values))
-    known = np.array(names)
-    shown = chart(
-        title,
-        height=None,
-        aspect_ratio=1,
-        max_width=900 if count > 12 else 420,
-        x_range=list(names),
-        y_range=list(names[::-1]),
-    )
-    source = ColumnDataSource({"x": known[column].tolist(), "y": known[row].tolist(), "value": values[row, column]})
-    colour = linear_cmap("value", interp_palette(RdBu11, 256), -1.0, 1.0)
-    squares = shown.rect("x", "y", 1, 1, source=source, line_color=None, fill_color=colour)
-    shown.add_layout(squares.construct_color_bar(width=10), "right")
-    shown.axis.major_label_text_font_size = f"{6 if count > 30 else 8 if count > 12 else 11}px"
-    shown.xaxis.major_label_orientation = np.pi / 2.0
-    shown.grid.grid_line_color = None
-    (hover,) = shown.hover
-    hover.tooltips = [("", "@y"), ("", "@x"), ("correlation", "@value{%.6g}")]
-    hover.formatters = {"@value": "printf"}
-    return shown
-
-
-def _start(run: RunTorques) -> float:
-    return min((float(joint.time[0]) for joint in run.joints if len(joint.time)), default=0.0)
-
-
-def excitation_run(run: RunTorques, unit: str) -> list[figure]:
-    """Show the torques of the first part of a run, with gaps where a joint stands still."""
-    figures = []
-    for name, joint in zip(run.names, run.joints, strict=True):
-        count = max(1, int(np.searchsorted(joint.time, _start(run) + _DRAWN_S)))
-        time, _, recorded, predicted = (values[:count] for values in joint)
-        steps = np.diff(time)
-        gaps = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1 if len(steps) else np.empty(0, dtype=np.intp)
-        rows = (time - _start(run), recorded, predicted, recorded - predicted)
-        time, recorded, predicted, residual = (np.insert(values, gaps, np.nan) for values in rows)
-        shown = chart(name, "", unit, height=120)
-        _compared(shown, time, ("measured", recorded), ("predicted", predicted))
-        shown.line(time, residual, name="difference", color=_DIFFERENCE)
-        figures.append(shown)
-    over_one_x(figures, _TIME)
-    return figures
-
-
-def spectra(runs: Sequence[RunTorques], unit: str) -> list[figure]:
-    """Show the amplitude spectra of measured torque and residual of each joint."""
-    figures = []
-    for number, name in enumerate(runs[0].names):
-        joints = [run.joints[number] for run in runs if len(run.joints[number].time) > 1]
-        title = name if joints else f"{name}: stands still"
-        shown = chart(title, "frequency, Hz", f"{unit}/√Hz", height=140, x_axis_type="log", y_axis_type="log")
-        if joints:
-            measured = _spectrum(joints, [joint.recorded for joint in joints])
-            shown.line(*measured, name="measured", color=_RECORDED, line_width=1.8)
-            shown.line(*_spectrum(joints, [joint.residual for joint in joints]), name="difference", color=_PREDICTED)
-        figures.append(shown)
-    return figures
-
-
-def _spectrum(joints: Sequence[JointTorque], values: Sequence[Array]) -> tuple[Array, Array]:
-    """Return frequencies, Hz, and the root of the mean spectral density of all runs; 0 where a joint stands still."""
-    series = []
-    step = min(float(np.median(np.diff(joint.time))) for joint in joints)
-    for joint, own in zip(joints, values, strict=True):
-        place = np.rint((joint.time - joint.time[0]) / step).astype(np.intp)
-        even = np.zeros(place[-1] + 1)
-        even[place] = own
-        series.append(even)
-    weights = [len(even) for even in series]
-    length = min(max(weights), max(64, round(20.0 / step)))
-    found = [
-        welch(even, 1.0 / step, nperseg=min(length, len(even)), nfft=length, detrend="constant") for even in series
-    ]
-    density = np.average([power for _, power in found], axis=0, weights=weights)
-    return found[0][0][1:-1], np.sqrt(density[1:-1])
-
-
-def residual_by_speed(result: ExcitationIdentification, unit: str) -> list[figure]:
-    """Show the mean residual against the velocity of each element, with 95 % intervals."""
-    figures = []
-    for one in result.speeds:
-        shown = chart(one.element, _SPEED, unit, height=140)
-        shown.hspan([0.0], line_color=_DIFFERENCE)
-        if len(one.velocity):
-            bars = _INTERVAL * np.nan_to_num(one.deviation)
-            name = "mean of a bin, 95 %"
-            shown.line(one.velocity, one.residual, name=name, color=COLOURS[0])
-            low = one.residual - bars
-            high = one.residual + bars
-            shown.segment(one.velocity, low, one.velocity, high, name=name, color=COLOURS[0])
-            shown.scatter(one.velocity, one.residual, name=name, color=COLOURS[0], size=5)
-        figures.append(shown)
-    return figures
-
-
-def residual_by_time(runs: Sequence[RunTorques], block: float, unit: str) -> list[figure]:
-    """Show the mean of the residual against the motion over blocks of time, s, each run with its colour."""
-    figures = []
-    for number, joint_name in enumerate(runs[0].names):
-        shown = chart(joint_name, _TIME, unit, height=140)
-        shown.hspan([0.0], line_color=_DIFFERENCE)
-        for which, run in enumerate(runs):
-            joint = run.joints[number]
-            if not len(joint.time):
-                continue
-            name = run.source.path.name if 1 < len(runs) <= len(COLOURS) else None
-            colour = COLOURS[which % len(COLOURS)]
-            place = ((joint.time - _start(run)) / block).astype(np.intp)
-            count = np.bincount(place)
-            used = np.flatnonzero(count)
-            means = np.bincount(place, joint.residual * np.sign(joint.velocity))[used] / count[used]
-            middle = (used + 0.5) * block
-            shown.line(middle, means, name=name, color=colour)
-            shown.scatter(middle, means, name=name, color=colour)
-        figures.append(shown)
-    return figures
-
-
 def friction_curves(result: ExcitationIdentification, unit: str) -> list[figure]:
     """Show the friction torque of each element against its velocity, its band, and means of the measured torque.
 
@@ -299,32 +140,33 @@ def friction_curves(result: ExcitationIdentification, unit: str) -> list[figure]
     same number of samples.
     """
     problem = result.problem
-    residual = problem.torque - result.friction.predicted
+    residual = result.fitted.fit.residual
     joints = np.flatnonzero(problem.arm.identified)
     figures = []
-    for number, curve in enumerate(result.friction.curves()):
-        shown = chart(curve.element, _SPEED, unit, height=180)
+    for number, name in enumerate(problem.arm.element_names):
+        low, high = result.fitted.speeds[number]
+        if high == 0.0:
+            continue
+        shown = chart(name, _SPEED, unit, height=180)
         shown.hspan([0.0], line_color=_DIFFERENCE)
         shown.vspan([0.0], line_color=_DIFFERENCE)
         has_own_joint = number < len(joints)  # a coupled element has no joint of its own
         rows = np.flatnonzero((problem.joint == joints[number]) & ~problem.reversal) if has_own_joint else joints[:0]
         velocity = problem.velocity[rows, number]
-        residual_torque = residual[rows]
-        low, high = (curve.velocity.min(), curve.velocity.max()) if len(curve.velocity) else (0.0, 0.0)
-        points = []
+        speeds = np.linspace(low, high, 100)
         for sign in (-1.0, 1.0):
-            side = sign * curve.velocity > 0.0
-            low_side, high_side = (bound[side] for bound in curve.band)
-            shown.varea(curve.velocity[side], low_side, high_side, name="95 %", fill_color=COLOURS[5], fill_alpha=0.35)
-            shown.line(curve.velocity[side], curve.torque[side], name="identified", color=COLOURS[0], line_width=1.6)
-            one_sign = np.flatnonzero(sign * velocity > 0.0)
-            for part in np.array_split(one_sign[np.argsort(velocity[one_sign])], _SPEED_BINS // 2):
-                if len(part) >= _MIN_BIN_SAMPLES and low <= (speed := velocity[part].mean()) <= high:
-                    points.append(
-                        (speed, np.interp(speed, curve.velocity, curve.torque) + residual_torque[part].mean())
-                    )
-        if points:
-            x, y = np.array(points).T
-            shown.scatter(x, y, name="measured", color=COLOURS[1], size=5)
+            torque, deviation = result.fitted.curve(number, sign * speeds)
+            band = _INTERVAL * deviation
+            shown.varea(
+                sign * speeds, torque - band, torque + band, name="95 %", fill_color=COLOURS[5], fill_alpha=0.35
+            )
+            shown.line(sign * speeds, torque, name="identified", color=COLOURS[0], line_width=1.6)
+            side = np.flatnonzero((sign * velocity > low) & (sign * velocity < high))
+            parts = np.array_split(side[np.argsort(velocity[side])], _SPEED_BINS // 2)
+            filled = [part for part in parts if len(part) >= _MIN_BIN_SAMPLES]
+            if filled:
+                means = np.array([velocity[part].mean() for part in filled])
+                measured = result.fitted.curve(number, means)[0] + [residual[rows[part]].mean() for part in filled]
+                shown.scatter(means, measured, name="measured", color=COLOURS[1], size=5)
         figures.append(shown)
     return figures

@@ -12,15 +12,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from bokeh.plotting import figure
 
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
-from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.output import plots, summary
 from rx90_emulator.identification.records import in_unit
+from rx90_emulator.identification.result import ExcitationIdentification
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 
@@ -41,7 +40,10 @@ def _render(template: str, date: datetime | None = None, unit: str = "Nm", **val
 
 def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, list[figure]]]:
     """Return validations with the names of their bags, and their plots."""
-    return [(check, Path(check.source).name, plots.validation(check)) for check in checks]
+    return [
+        (check, Path(check.source).name, [*plots.torques(check.torque, check.names, check.unit), *plots.tips(check)])
+        for check in checks
+    ]
 
 
 def check_page(checks: Sequence[Validation], friction_file: str) -> str:
@@ -66,7 +68,7 @@ def measured_page(result: MeasuredComparison, files: tuple[str, ...]) -> str:
         "measured.html.j2",
         result=result,
         files=files,
-        torques=plots.measured_torques(result),
+        torques=plots.torques(result.torque, result.names, "Nm", "simulated"),
         positions=plots.measured_positions(result),
     )
 
@@ -82,7 +84,7 @@ def report_page(result: FrictionIdentification, friction_file: str) -> str:
     sliding = result.sliding
     presliding = result.presliding
     named = dict(zip(names, result.elements, strict=True))
-    curves = [(name, curve) for name, curve in zip(names, sliding.curves, strict=True) if len(curve.velocity)]
+    curves = [(name, curve) for name, curve in zip(names, sliding.curves, strict=True) if curve is not None]
     return _render(
         "identification.html.j2",
         result=result,
@@ -96,13 +98,8 @@ def report_page(result: FrictionIdentification, friction_file: str) -> str:
         checks=_checks(result.validations),
         friction_file=friction_file,
         curves=[plots.sliding_curve(name, curve) for name, curve in curves],
-        trends=[plots.sliding_trend(name, curve) for name, curve in curves],
         loops=[plots.presliding_loop(joint, *loop) for joint, loop in presliding.loops.items()],
-        correlations=plots.sliding_correlations(result),
     )
-
-
-_MAX_CORRELATION = 0.95  # correlation from which two parameters are listed
 
 
 def excitation_page(
@@ -116,19 +113,12 @@ def excitation_page(
         versions: of interpreter and libraries.
         files: names of the robot's files, and last a sentence about them.
     """
-    friction = result.friction
     rows = [summary.friction_columns(one.estimates) for one in result.elements]
     shown = dict.fromkeys(name for row in rows for name, one in row.items() if one.identifiable)
     units = {name: FRICTION_UNITS.get(plain) or FRICTION_UNITS.get(f"{plain}_positive", "")
              for name in shown if (plain := name.rstrip("+-"))}  # fmt: skip
     checked = [one.torques for one in result.validations]
     longest = max(result.torques, key=lambda run: run.source.duration)
-    deviation = np.sqrt(np.maximum(np.diag(friction.fit.covariance), 0.0))
-    known = np.flatnonzero(np.isfinite(deviation) & (deviation > 0.0))
-    names = [friction.names[k] for k in known.tolist()]
-    correlation = friction.fit.covariance[np.ix_(known, known)] / np.outer(deviation[known], deviation[known])
-    close = [(names[i], names[j], float(correlation[i, j]))
-             for i, j in np.argwhere(np.triu(np.abs(correlation) > _MAX_CORRELATION, 1))]  # fmt: skip
     return _render(
         "excitation.html.j2",
         date,
@@ -139,12 +129,6 @@ def excitation_page(
         friction=list(zip(result.problem.arm.element_names, rows, strict=True)),
         shown=list(units.items()),
         runs=[*(("fitted", run) for run in result.torques), *(("not used", run) for run in checked)],
-        drawn=[(run, plots.excitation_run(run, result.unit)) for run in (checked[:2] or [longest])],
+        drawn=[(run, plots.torques(run, run.names, result.unit)) for run in (checked[:2] or [longest])],
         curves=plots.friction_curves(result, result.unit),
-        spectra=plots.spectra(checked or result.torques, result.unit),
-        by_speed=plots.residual_by_speed(result, result.unit),
-        by_time=plots.residual_by_time(result.torques, friction.blocks.length, result.unit),
-        correlation=plots.correlation(names, correlation),
-        close=sorted(close, key=lambda pair: -abs(pair[2]))[:20],
-        runs_named=[run.source.path.name for run in checked or result.torques],
     )

@@ -7,14 +7,13 @@ its source.
 from __future__ import annotations
 
 import math
-import re
+import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
-from xml.parsers import expat
 
 import numpy as np
 import pinocchio as pin
@@ -31,14 +30,14 @@ from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_emulator.identification.arm import RigidArm, all_joints
+from rx90_emulator.identification.bodies import central
 from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate, digits
-from rx90_emulator.identification.excitation.bodies import central
-from rx90_emulator.identification.excitation.choice import CrossValidation
-from rx90_emulator.identification.excitation.result import ASSUMED, ExcitationIdentification, misfits
+from rx90_emulator.identification.fitted import ASSUMED
 from rx90_emulator.identification.output.assumed_files import assumed_files
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.summary import bodies_warnings, in_currents
 from rx90_emulator.identification.records import in_unit
+from rx90_emulator.identification.result import ExcitationIdentification
 from rx90_emulator.identification.validation.verdict import RunTorques
 
 
@@ -76,72 +75,34 @@ _MAX_LEVER = 100.0  # m from the link's frame to its centre of mass
 _MOMENTS = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 
 
-def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -> str:
-    """Return the URDF with other inertials; nothing else in it is changed.
+def edited_urdf(urdf: str, bodies: Mapping[str, Array | None], held: Collection[str], remark: str) -> str:
+    """Return a URDF with other inertials; all else, comments too, is as it was.
 
     Args:
         urdf: a well-formed description.
         bodies: by its links, the pseudo-inertia in the frame of the link, shape (4, 4), or None for no <inertial>.
+        held: joints that become fixed.
         remark: a comment to put before the first element.
     """
-    data = urdf.encode("utf-8")
-    parser = expat.ParserCreate("utf-8")
-    first: list[int] = []  # where elements inside the root begin
-    links: dict[str, int] = {}  # by link: beginning of its end tag, or end of an empty element
-    inertials: dict[str, tuple[int, int]] = {}  # by link: beginning and end of the <inertial>
-    path: list[tuple[str, int, str]] = []  # name, beginning and attribute `name` of the enclosing elements
-
-    def start(name: str, attributes: dict[str, str]) -> None:
-        if len(path) == 1:
-            first.append(parser.CurrentByteIndex)
-        path.append((name, parser.CurrentByteIndex, attributes.get("name", "")))
-
-    def end(name: str) -> None:
-        at = parser.CurrentByteIndex
-        names = [one[0] for one in path[1:]]
-        if names == ["link"]:
-            links[path[1][2]] = at
-        elif names == ["link", "inertial"]:
-            # Expat reports the beginning of an end tag, and the end of an empty element.
-            tag = data[at:].startswith(f"</{name}".encode())
-            inertials[path[1][2]] = path[2][1], data.index(b">", at) + 1 if tag else at
-        path.pop()
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
-    parser.Parse(data, True)
-    edits = [(first[0], first[0], f"<!-- {remark.strip().replace('--', '- -')} -->\n  ")]
-    for link, pseudo in bodies.items():
-        at = links[link]
-        text = "" if pseudo is None else _inertial(link, pseudo)
-        if link in inertials:
-            edits.append((*inertials[link], text))
-        elif text and data[at - 2 : at] == b"/>" and not data[at:].startswith(b"</link"):
-            edits.append((at - 2, at, f">\n    {text}\n  </link>"))
-        elif text:
-            edits.append((at, at, f"  {text}\n  "))
-    for begin, stop, new in sorted(edits, reverse=True):
-        data = data[:begin] + new.encode() + data[stop:]
-    return data.decode("utf-8")
+    root = ET.fromstring(urdf, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
+    for link in root.findall("link"):
+        name = link.get("name", "")
+        if name in bodies:
+            for inertial in link.findall("inertial"):
+                link.remove(inertial)
+            pseudo = bodies[name]
+            if pseudo is not None:
+                link.insert(0, _inertial(name, pseudo))
+    for joint in root.findall("joint"):
+        if joint.get("name") in held:
+            joint.set("type", "fixed")
+            for mimic in joint.findall("mimic"):
+                joint.remove(mimic)
+    root.insert(0, ET.Comment(remark.replace("--", "- -")))
+    return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def with_fixed(urdf: str, joints: Collection[str]) -> str:
-    """Return the URDF with these joints fixed; nothing else in it is changed."""
-
-    def fixed(joint: re.Match[str]) -> str:
-        if (name := _NAME.search(joint["head"])) is None or name["name"] not in joints:
-            return joint[0]
-        head = re.sub(r"""(\stype\s*=\s*)(["']).*?\2""", r'\1"fixed"', joint["head"])
-        return head + re.sub(r"<mimic\b[^>]*?(/>|>\s*</mimic\s*>)", "", joint["body"])
-
-    return _JOINT.sub(fixed, urdf)
-
-
-_JOINT = re.compile(r"(?P<head><joint\b[^>]*>)(?P<body>.*?</joint\s*>)", re.DOTALL)
-_NAME = re.compile(r"""\sname\s*=\s*(["'])(?P<name>.*?)\1""")
-
-
-def _inertial(link: str, pseudo: Array) -> str:
+def _inertial(link: str, pseudo: Array) -> ET.Element:
     """Return the element with all digits, so that loading it gives exactly the identified values."""
     mass, center, inertia = central(pseudo)
     if not (np.isfinite(pseudo).all() and 0.0 < mass < _MAX_MASS and np.linalg.norm(center) < _MAX_LEVER):
@@ -149,12 +110,12 @@ def _inertial(link: str, pseudo: Array) -> str:
             f"link {plain(link)} would have a mass of {mass:.3g} kg at {np.linalg.norm(center):.3g} m; accepted: up to "
             f"{_MAX_MASS:g} kg and {_MAX_LEVER:g} m"
         )
-    place = " ".join(repr(float(value)) for value in center)
-    moments = " ".join(f'{key}="{float(inertia[index])!r}"' for key, index in _MOMENTS.items())
-    return (
-        f'<inertial>\n      <origin xyz="{place}" rpy="0 0 0"/>\n      <mass value="{mass!r}"/>\n'
-        f"      <inertia {moments}/>\n    </inertial>"
-    )
+    inertial = ET.Element("inertial")
+    ET.SubElement(inertial, "origin", xyz=" ".join(map(repr, center.tolist())), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=repr(float(mass)))
+    ET.SubElement(inertial, "inertia", {key: repr(float(inertia[index])) for key, index in _MOMENTS.items()})
+    ET.indent(inertial)
+    return inertial
 
 
 _DRIVES_HEAD = """\
@@ -272,7 +233,7 @@ def robot_texts(
         new: result.element_notes[name] for name, new in zip(old, elements, strict=True) if name in result.element_notes
     }
     texts = {
-        FILES["urdf"]: with_inertials(urdf.read_text(encoding="utf-8"), bodies, remark),
+        FILES["urdf"]: edited_urdf(urdf.read_text(encoding="utf-8"), bodies, () if base is None else base.held, remark),
         FILES["friction"]: elements_text(
             elements,
             result.elements,
@@ -282,14 +243,15 @@ def robot_texts(
             bandwidths=result.problem.runs[0].bandwidths,
             unit=result.unit,
             warnings=notes,
-            speeds=dict(zip(elements, result.speed_ranges, strict=True)),
+            speeds=dict(zip(elements, result.fitted.speeds, strict=True)),
         ),
     }
     if base is None:
         return texts
-    texts[FILES["urdf"]] = written = with_fixed(texts[FILES["urdf"]], base.held)
     peak_acceleration = np.max([np.abs(run.acceleration).max(axis=0) for run in result.problem.runs], axis=0)
-    drives, controller = _initial_contents(base, written, np.asarray(inertias.rotors), new, peak_acceleration)
+    drives, controller = _initial_contents(
+        base, texts[FILES["urdf"]], np.asarray(inertias.rotors), new, peak_acceleration
+    )
     for block in dict.fromkeys(block for block, _ in new):
         drives[block] = marked(drives[block], {key: one for (there, key), one in new.items() if there == block})
     feed_forward = _compensation(result.elements, elements, base)
@@ -395,16 +357,9 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         date: of the identification.
         versions: of interpreter and libraries.
     """
-    friction = result.friction
+    fitted = result.fitted
     bandwidths = result.problem.runs[0].bandwidths
     bodies = result.consistency.inertias
-
-    def checked(prefix: str, check: CrossValidation | None) -> dict[str, Any]:
-        if check is None:
-            return {}
-        numbers = {"relative_error": check.relative, "gain": check.gain, "gain_deviation": check.gain_deviation}
-        return {f"cross_validated_by_{prefix}": _rounded(numbers)}
-
     content: dict[str, Any] = {
         "date": date.isoformat(timespec="seconds"),
         "versions": dict(versions),
@@ -422,19 +377,21 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             name: {parameter: _estimate(estimate) for parameter, estimate in one.estimates.items()}
             for name, one in zip(result.problem.arm.element_names, result.elements, strict=True)
         },
-        "models": [
-            {"name": row.name, "parameters": row.parameters, "relative_error": digits(row.relative_all)}
-            | checked("blocks", row.by_blocks)
-            | {"kept": row.kept, "reason": row.reason}
-            | checked("runs", row.by_runs)
-            for row in friction.models
+        "trials": [
+            {
+                "element": result.problem.arm.element_names[trial.element],
+                "part": trial.part.value,
+                "kept": trial.kept,
+                "reason": trial.reason,
+            }
+            for trial in fitted.trials
         ],
         "fit": {run.source.path.name: _torques(run) for run in result.torques},
         "validation": {
             one.torques.source.path.name: {
                 "confirmed": one.passed,
                 **_torques(one.torques),
-                "relative_with_consistent_inertias": digits(one.consistent.total_share),
+                "simplest": _torques(one.simplest),
                 "by_files": _torques(one.files),
             }
             for one in result.validations
@@ -447,22 +404,18 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             ],
         },
     }
-    variance = friction.fit.covariance.diagonal()
-    deviation = np.sqrt(np.where((variance > 0.0) & np.isfinite(variance), variance, np.nan))
-    correlation = (friction.fit.covariance / np.outer(deviation, deviation)).tolist()
+    deviation = np.where(fitted.determined, fitted.deviation, np.nan)
+    correlation = (fitted.covariance / np.outer(deviation, deviation)).tolist()
     content |= {
         "not_determined": list(result.undetermined),
-        "misfits": misfits(result.speeds),
-        "drifts": [one.text for one in result.trends],
         "remarks": [
             *in_currents(result),
             *result.notes,
-            *friction.remarks,
             *result.warnings,
             *bodies_warnings(result),
         ],
         "correlation": {
-            "names": list(friction.names),
+            "names": list(fitted.names),
             "matrix": [[None if math.isnan(share) else round(share, 3) for share in row] for row in correlation],
         },
     }
@@ -483,9 +436,11 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
 
 
 def _torques(run: RunTorques) -> dict[str, Any]:
-    columns = zip(run.rms.tolist(), run.share.tolist(), run.chi_square.tolist(), strict=True)
-    figures = [_rounded(dict(zip(("rms", "relative", "chi_square"), row, strict=True))) for row in columns]
-    # Of torques that were smoothed before, which have next to no noise, chi^2 tells nothing, nor shares of no torque.
+    figures = [
+        _rounded({"rms": rms, "relative": share})
+        for rms, share in zip(run.rms.tolist(), run.share.tolist(), strict=True)
+    ]
+    # A joint without torque has no share of it.
     figures = [{key: value for key, value in row.items() if not value > LARGEST} for row in figures]
     joints = {name: row for name, row in zip(run.names, figures, strict=True) if "rms" in row}
     return {"relative": digits(run.total_share), "joints": joints}

@@ -9,11 +9,11 @@ import math
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from typing import TypeVar
 
+from rx90_common.estimation.law import Part
 from rx90_emulator.identification.estimates import ParameterEstimate
-from rx90_emulator.identification.excitation.law import Part
-from rx90_emulator.identification.excitation.result import ExcitationIdentification, TorqueValidation, misfits
 from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.records import in_unit
+from rx90_emulator.identification.result import ExcitationIdentification, TorqueValidation
 from rx90_emulator.identification.sanity import MovedBodies
 from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
@@ -72,7 +72,7 @@ def identification_summary(result: FrictionIdentification) -> str:
     lines += [f"not identifiable: {which(lacking)}: {reason}" for reason, lacking in result.unidentifiable.items()]
     if given_bristles := ", ".join(result.with_given_bristles):
         lines.append(f"bristles of {given_bristles}: as c0 those of {result.fallback_name}, assumed")
-    lines += [line for name, one in zip(names, sliding.quality, strict=True) if one for line in one.lines(name)]
+    lines += [quality.text(name) for name, quality in zip(names, sliding.quality, strict=True) if quality]
     lines += [f"warning: {sliding.doubt}"] if sliding.doubt else []
     lines += [f"{use.bag.path}: {use.text(names)}" for use in sliding.usage]
     return "\n".join([*lines, *(validation_verdict(check, result.scope) for check in result.validations)])
@@ -136,11 +136,12 @@ def measured_verdict(result: MeasuredComparison) -> str:
 
 def measured_summary(result: MeasuredComparison) -> str:
     """Return set-points, filters and lag, a row for each joint, and the verdict."""
+    torque = result.torque
     head = "joint", "torque RMS", "of measured", "worst", "of largest", "compared", "position RMS", "worst"
     rows = [
-        (name, f"{_number(result.torque_rms[k])} Nm", _number(result.torque_share[k], ".2%"),
-         f"{_number(result.torque_worst[k])} Nm", _number(result.worst_share[k], ".2%"),
-         f"{result.compared_share[k]:.0%}",
+        (name, f"{_number(torque.rms[k])} Nm", _number(torque.rms_share[k], ".2%"),
+         f"{_number(torque.worst[k])} Nm", _number(torque.worst_share[k], ".2%"),
+         f"{torque.compared[:, k].mean():.0%}",
          f"{1e3 * result.position_rms[k]:.3f} mrad", f"{1e3 * result.position_worst[k]:.3f} mrad")
         for k, name in enumerate(result.names)
     ]  # fmt: skip
@@ -166,16 +167,11 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     if unknown := ", ".join(result.undetermined):
         lines.append(f"not determined by these runs: {unknown}; the files take them from the description")
     runs = [("fitted", run) for run in result.torques]
-    runs += [pair for one in result.validations for pair in (("unseen", one.torques), ("files", one.files))]
+    for check in result.validations:
+        runs += [("unseen", check.torques), ("simplest", check.simplest), ("files", check.files)]
     fits = []
     for use, run in runs:
         fits.append([f"{use} {run.source.path.name}", *(_number(v, ".1%") for v in (*run.share, run.total_share))])
-        if use == "files":
-            continue
-        chi = (">1e4" if k else _number(v, ".3g") for k, v in zip(run.noiseless, run.chi_square, strict=True))
-        fits.append(["  chi^2 over noise", *chi])
-        if run.noiseless.any():
-            fits.append(["  (>1e4: next to no noise beside the difference, as in smoothed torques; no information)"])
     width = max(8, *(len(run.source.path.name) + 9 for _, run in runs))
     places = [max(10, len(n) + 2) for n in joints]
     lines += _table(["torque RMS", *joints, "all"], [width, *places, 8], fits)
@@ -184,11 +180,9 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     bandwidths = result.problem.runs[0].bandwidths
     lines.append(f"low-pass: {bandwidths.position:.3g} Hz, torques {bandwidths.torque:.3g} Hz: {bandwidths.reason}")
     lines += [note if note.startswith("warning") else f"recording: {note}" for note in result.notes]
-    lines.append(f"model: {kept_parts(result)}; last step of the choice: {result.model.reason}")
+    lines.append(f"model: {kept_parts(result)}")
     lines += filter(None, (result.consistency.text, result.consistency.open_text))
     lines += [f"warning: {warning}" for warning in (*result.warnings, *bodies_warnings(result))]
-    lines += [f"misfit: {text}" for text in misfits(result.speeds)]
-    lines += [f"drift: {one.text}" for one in result.trends]
     for check in result.validations:
         far = f"bodies {result.consistency.inertias.distance:.2g} standard deviations from the base parameters"
         lines.append(unseen_verdict(check, far, alarms=result.alarms))
@@ -206,7 +200,7 @@ def in_currents(result: ExcitationIdentification) -> list[str]:
 def unseen_verdict(check: TorqueValidation, *said: str, alarms: Sequence[str] = ()) -> str:
     """Return the verdict of an unseen run on the result of excitation runs, as `validation_verdict` does."""
     words = _WITH_ALARM if alarms else _CONFIRMED
-    return verdict(f"validation {check.torques.source.path}", words, *check.criteria, *said)
+    return verdict(f"validation {check.torques.source.path}", words, *check.criteria, *check.remarks, *said)
 
 
 def _bodies_table(bodies: Sequence[MovedBodies]) -> list[str]:
@@ -224,7 +218,7 @@ def kept_parts(result: ExcitationIdentification) -> str:
     names = result.problem.arm.element_names
     texts = ["Coulomb + viscous"]
     for part in Part:
-        having = [name for name, own in zip(names, result.friction.parts, strict=True) if part in own]
+        having = [name for name, own in zip(names, result.fitted.laws, strict=True) if part in own.parts]
         if having:
             texts.append(f"{part.value}: {'all' if len(having) == len(names) else ', '.join(having)}")
     return " + ".join(texts)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
-from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +16,7 @@ from rx90_common.bags.mapping import LogMapping
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.recorded import check_robot
 from rx90_common.bags.topics import absolute
-from rx90_common.base.arrays import MAX_JOINTS, Array, Mask
+from rx90_common.base.arrays import MAX_JOINTS, Array
 from rx90_common.base.errors import ConfigError, IdentificationError, TrajectoryError, check_type
 from rx90_common.base.quoting import counted, listed
 from rx90_common.base.rates import NANOSECONDS
@@ -27,14 +25,6 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.description.urdf import UrdfFile
 from rx90_common.exchange.topics import MOTOR_STATES, motor_names
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_emulator.identification.excitation.filtering import (
-    Bandwidths,
-    FilteredRun,
-    filter_record,
-    low_pass,
-    low_pass_taps,
-)
-from rx90_emulator.identification.excitation.problem import element_states
 from rx90_emulator.identification.options import MeasuredLayout, MeasuredTolerances
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import (
@@ -45,6 +35,14 @@ from rx90_emulator.identification.robot import (
     recorded_topic,
     topic_names,
     with_signals,
+)
+from rx90_emulator.identification.rows.excitation import element_states
+from rx90_emulator.identification.rows.filtering import (
+    Bandwidths,
+    FilteredRun,
+    filter_record,
+    low_pass,
+    low_pass_taps,
 )
 from rx90_emulator.identification.validation.verdict import Criterion, TorquePrediction, largest
 from rx90_emulator.loop.closed_loop import run_setpoints
@@ -92,7 +90,7 @@ def _bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
     names = message_names(bag, topic, mapping) if options.names is None else ()
     if names and not {*names} & {*joints, *motor_names(len(joints))}:
         raise IdentificationError(
-            f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or --names; {_OTHER_ARMS}"
+            f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or names in a signal map; {_OTHER_ARMS}"
         )
     return arm_layout(topic, joints, options, lambda: setup.drives, mapping)
 
@@ -105,12 +103,10 @@ class MeasuredComparison:
         names: of the joints.
         robot: name of the simulated robot.
         source: the measured bag.
-        time: by the bag's stamps, s, shape (k,).
-        torque: measured drive torque at the joints, Nm, shape (k, n).
-        simulated_torque: Nm, shape (k, n).
+        torque: measured and simulated drive torque at the joints, compared where a joint does not rest, for there it
+            depends on the earlier motion.
         position: measured, rad, shape (k, n).
         simulated_position: rad, shape (k, n).
-        compared: where a joint's torque is compared: not at rest, where it depends on the earlier motion, shape (k, n).
         lag: delay of the simulated against the measured motion, s; the series are shifted by it.
         bandwidths: of the set-points, and of torques and positions here.
         setpoints: source of the set-points, in words.
@@ -123,12 +119,9 @@ class MeasuredComparison:
     names: tuple[str, ...]
     robot: str
     source: BagSource
-    time: Array
-    torque: Array
-    simulated_torque: Array
+    torque: TorquePrediction
     position: Array
     simulated_position: Array
-    compared: Mask
     lag: float
     bandwidths: Bandwidths
     setpoints: str
@@ -136,22 +129,6 @@ class MeasuredComparison:
     saturated: Array
     remarks: tuple[str, ...]
     tolerances: MeasuredTolerances
-
-    @cached_property
-    def agreement(self) -> TorquePrediction:
-        """Return the torques in the form in which a validation of friction compares them."""
-        return TorquePrediction(self.time, self.torque, self.simulated_torque, self.compared)
-
-    torque_rms = property(attrgetter("agreement.rms"), doc="RMS torque difference, Nm, shape (n,); NaN at rest.")
-    torque_worst = property(attrgetter("agreement.worst"), doc="Largest torque difference, Nm, shape (n,); or NaN.")
-    torque_share = property(attrgetter("agreement.rms_share"), doc="RMS difference over RMS torque, shape (n,).")
-    worst_share = property(attrgetter("agreement.worst_share"), doc="Largest difference over largest torque, (n,).")
-    total_share = property(attrgetter("agreement.total_share"), doc="RMS difference of all joints over RMS torque.")
-
-    @property
-    def compared_share(self) -> Array:
-        """Return the share of the time in which a joint's torque is compared, shape (n,)."""
-        return np.asarray(self.compared.mean(axis=0))
 
     @property
     def position_rms(self) -> Array:
@@ -168,8 +145,8 @@ class MeasuredComparison:
         """Return the criteria of the verdict: torques of all joints and of each, and positions."""
         limits = self.tolerances
         return (
-            Criterion("torque RMS of all joints", self.total_share, limits.total_torque),
-            largest("largest", self.names, self.torque_share, limits.torque),
+            Criterion("torque RMS of all joints", self.torque.total_share, limits.total_torque),
+            largest("largest", self.names, self.torque.rms_share, limits.torque),
             largest("position", self.names, self.position_worst, limits.position, "mrad", 3),
         )
 
@@ -261,12 +238,9 @@ def compare_measured(
         names=run.names,
         robot=setup.robot.model.name,
         source=record.bag,
-        time=time,
-        torque=measured[:, 1],
-        simulated_torque=follows[:, 1],
+        torque=TorquePrediction(time, measured[:, 1], follows[:, 1], moves[rows]),
         position=measured[:, 0],
         simulated_position=follows[:, 0],
-        compared=moves[rows],
         lag=lag,
         bandwidths=run.bandwidths,
         setpoints=setpoints.source,

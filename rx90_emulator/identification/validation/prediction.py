@@ -22,8 +22,6 @@ from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.compiled_elements import prescribed_torque
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record, without_shocks
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.options import (
     EMULATED,
     NO_TOLERANCES,
@@ -33,8 +31,10 @@ from rx90_emulator.identification.options import (
 )
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import RecordedRobot
+from rx90_emulator.identification.rows.excitation import ExcitationProblem
+from rx90_emulator.identification.rows.filtering import Bandwidths, FilteredRun, filter_record, recording_notes
 from rx90_emulator.identification.sanity import Recorded, alarms
-from rx90_emulator.identification.sliding.fit import SlidingFit
+from rx90_emulator.identification.sliding import SlidingFit
 from rx90_emulator.identification.validation.measured import (
     read_setpoints,
     run_along,
@@ -42,7 +42,7 @@ from rx90_emulator.identification.validation.measured import (
 )
 from rx90_emulator.identification.validation.verdict import (
     Criterion,
-    TorquePrediction,
+    RunTorques,
     largest,
     run_torques,
     torque_criteria,
@@ -70,7 +70,7 @@ class Validation:
     """
 
     names: tuple[str, ...]
-    torque: TorquePrediction
+    torque: RunTorques
     tip_time: Array
     tip_distance: Array
     tolerances: ValidationTolerances
@@ -118,11 +118,10 @@ class Validation:
 
 
 def filtered_runs(record: JointRecord, robot: RecordedRobot, bandwidths: Bandwidths) -> tuple[FilteredRun, ...]:
-    """Return the filtered runs of a record; for this project's plant with set-points, which other logs do not have."""
-    simulated, reference = _reference(record, robot)
+    """Return the filtered runs of a record."""
     # A torque of this project's plant belongs to the tick that ends at its stamp; a real arm's does not.
-    lead = 0.0 if robot.plant_period is None or not simulated else 0.5 * robot.plant_period
-    return filter_record(record, bandwidths, reference, lead)
+    lead = 0.5 * robot.plant_period if robot.plant_period is not None and _is_simulated(record, robot) else 0.0
+    return filter_record(record, bandwidths, lead)
 
 
 def recorded_equations(
@@ -133,24 +132,10 @@ def recorded_equations(
     return ExcitationProblem.of(robot.arm, runs, rotors=rotors)
 
 
-@lru_cache(8)  # equations are made of the same records for several bandwidths
-def _reference(record: JointRecord, robot: RecordedRobot) -> tuple[bool, Array | None]:
-    """Return whether a simulation wrote a bag, and its set-points at the record's times, shape (m, n).
-
-    The set-points are None if they do not cover the record, as for real arms and tables, which have none.
-    """
-    found = None
-    if robot.plant_period is not None and not is_table(record.source):
-        found = read_setpoints(record.source, record.names, robot.zero)
-    if found is None:
-        return False, None
-    (series, position, _) = found
-    time = record.time
-    # Stamps of averaged motor states end between two set-points.
-    step = float(np.median(np.diff(series.time))) if len(series.time) > 1 else -np.inf
-    if series.time[0] > time[0] + step or series.time[-1] < time[-1] - step:
-        return True, None
-    return True, np.column_stack([np.interp(time, series.time, column) for column in position.T])
+@lru_cache(8)  # the same records are filtered several times
+def _is_simulated(record: JointRecord, robot: RecordedRobot) -> bool:
+    """Return whether a bag has the set-points of this project's controller, which real arms and tables do not have."""
+    return not is_table(record.source) and read_setpoints(record.source, record.names, robot.zero) is not None
 
 
 def validation_bandwidths(record: JointRecord, chosen: Bandwidths | None) -> Bandwidths:
@@ -230,10 +215,9 @@ def validate(
         sliding: fit that the elements come from; None for given elements.
         bandwidths: of the runs that the elements were identified from; by default those of the bag.
     """
-    notes: tuple[str, ...] = ()
-    if sliding is None:
-        record, notes = without_shocks(record, robot.arm.element_matrix)
-    runs = filtered_runs(record, robot, validation_bandwidths(record, bandwidths))
+    chosen = validation_bandwidths(record, bandwidths)
+    runs = filtered_runs(record, robot, chosen)
+    notes = recording_notes([record], chosen) if sliding is None else ()
     problem = ExcitationProblem.without_columns(robot.arm, runs)
     predicted = written_torque(problem, robot.arm, elements)
     if sliding is not None:

@@ -1,13 +1,14 @@
 """Recorded and predicted torques of bags, and the verdict: each quantity with its joint, value and limit.
 
-Joints are compared while they move: the torque of a joint at rest depends on vibrations that no bag shows.
+Joints are compared while they move: the torque of a joint at rest depends on vibrations that no bag shows. Rows at
+reversals, where a bristle's torque has not settled, can be looked at apart: they judge bristles, which are often
+assumed, and the others judge all else.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
 from typing import NamedTuple
@@ -15,9 +16,29 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array, Mask
-from rx90_emulator.identification.excitation.filtering import FilteredRun
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.records import BagSource
+from rx90_emulator.identification.rows.excitation import ExcitationProblem
+
+
+class JointTorque(NamedTuple):
+    """One joint in one run where it moves; filtered, each of shape (k,).
+
+    Attributes:
+        time: s.
+        velocity: rad/s.
+        recorded: Nm.
+        predicted: Nm.
+    """
+
+    time: Array
+    velocity: Array
+    recorded: Array
+    predicted: Array
+
+    @property
+    def residual(self) -> Array:
+        """Return recorded less predicted torque, Nm, shape (k,)."""
+        return self.recorded - self.predicted
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,43 +86,15 @@ class TorquePrediction:
 
     @property
     def total_share(self) -> float:
-        """Return the RMS difference of all joints over their RMS recorded torque."""
-        both = self.predicted - self.recorded, self.recorded
-        difference, recorded = (np.linalg.norm(np.where(self.compared, values, 0.0)) for values in both)
-        return float(difference / recorded)
+        """Return the RMS difference of all joints over their RMS recorded torque; NaN if nothing is compared."""
+        recorded = float(np.linalg.norm(np.where(self.compared, self.recorded, 0.0)))
+        difference = float(np.linalg.norm(np.nan_to_num(self.difference)))
+        return difference / recorded if recorded else np.nan
 
     def _rms(self, values: Array) -> Array:
         count = self.compared.sum(axis=0)
         squares = np.where(self.compared, values, 0.0) ** 2
         return np.asarray(np.sqrt(squares.sum(axis=0) / np.where(count, count, np.nan)))
-
-
-# the third difference 1, -3, 3, -1 has 20 times the variance of white noise
-_DIFFERENCES = 3
-_DIFFERENCE_GAIN = 20.0
-_NORMAL_MAD = 0.6745  # median of a standard normal's absolute value
-_MAX_CHI_SQUARE = 1e4  # chi^2 up to which it is meaningful
-
-
-class JointTorque(NamedTuple):
-    """One joint in one run where it moves; filtered, each of shape (k,).
-
-    Attributes:
-        time: s.
-        velocity: rad/s.
-        recorded: Nm.
-        predicted: Nm.
-    """
-
-    time: Array
-    velocity: Array
-    recorded: Array
-    predicted: Array
-
-    @property
-    def residual(self) -> Array:
-        """Return recorded less predicted torque, Nm, shape (k,)."""
-        return self.recorded - self.predicted
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,34 +105,34 @@ class RunTorques(TorquePrediction):
         names: n joints.
         source: the bag.
         velocity: of the joints, filtered as the torques are, rad/s, shape (m, n).
-        noise: of the filtered torque, standard deviation if the noise is white, Nm, shape (n,).
+        reversal: where an element that acts on a joint passes through rest, shape (m, n).
     """
 
     names: tuple[str, ...]
     source: BagSource
     velocity: Array
-    noise: Array
+    reversal: Mask
 
     share = property(attrgetter("rms_share"), doc="RMS difference over RMS recorded torque, shape (n,).")
+
+    @property
+    def away_from_reversals(self) -> RunTorques:
+        """Return the same, compared away from reversals alone."""
+        return replace(self, compared=self.compared & ~self.reversal)
+
+    @property
+    def at_reversals(self) -> RunTorques:
+        """Return the same, compared at reversals alone."""
+        return replace(self, compared=self.compared & self.reversal)
 
     @cached_property
     def joints(self) -> tuple[JointTorque, ...]:
         """Return the series of each joint where it moves; empty arrays for one that stands still."""
         columns = zip(self.compared.T, self.velocity.T, self.recorded.T, self.predicted.T, strict=True)
-        return tuple(JointTorque(*(one[there] for one in (self.time, *series))) for there, *series in columns)
-
-    @property
-    def chi_square(self) -> Array:
-        """Return the mean square difference over that of the noise, shape (n,): 1 where the model fits.
-
-        NaN for a joint that stands still or whose torque shows no noise.
-        """
-        return np.asarray((self.rms / np.where(self.noise > 0.0, self.noise, np.nan)) ** 2)
-
-    @property
-    def noiseless(self) -> Array:
-        """Return whether the noise is below a hundredth of the difference, shape (n,): chi^2 then has no meaning."""
-        return np.asarray((self.rms > 0.0) & (self.noise < self.rms / math.sqrt(_MAX_CHI_SQUARE)))
+        return tuple(
+            JointTorque(self.time[moves], velocity[moves], recorded[moves], predicted[moves])
+            for moves, velocity, recorded, predicted in columns
+        )
 
 
 def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorques, ...]:
@@ -150,47 +143,33 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
         predicted: torque of each, Nm, shape (r,).
     """
     runs = problem.runs
-    own = problem.arm.identified
-    at = (problem.sample, problem.joint)
+    identified = problem.arm.identified
+    rows = (problem.sample, problem.joint)
     time = np.concatenate([run.time[run.rows] for run in runs])
     velocity = np.concatenate([run.parallel(run.velocity) for run in runs])
     recorded = np.concatenate([run.parallel(run.torque) for run in runs])
-    known = recorded.copy()
+    expected = recorded.copy()
+    expected[rows] = predicted
     compared = np.zeros(recorded.shape, dtype=np.bool_)
-    recorded[at] = problem.torque
-    known[at] = predicted
-    compared[at] = True
-    names = tuple(name for name, one in zip(problem.arm.names, own.tolist(), strict=True) if one)
-    noise = np.array([torque_noise(run) for run in runs])
-    paths = np.array([str(run.source.path) for run in runs])
-    bag = np.repeat(paths, [len(run.rows) for run in runs])
-    found = []
-    for path in dict.fromkeys(paths.tolist()):
-        here = bag == path
-        pieces = np.flatnonzero(paths == path)
-        found.append(
-            RunTorques(
-                time=time[here],
-                recorded=recorded[here][:, own],
-                predicted=known[here][:, own],
-                compared=compared[here][:, own],
-                names=names,
-                source=runs[int(pieces[0])].source,
-                velocity=velocity[here][:, own],
-                noise=np.sqrt(np.mean(noise[pieces] ** 2, axis=0))[own],
-            )
+    compared[rows] = True
+    reversal = np.zeros(recorded.shape, dtype=np.bool_)
+    reversal[rows] = problem.reversal
+    names = tuple(name for name, own in zip(problem.arm.names, identified.tolist(), strict=True) if own)
+    bag = np.repeat([str(run.source.path) for run in runs], [len(run.rows) for run in runs])
+    sources = {str(run.source.path): run.source for run in runs}
+    return tuple(
+        RunTorques(
+            time=time[bag == path],
+            velocity=velocity[bag == path][:, identified],
+            recorded=recorded[bag == path][:, identified],
+            predicted=expected[bag == path][:, identified],
+            compared=compared[bag == path][:, identified],
+            reversal=reversal[bag == path][:, identified],
+            names=names,
+            source=source,
         )
-    return tuple(found)
-
-
-def torque_noise(run: FilteredRun) -> Array:
-    """Return the standard deviation of the noise of the filtered torque, Nm, shape (n,).
-
-    The median third difference of the recorded torque gives the noise of a sample: motion is smooth between samples,
-    and the steps of friction are rare. The filter passes the sum of its squared taps of white noise.
-    """
-    size = np.median(np.abs(np.diff(run.torque, _DIFFERENCES, axis=0)), axis=0)
-    return np.asarray(size / (_NORMAL_MAD * math.sqrt(_DIFFERENCE_GAIN)) * math.sqrt(np.sum(run.taps**2)))
+        for path, source in sources.items()
+    )
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("rx90_run --from-bag x --start-time 1", "--start-time with --from-bag; accepted: the times in the bag"),
         (f"{LINE} --acceleration 40 --dry-run", "would refuse the line: point 2: joint_1 has"),
         (f"{EXCITATION} --wall 0 0 0 1", "--wall 0 0 0 1; accepted: NX NY NZ D"),
-        (f"{EXCITATION} --wall 0 0 -1 -1", "at home tcp is -"),
-        (f"{EXCITATION} --share 0.05", "even of a small one the torque of joint_3 is 1"),
+        (f"{EXCITATION} --wall 0 0 -1 -1", "tcp to --wall 0 0 -1 -1 is too near"),
+        (f"{EXCITATION} --share 0.05", "even of a small one the torque of joint_"),
         ("rx90_demo --task far.yaml", "out of reach"),
     ],
 )

@@ -21,10 +21,11 @@ from rx90_common.friction import load_friction
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments import nodes
 from rx90_emulator.identification.experiments import plan as plans
+from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.excitation import plan_excitation
 from rx90_emulator.identification.experiments.motion import Motion
+from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, read_emulated, read_index
-from rx90_emulator.identification.options import ExcitationOptions
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
@@ -79,7 +80,7 @@ def short_series(setup: Setup) -> list[Experiment]:
     ]
 
 
-EXCITATION = ExcitationOptions(runs=1, harmonics=3, period=1.0, periods=1, steps=2, validation=False)
+EXCITATION = ExcitationOptions(harmonics=3, period=1.0, tempos=((1.0, 1),), steps=2)
 
 
 @pytest.mark.ros
@@ -92,7 +93,8 @@ def test_experiments_run_on_the_real_nodes(
 ) -> None:
     """The recorder's bag of a planned excitation run has the set-points and torques of the engine, to the bit."""
     cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=1.0")
-    run_of_plan, series = plan_excitation(shipped, EXCITATION).experiments[0], short_series(shipped)
+    run_of_plan = plan_excitation(PlannedArm.from_setup(shipped), EXCITATION)[0][0]
+    series = short_series(shipped)
     monkeypatch.setattr(plans, "make_plan", lambda *_: [run_of_plan, *series])
     last_time, cut_off = nodes._last_time, [0.0]
 

@@ -20,7 +20,6 @@ from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import identify as identification
 from rx90_emulator.identification.estimates import SLIDING, ElementEstimate, ParameterEstimate
-from rx90_emulator.identification.excitation.result import simulated_elements
 from rx90_emulator.identification.identify import identify_records
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.robot import RecordedRobot
@@ -82,16 +81,3 @@ def test_bristles_go_with_c0(hinge: Hinge, tmp_path: Path, monkeypatch: pytest.M
         (own,) = identify_records([], [None], alone).elements  # type: ignore[list-item]
         assert own.element.replaced(omega_d=one.element.omega_d) == one.element
         assert own.element.passivity_limit(1e3) == np.inf
-
-
-@pytest.mark.parametrize("known", [True, False])
-def test_excitation_runs_take_bristles_with_c0(tmp_path: Path, known: bool) -> None:
-    """Where excitation runs do not tell c0, they take the fallback's with its block; where they do, LuGre's stay."""
-    given = FrictionFile.read(fallback(tmp_path / "given.yaml", ELASTIC)).select(["hinge"])
-    estimates = {name: ParameterEstimate(1.0, 0.1) for name in ("tau_c_positive", "tau_c_negative")}
-    if known:
-        estimates["c0"] = ParameterEstimate(2e4, 1e2)
-    covariance = np.eye(len(estimates))
-    (one,) = simulated_elements([ElementEstimate("hinge", estimates, covariance, ())], given)
-    assert one.element.bristles == (None if known else PARTS[1])
-    assert ("bristles.break_away" in one.estimates) == one.given_bristles == (not known)

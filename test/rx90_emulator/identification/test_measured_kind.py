@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from foreign_arms import write_urdf
 from numpy.typing import NDArray
+from rx90_emulator.identification.sliding.plateaus import find_blocks
+from rx90_emulator.identification.sliding.quality import FALSE_ALARMS, Residuals, drifts_of
 from scipy.signal import lfilter
 from scipy.stats import binom
 
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.records import BagSource, JointRecord
-from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
-from rx90_emulator.identification.sliding.plateaus import find_blocks
-from rx90_emulator.identification.sliding.quality import FALSE_ALARMS, Residuals, drifts_of
+from rx90_emulator.identification.sliding import SlidingFit, identify_sliding
 
 pytestmark = pytest.mark.slow
 

@@ -25,19 +25,19 @@ from rx90_common.friction import FrictionElement
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
-from rx90_emulator.identification.excitation.bodies import (
+from rx90_emulator.identification.bodies import (
     BaseEstimate,
     ConsistentInertias,
     InertialPrior,
     consistent_inertias,
 )
-from rx90_emulator.identification.excitation.filtering import Bandwidths
-from rx90_emulator.identification.excitation.problem import BaseGroups, StandardColumns
+from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.output.assumed_files import weight_warning
 from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot_files import FolderBase, folder_base, robot_texts, viscous_sum
 from rx90_emulator.identification.records import BagSource
+from rx90_emulator.identification.rows.filtering import Bandwidths
+from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
@@ -89,7 +89,7 @@ def identified(
     consistency, bags = SimpleNamespace(inertias=inertias), (("excitation", source),)
     given = {"problem": problem, "robot": robot, "consistency": consistency, "elements": elements, "bags": bags}
     ranges = ((0.05, 2.0),) * len(elements)
-    return SimpleNamespace(**given, unit="Nm", element_notes={}, notes=(), speed_ranges=ranges)
+    return SimpleNamespace(**given, unit="Nm", element_notes={}, notes=(), fitted=SimpleNamespace(speeds=ranges))
 
 
 @pytest.fixture(scope="module")
@@ -244,7 +244,7 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     np.testing.assert_allclose(links + a * inertias.rotors + inertias.parameters[33:], expected, rtol=0.0, atol=1e-11)
     assert np.abs(inertias.shift).max() < 1e-6
     assert rest_of(texts["robot.urdf"]) == rest_of(urdf)
-    assert '<!-- kept --><link name="bare"/>' in texts["robot.urdf"]
+    assert '<!-- kept --><link name="bare" />' in texts["robot.urdf"]
     assert "recorded 20" in texts["robot.urdf"].partition("<link")[0]
 
 

@@ -25,7 +25,7 @@ from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.summary import identification_summary
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.robot import RecordedRobot
-from rx90_emulator.identification.sliding.fit import identify_sliding
+from rx90_emulator.identification.sliding import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 

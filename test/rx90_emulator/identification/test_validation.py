@@ -87,12 +87,12 @@ def test_the_engines_own_run_is_met_and_wrong_friction_shows_with_its_size(measu
     result = rx.compare_measured(measured.bag, measured.setup)
     assert result.setpoints == "rx90_controller/reference in the bag"
     assert result.passed
-    assert result.total_share < 2e-3
-    assert np.nanmax(result.torque_share) < 5e-3
+    assert result.torque.total_share < 2e-3
+    assert np.nanmax(result.torque.rms_share) < 5e-3
     assert result.position_worst.max() < 5e-6
     assert abs(result.lag) < 1e-5
     series, asked = measured.run.series["joint_states"], measured.run.slow.reference[:, 0]
-    rows = (series.time >= result.time[0]) & (series.time <= result.time[-1])
+    rows = (series.time >= result.torque.time[0]) & (series.time <= result.torque.time[-1])
     times, position = series.time[rows], np.asarray(series.position)[rows]
     own = rx.followed_accuracy(measured.setup.robot, times, position, measured.run.times, asked)
     for path in result.paths:
@@ -142,7 +142,7 @@ def test_a_delay_and_a_gap_are_found(measured: Measured) -> None:
     kept = np.r_[0:500, 700 : len(states.stamp_ns)]
     parts = {name: np.asarray(getattr(states, name))[kept] for name in ("stamp_ns", "position", "velocity", "effort")}
     result = measured.compare("gap", replace(states, **parts))
-    assert result.time[0] > 0.7
+    assert result.torque.time[0] > 0.7
     assert any("there are gaps in the record" in remark for remark in result.remarks)
 
 

@@ -15,25 +15,15 @@ import pinocchio as pin
 import pytest
 import yaml
 from foreign_arms import Curve, drive_torque, urdf_text, write
-from scipy.signal import fftconvolve
 from terminal import Terminal
 from two_joints import CURVES, NAMES, NOISE, RATE, Bench, fourier
 
 import rx90_emulator as rx
 from rx90_common.base.errors import REFUSED, VERDICT_NO
 from rx90_emulator.identification import job as identification_job
-from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
-from rx90_emulator.identification.excitation.friction import identify_friction_parts
-from rx90_emulator.identification.excitation.result import (
-    ExcitationIdentification,
-    TorqueValidation,
-    base_parameters,
-    trends,
-)
 from rx90_emulator.identification.output.summary import unseen_verdict
-from rx90_emulator.identification.records import BagSource
+from rx90_emulator.identification.result import ExcitationIdentification
 from rx90_emulator.identification.robot import RecordedRobot
-from rx90_emulator.identification.validation.verdict import RunTorques, torque_noise
 
 pytestmark = pytest.mark.slow
 
@@ -110,7 +100,7 @@ def test_values_are_those_of_the_arm(bench: Bench, outcome: Outcome) -> None:
     names = found["correlation"]["names"]
     assert np.shape(found["correlation"]["matrix"]) == (len(names), len(names))
     assert [bag["use"] for bag in found["bags"]] == ["excitation", "validation", "validation"]
-    assert "trial of the Stribeck rise" in outcome.error
+    assert "stribeck-rise" in outcome.error
 
 
 def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
@@ -120,17 +110,23 @@ def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
     verdicts = re.findall(r"validation \S+/(\w+): (confirmed|NOT CONFIRMED)", outcome.said)
     assert verdicts == [("unseen", "confirmed"), ("stiff", "NOT CONFIRMED")]
     good, bad = outcome.result.validations
-    assert good.torques.chi_square == pytest.approx(1.0, abs=0.25)
-    assert (bad.torques.chi_square > 100.0).all()
-    assert good.consistent.total_share < 1.1 * good.torques.total_share
+    assert good.torques.total_share < 0.02
+    assert bad.torques.total_share > 0.1
+    assert good.torques.total_share < 1.05 * good.simplest.total_share
     assert all(
-        f"{one.total_share:.1%}" in outcome.said for check in (good, bad) for one in (check.torques, check.files)
+        f"{torques.total_share:.1%}" in outcome.said
+        for check in (good, bad)
+        for torques in (check.torques, check.simplest, check.files)
     )
     assert f"NOT CONFIRMED: torque RMS of all joints {bad.torques.total_share:.2%} (limit 10%)" in outcome.said
     # A verdict that the files alone decide says so.
     alone = replace(good, files=bad.files)
     assert not alone.passed
-    assert "NOT CONFIRMED: torque RMS of all joints by the files" in unseen_verdict(alone)
+    said = unseen_verdict(alone)
+    assert "NOT CONFIRMED: torque RMS of all joints by the files, away from reversals" in said
+    assert f"at reversals, where the assumed c0 and c1 act, {bad.files.at_reversals.total_share:.2%}" in said
+    together = bad.files.at_reversals.compared | bad.files.away_from_reversals.compared
+    assert np.array_equal(together, bad.files.compared)
     written = yaml.safe_load((outcome.folder / "parameters.yaml").read_text(encoding="utf-8"))["bodies"]
     distance = f"{written['distance']:.2g} standard deviations from the base parameters"
     assert f"bodies in the files: {distance}" in outcome.said
@@ -149,15 +145,8 @@ def test_a_check_of_the_written_files_gives_the_same_numbers(bench: Bench, outco
     for check, first in zip(checks, outcome.result.validations, strict=True):
         np.testing.assert_allclose(check.rms_share, first.files.share, rtol=1e-3)
         assert check.torque.total_share == pytest.approx(first.files.total_share, rel=1e-3)
-        assert check.passed == first.passed
         assert [one.limit for one in check.criteria[:2]] == [one.limit for one in first.criteria[:2]]
         assert not check.notes
-    motion = fourier(2, 20.0)
-    torque = bench.torque(motion) + bench.noise(motion, 2)
-    torque[700:702] += [60.0, 30.0]
-    (shocked,) = rx.check_friction(file, [bench.write("shocked", motion, torque)], robot)
-    np.testing.assert_allclose(shocked.rms_share, checks[0].rms_share, rtol=0.1)
-    assert "1 shock of the torque left out" in shocked.notes[0]
 
 
 def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Callable[[Path], None]) -> None:
@@ -172,10 +161,9 @@ def test_folder_holds_the_arm(bench: Bench, outcome: Outcome, check_report: Call
     difference = bare + rotors + friction - truth
     assert (np.std(difference, axis=0) < 0.05 * np.std(truth, axis=0)).all()
     page = (outcome.folder / "report.html").read_text(encoding="utf-8")
-    assert page.count('<figure class="plot') >= 6
+    assert page.count('<figure class="plot') >= 4
     assert len(page) < 3e6
-    for part in ("Spectra", "Residual against speed", "Residual against time", "Models of friction", "Correlation",
-                 "Physically consistent", "Filters"):  # fmt: skip
+    for part in ("Parts of friction", "Physically consistent", "Filters"):
         assert part in page
     assert "nan" not in re.sub(r"<(svg|script).*?</\1>", "", page, flags=re.DOTALL).lower().split()
     check_report(outcome.folder / "report.html")
@@ -225,7 +213,7 @@ def test_a_joint_that_is_not_identified_follows_the_bag(tmp_path: Path) -> None:
     result = rx.identify_excitation([tmp_path / "run"], robot, [tmp_path / "unseen"])
     (check,) = result.validations
     assert check.torques.names == tuple(NAMES)
-    assert (check.torques.chi_square < 1.3).all()
+    assert (check.torques.rms < 0.5 * NOISE).all()  # the low-pass leaves a part of it
     assert "not identified, along their recorded motion: wrist" in rx.excitation_summary(result)
     for one, curve in zip(result.elements, CURVES, strict=True):
         estimate = one.estimates["tau_c_positive"]
@@ -269,76 +257,6 @@ def test_currents_without_constants_stay_currents(bench: Bench, outcome: Outcome
     assert check.unit == "A"
     with pytest.raises(rx.Rx90Error, match="its torques are in A; accepted: bags with efforts in A"):
         rx.check_friction(tmp_path / "identified" / "friction.yaml", [bench.folder / "run"], robot)
-
-
-def test_a_prior_stands_in_for_what_runs_do_not_tell(tmp_path: Path) -> None:
-    """Where one joint hardly moves a narrow prior holds its weight at the description's; else it would be named."""
-    text = urdf_text(NAMES, ["0 0 1", "0 1 0"], [5.0, 3.0])
-    (tmp_path / "arm.urdf").write_text(text, encoding="utf-8")
-    time = np.arange(0.0, 12.0, 1.0 / RATE)[:, None]
-    rate, size = 2.0 * np.pi * np.array([0.3, 0.2]), np.array([1.0, 0.1])
-    motion = size * np.sin(rate * time), size * rate * np.cos(rate * time)
-    torque = drive_torque(pin.buildModelFromXML(text), np.eye(2), CURVES, motion, RATE)
-    noise = 5.0 * np.random.default_rng(1).normal(size=torque.shape)
-    bag = write(tmp_path / "bag", "/joint_states", NAMES, RATE, (*motion, torque + noise))
-    held = rx.identify_excitation([bag], rx.RobotOptions(urdf=tmp_path / "arm.urdf"), prior=0.05)
-    described = held.problem.base.combination @ held.problem.columns.values()
-    k = held.problem.names.index("mx_2")
-    estimate = held.base[k].estimate
-    assert abs(estimate.value - described[k]) < 3.0 * estimate.deviation < 0.2
-    assert "mx_2" not in held.undetermined
-    free = identify_friction_parts(held.problem, ())
-    alone = replace(held, base=base_parameters(held.problem, free, held.consistency))
-    assert "mx_2" in alone.undetermined
-    assert f"not determined by these runs: {', '.join(alone.undetermined)};" in rx.excitation_summary(alone)
-
-
-def series(friction: Array, noise: float, rng: np.random.Generator) -> RunTorques:
-    """Return one joint that swings for 120 s, whose friction torque differs from the predicted one."""
-    time = np.arange(0.0, 120.0, 0.1)
-    velocity = np.sin(time)
-    recorded = 10.0 * velocity + np.sign(velocity) * friction + noise * rng.normal(size=len(time))
-    columns = (values[:, None] for values in (recorded, 10.0 * velocity + 5.0 * np.sign(velocity), time >= 0.0))
-    source = BagSource(Path("run"), "", 120.0, 0, 0)
-    return RunTorques(time, *columns, ("hinge",), source, velocity[:, None], np.array([noise]))
-
-
-def test_a_drift_is_told_from_noise() -> None:
-    """Friction that falls by a tenth within a run is found with its size; of steady ones at most a few per cent are."""
-    rng = np.random.default_rng(5)
-    (drift,) = trends([series(np.linspace(5.25, 4.75, 1200), 0.5, rng)], 5.0)
-    assert drift.change == pytest.approx(-0.5, abs=3.0 * drift.deviation)
-    assert "in run the friction of hinge falls by 0." in drift.text
-    false = [found for _ in range(100) for found in trends([series(np.full(1200, 5.0), 0.5, rng)], 5.0)]
-    assert len(false) <= 5
-
-
-def test_shares_and_chi_square_are_those_of_the_noise() -> None:
-    """With the true model chi^2 is 1 and the share is the noise over the torque; a joint at rest has neither."""
-    run = series(np.full(1200, 5.0), 0.5, np.random.default_rng(6))
-    assert run.chi_square[0] == pytest.approx(1.0, abs=0.15)
-    assert run.share[0] == pytest.approx(0.5 / np.std(run.joints[0].recorded), rel=0.1)
-    twice = {name: np.tile(getattr(run, name), 2) for name in ("recorded", "predicted", "velocity", "noise")}
-    both = replace(run, names=("hinge", "rest"), compared=run.compared & [True, False], **twice)
-    assert np.isnan(both.share[1])
-    assert both.total_share == pytest.approx(run.share[0])
-    assert TorqueValidation(both, both, rx.ExcitationTolerances(), both).passed
-    assert not TorqueValidation(both, both, rx.ExcitationTolerances(total=0.01), both).passed
-    assert not TorqueValidation(both, both, rx.ExcitationTolerances(joint=0.01), both).passed
-
-
-@pytest.mark.parametrize("steps", [0.0, 20.0])
-def test_noise_of_a_torque_is_that_of_the_filtered_one(steps: float) -> None:
-    """White noise beside slow motion and steps of friction is found as SciPy's filter leaves it, within a tenth."""
-    rng = np.random.default_rng(7)
-    time = np.arange(0.0, 60.0, 0.01)
-    noise = 0.3 * rng.normal(size=(len(time), 1))
-    slow = (30.0 * np.sin(time) + steps * np.sign(np.cos(time)))[:, None]
-    zero = np.zeros_like(slow)
-    source = BagSource(Path("run"), "", 60.0, 0, 0)
-    run = FilteredRun(source, ("hinge",), time, zero, zero, zero, slow + noise, zero, None, Bandwidths(10.0, 5.0))
-    filtered = fftconvolve(noise[:, 0], run.taps, mode="valid")
-    assert torque_noise(run)[0] == pytest.approx(np.std(filtered), rel=0.1)
 
 
 OTHER = "{tau_c: 0.7, tau_s: 0.9, omega_s: 0.02, delta: 1.0, c0: 900.0, c1: 2.0, c2: 0.3, omega_d: 0.5}"

@@ -1,36 +1,24 @@
 """Physically possible links, rotors and springs nearest to identified base parameters: the values in the files.
 
-This module has the starting point of the search (the <inertial> of the URDF, or the geometry of the arm), the search
-itself, and the cost of the bodies against the base parameters. The mass distribution of a body is one symmetric matrix
-of order 4, its pseudo-inertia.
+The mass distribution of a body is one symmetric matrix of order 4, its pseudo-inertia,
 
     P = [[S, h], [h^T, m]],   S = integral of r r^T = tr(I) / 2 - I,   h = m c,   I the inertia about the origin.
 
 A body of positive density exists for m, h and I if and only if P is positive definite (Wensing, Kim and Slotine 2018).
-In another frame the same body has T P T^T, with T the homogeneous transform of its old frame to the new one.
+So P = L L^T with L = L0 M, where L0 is the Cholesky factor of the description's P0 and M is lower triangular with a
+positive diagonal: the logarithms of its diagonal and the entries below it are any ten numbers (log-Cholesky parameters:
+Rucker and Wensing 2022, "Smooth parameterization of rigid-body inertia"), all 0 for the description. A rotor or a
+spring is the description's times exp of one number.
 
-With y the base parameters, K the mapping from all parameters theta to base parameters, and R^T R the information of the
-weighted rows on y, the sum
+With y the base parameters, K the mapping from standard parameters theta to base parameters, and R^T R the information
+of the weighted rows on y, the sum
 
-    |R (K theta - y)|^2 + w |distance from the prior|^2
+    |R (K theta - y)|^2 + |the numbers|^2
 
-is minimised. The first term is the increase of the weighted squares of the torque by the shift, with the friction as
-identified, because the files contain that friction beside the bodies. The second term determines what the data leave
-open. The prior is the <inertial> of the URDF, or the geometry of the arm where it has none.
-
-With P0 of the prior, the squared distance of a body is twice the Bregman divergence of -log det (Lee, Wensing and Park
-2020, "Geometric robot dynamic identification: a convex programming approach"),
-
-    2 (tr(P0^-1 P) - log det(P0^-1 P) - 4),
-
-which near the prior is the sum of the squared entries of log(P0^-1 P). It does not depend on units or frames, grows
-without bound towards matrices that no body can have, and grows in proportion to a mass that is too large. A rotor or
-spring is a matrix of order 1. The whole sum is convex in the parameters: it has one minimum.
-
-A body is represented by its Cholesky factor, P = L L^T. A step of the search changes the factor about itself, to first
-order as log-Cholesky parameters do (Rucker and Wensing 2022, "Smooth parameterization of rigid-body inertia"), but
-along a straight line in P: accurate data determine some sums to 1e-3 and others not at all, and the resulting valley is
-straight in P but curved in the logarithms of a factor, where a search would make only small steps along it.
+is minimised. The first term is what the bodies add to the weighted squares of the torque, with the friction as
+identified, because the files contain that friction beside the bodies. The second determines what the data leave open:
+a description is right within a factor of about e. It is the <inertial> of the URDF, or the geometry of the arm where it
+has none.
 """
 
 from __future__ import annotations
@@ -44,7 +32,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
+from scipy.linalg import null_space
+from scipy.optimize import least_squares
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
@@ -52,11 +41,10 @@ from rx90_common.base.quoting import listed, quoted
 from rx90_common.description.robot import joint_of
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.fit import LinearFit
-from rx90_emulator.identification.excitation.friction import FrictionSelection, linear_columns
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.fitted import FittedArm
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.robot import RecordedRobot
+from rx90_emulator.identification.rows.excitation import ExcitationProblem
 
 _MOMENTS = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])
 """Rows and columns of Ixx, Ixy, Iyy, Ixz, Iyz, Izz, in Pinocchio's order."""
@@ -290,19 +278,17 @@ def _by_geometry(body: MovingBody, ends: Array) -> MovingBody:
     return replace(body, pseudo=_about_center(mass, 0.5 * end, _other(spread, 1.0)))
 
 
-_PRIOR_WEIGHT = 1.0  # of logarithms with a deviation of 1: a description is right within a factor of about e
-_GUESS_WEIGHT = 0.1  # of values that the description does not have: right within a factor of about 20
-_MAX_STEPS = 50  # for each weight of the prior
-_DECREMENT = 1e-12  # relative: a step that lowers the minimised sum by less is the last one
-_STEP_SHARE = 0.99  # largest part of the way to where a body would lose a dimension
-_LONGEST_STEP = 2.0  # in Newton steps
-_MAX_NULL_ENTRY = 1e-6  # largest entry in the mapping's null space of a parameter that is determined by itself
-_MIN_SINGULAR_VALUE = 1e-9  # of the mapping, relative: smaller ones are rounding
-_MIN_STEP_VALUE = 1e-14  # the same for the equations of a step
-_OPEN_SHARE = 0.5  # of the prior's variance of a mass: where more remains after the runs, the prior decides
-_ROWS, _COLUMNS = np.tril_indices(4)
-_BASIS = np.zeros((10, 4, 4))  # of symmetric matrices: the sum of an element's squares is that of its entries
-_BASIS[range(10), _ROWS, _COLUMNS] = _BASIS[range(10), _COLUMNS, _ROWS] = np.where(_ROWS == _COLUMNS, 1.0, 0.5**0.5)
+GUESSED = 0.1
+"""Weight of what the description does not have: right within a factor of about 20."""
+MOST_EVALUATIONS = 100
+"""For each weight of the description."""
+OPEN_SHARE = 0.5
+"""Of the description's variance of a mass: where more remains after the runs, the description decides."""
+FAR = 2.0
+"""Standard deviations, RMS, beyond which bodies are far from the base parameters."""
+_TOOL = "tool"  # the link that a tool file adds: its inertial is known
+_NULL = 1e-6  # largest entry in the null space of a parameter that is determined by itself
+_LOWER = np.tril_indices(4, -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,25 +310,21 @@ class BaseEstimate:
     determined: Mask
 
     @classmethod
-    def of(cls, problem: ExcitationProblem, friction: Array, fit: LinearFit) -> BaseEstimate:
+    def of(cls, problem: ExcitationProblem, fitted: FittedArm) -> BaseEstimate:
         """Return the base parameters of a fit, with the information of the weighted rows for the fitted friction.
 
         Errors of neighbouring rows are correlated: the information is scaled so that in the median its variances are
-        those of the covariance.
-
-        Args:
-            problem: r rows.
-            friction: columns of the friction, shape (r, f).
-            fit: of base parameters and friction.
+        those of the fit.
         """
-        count = len(problem.names)
-        weight = np.sqrt(fit.weights) / fit.sigma[problem.joint]
-        root = np.asarray(np.linalg.qr(np.hstack([problem.regressor, friction]) * weight[:, None], mode="r"))
-        variance = np.diag(fit.covariance)[:count]
-        white = np.sum(np.linalg.pinv(root)[:count] ** 2, axis=1)
-        share = np.median((white / variance)[np.isfinite(variance)])
-        information = np.asarray(root[:count, :count] * math.sqrt(min(1.0, float(share))))
-        return cls(problem.base.combination, fit.value[:count], information, fit.determined[:count])
+        columns = fitted.fit.columns
+        base = slice(len(fitted.fit.x), None)
+        root = np.asarray(np.linalg.qr(columns[:, base], mode="r"))
+        variance = fitted.deviation[base] ** 2
+        white = np.diag(np.linalg.pinv(columns.T @ columns, hermitian=True))[base]
+        known = fitted.determined[base]
+        share = float(np.median((white / variance)[known])) if known.any() else 1.0
+        information = np.asarray(root * math.sqrt(min(1.0, share)))
+        return cls(problem.base.combination, fitted.fit.linear, information, known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -372,174 +354,145 @@ class ConsistentInertias:
     open: Mask
 
 
-def consistent_inertias(
-    estimate: BaseEstimate, prior: InertialPrior, weight: float = _PRIOR_WEIGHT
-) -> ConsistentInertias:
+class _Bodies:
+    """Standard parameters as a function of numbers that are 0 for the description.
+
+    The numbers are ten for each body, the logarithm of each rotor and spring over the description's, and values that
+    have none.
+    """
+
+    def __init__(self, prior: InertialPrior, parameters: int) -> None:
+        self._known = prior.known.ravel()
+        self._joint = [body.joint for body in prior.bodies]
+        self._factors = np.linalg.cholesky([body.pseudo for body in prior.bodies])
+        described = np.concatenate([prior.rotors, prior.springs])
+        self._behind = np.append(described, np.zeros(parameters - len(self._known) - len(described)))
+        self._positive = self._behind > 0.0
+        guessed = np.append(prior.guessed, np.zeros(len(self._behind) - len(prior.rotors), dtype=np.bool_))
+        share = np.where(guessed, GUESSED, 1.0)
+        # ln P changes by twice a number on the diagonal, and by one below it in two entries.
+        size = np.append(np.full(4, 2.0), np.full(6, math.sqrt(2.0)))
+        bodies = np.outer(np.sqrt(share[: len(self._joint)]), size).ravel()
+        self.prior_weight = np.append(bodies, np.sqrt(share[len(self._joint) :]) * self._positive)
+
+    def pseudo(self, numbers: Array) -> Array:
+        """Return the bodies, shape (b, 4, 4)."""
+        factors = self._factors @ self._relative(numbers)
+        return np.asarray(factors @ np.swapaxes(factors, 1, 2))
+
+    def behind(self, numbers: Array) -> Array:
+        """Return rotors, springs and others, shape (P - 10 n,)."""
+        last = numbers[10 * len(self._joint) :]
+        return np.where(self._positive, self._behind * np.exp(np.where(self._positive, last, 0.0)), last)
+
+    def parameters(self, numbers: Array) -> Array:
+        """Return all standard parameters, shape (P,)."""
+        links = self._known.copy().reshape(-1, 10)
+        np.add.at(links, self._joint, inertial_parameters(self.pseudo(numbers)))
+        return np.append(links, self.behind(numbers))
+
+    def slopes(self, numbers: Array) -> Array:
+        """Return the derivatives of the standard parameters, shape (P, numbers)."""
+        slopes = np.zeros((len(self._known) + len(self._behind), len(numbers)))
+        relative = self._relative(numbers)
+        for number, joint in enumerate(self._joint):
+            change = np.zeros((10, 4, 4))
+            change[range(4), range(4), range(4)] = np.diag(relative[number])
+            change[range(4, 10), _LOWER[0], _LOWER[1]] = 1.0
+            half = self._factors[number] @ change @ relative[number].T @ self._factors[number].T
+            place = slice(10 * joint, 10 * joint + 10)
+            slopes[place, 10 * number : 10 * number + 10] = inertial_parameters(half + np.swapaxes(half, 1, 2)).T
+        ends = np.where(self._positive, self.behind(numbers), 1.0)
+        first = 10 * len(self._joint)
+        slopes[len(self._known) :, first:] = np.diag(ends)
+        return slopes
+
+    def open_masses(self, numbers: Array, information: Array) -> Mask:
+        """Return the joints where the data leave more than half of the variance that the prior gives the mass."""
+        slopes = self.slopes(numbers)[: len(self._known) : 10]
+        prior = np.where(self.prior_weight > 0.0, 1.0 / np.maximum(self.prior_weight, 1e-9) ** 2, 0.0)
+        alone = np.sum(slopes**2 * prior, axis=1)
+        total = information.T @ information + np.diag(self.prior_weight**2)
+        after = np.einsum("ij,jk,ik->i", slopes, np.linalg.pinv(total, hermitian=True), slopes)
+        return np.asarray(after > OPEN_SHARE * alone)
+
+    def _relative(self, numbers: Array) -> Array:
+        own = numbers[: 10 * len(self._joint)].reshape(-1, 10)
+        relative = np.zeros((len(own), 4, 4))
+        relative[:, range(4), range(4)] = np.exp(own[:, :4])
+        relative[:, _LOWER[0], _LOWER[1]] = own[:, 4:]
+        return relative
+
+
+def consistent_inertias(estimate: BaseEstimate, prior: InertialPrior, weight: float = 1.0) -> ConsistentInertias:
     """Return the consistent inertias nearest to the identified base parameters and to the prior.
 
     Args:
         estimate: of the base parameters.
         prior: of links and rotors.
-        weight: w, of the prior.
+        weight: of the prior's squares.
     """
     if not estimate.determined.any():
         count = len(estimate.determined)
         raise IdentificationError(f"none of {count} base parameters is determined; accepted: runs that determine some")
-    mapping = estimate.mapping
-    known = estimate.mapping[estimate.determined]
-    search = _Search(prior, estimate.information @ mapping, estimate.information @ estimate.value)
-    # With accurate data the first steps would end where a body loses a dimension: the prior begins with a similar
-    # weight.
-    squares = float(np.sum(search.residual**2))
+    bodies = _Bodies(prior, estimate.mapping.shape[1])
+    whitened = estimate.information @ estimate.mapping
+    target = estimate.information @ estimate.value
+    numbers = np.zeros(len(bodies.prior_weight))
+    # Rotors and offsets that no row contains stay 0.
+    moved = (bodies.prior_weight > 0.0) | (whitened @ bodies.slopes(numbers) != 0.0).any(axis=0)
+
+    def whole(x: Array) -> Array:
+        numbers[moved] = x
+        return numbers
+
+    def residual(x: Array, near: Array) -> Array:
+        return np.append(whitened @ bodies.parameters(whole(x)) - target, near * x)
+
+    def slopes(x: Array, near: Array) -> Array:
+        return np.vstack([(whitened @ bodies.slopes(whole(x)))[:, moved], np.diag(near)])
+
+    # Accurate data make a valley that is curved in the numbers: from a prior of a similar weight on, it is followed.
+    squares = float(np.sum((whitened @ bodies.parameters(numbers) - target) ** 2))
     for decade in range(max(0, math.ceil(math.log10(max(squares, 1.0) / weight))), -1, -1):
-        search.minimise(weight * 10.0**decade)
-    base = mapping @ search.parameters
-    # Parameters without an entry in the null space of the mapping are determined individually.
-    _, sizes, rows = np.linalg.svd(known / np.maximum(np.linalg.norm(known, axis=0), 1e-300))
-    null = rows[int((sizes > _MIN_SINGULAR_VALUE * sizes[0]).sum()) :]
-    alone = np.asarray(np.linalg.norm(null, axis=0) < _MAX_NULL_ENTRY)
+        near = bodies.prior_weight[moved] * math.sqrt(weight * 10.0**decade)
+        start = numbers[moved]
+        result = least_squares(residual, start, slopes, x_scale="jac", max_nfev=MOST_EVALUATIONS, args=(near,))
+        whole(result.x)
+    parameters = bodies.parameters(numbers)
+    base = estimate.mapping @ parameters
     shift = base - estimate.value
+    distance = float(np.linalg.norm(estimate.information @ shift)) / math.sqrt(int(estimate.determined.sum()))
     return ConsistentInertias(
         prior=prior,
-        pseudo=search.pseudo,
-        rotors=search.behind[: len(prior.rotors)],
-        parameters=search.parameters,
+        pseudo=bodies.pseudo(numbers),
+        rotors=bodies.behind(numbers)[: len(prior.rotors)],
+        parameters=parameters,
         base=base,
         shift=shift,
-        distance=float(np.linalg.norm(estimate.information @ shift)) / math.sqrt(int(estimate.determined.sum())),
-        alone=alone,
-        open=search.open_masses(weight),
+        distance=distance,
+        alone=_alone(estimate.mapping[estimate.determined]),
+        open=bodies.open_masses(numbers, whitened @ bodies.slopes(numbers)),
     )
 
 
-class _Search:
-    """Newton's method for the bodies and the other parameters behind them, starting from the prior.
-
-    Attributes:
-        pseudo: of the bodies, shape (b, 4, 4).
-        behind: rotors, springs and others, shape (P - 10 n,).
-    """
-
-    def __init__(self, prior: InertialPrior, whitened: Array, target: Array) -> None:
-        self._joint = [body.joint for body in prior.bodies]
-        self._known = prior.known.ravel()
-        self._whitened = whitened
-        self._target = target
-        self.pseudo = np.array([body.pseudo for body in prior.bodies])
-        initial = np.concatenate([prior.rotors, prior.springs])
-        self.behind = np.append(initial, np.zeros(whitened.shape[1] - len(self._known) - len(initial)))
-        self._positive = self.behind > 0.0
-        self._inverse, self._initial = np.linalg.inv(self.pseudo), np.where(self._positive, self.behind, 1.0)
-        share = np.where(prior.guessed, _GUESS_WEIGHT, 1.0)
-        other_shares = np.append(share[len(self.pseudo) :], np.ones(len(self.behind) - len(prior.rotors)))
-        self._share = np.append(np.repeat(share[: len(self.pseudo)], 10), np.where(self._positive, other_shares, 0.0))
-
-    @property
-    def parameters(self) -> Array:
-        """Return all standard parameters, shape (P,)."""
-        links = self._known.copy().reshape(-1, 10)
-        np.add.at(links, self._joint, inertial_parameters(self.pseudo))
-        return np.append(links, self.behind)
-
-    @property
-    def residual(self) -> Array:
-        """Return the residual of the data, in standard deviations, shape (m,)."""
-        return np.asarray(self._whitened @ self.parameters - self._target)
-
-    def _tangent(self, factors: Array) -> Array:
-        """Return the residual's derivatives by a step: ten for each body, then one each; shape (m, 10 b + ...)."""
-        moves = inertial_parameters(factors[:, None] @ _BASIS @ np.swapaxes(factors, 1, 2)[:, None])
-        links = self._whitened[:, : len(self._known)].reshape(len(self._target), -1, 10)[:, self._joint]
-        bodies = np.einsum("mbp,bkp->mbk", links, moves).reshape(len(self._target), -1)
-        behind = self._whitened[:, len(self._known) :] * np.where(self._positive, self.behind, 1.0)
-        return np.hstack([bodies, behind])
-
-    def minimise(self, weight: float) -> None:
-        """Go to the minimum with this weight of the prior."""
-        count = 10 * len(self.pseudo)
-        weights = weight * self._share
-        near = np.sqrt(weights)
-        for _ in range(_MAX_STEPS):
-            factors = np.linalg.cholesky(self.pseudo)
-            residual = self.residual
-            transposed = np.swapaxes(factors, 1, 2)
-            slopes = np.einsum("kij,bij->bk", _BASIS, transposed @ self._inverse @ factors - np.eye(4)).ravel()
-            slopes = np.append(slopes, np.where(self._positive, self.behind / self._initial - 1.0, 0.0))
-            tangent = self._tangent(factors)
-            rows = np.vstack([tangent, np.diag(near)])
-            sides = np.append(residual, near * slopes)
-            size = np.linalg.norm(rows, axis=0)
-            step = np.zeros(rows.shape[1])
-            there = size > 0.0  # all but the rotors and offsets that no row contains
-            step[there] = -np.linalg.lstsq(rows[:, there] / size[there], sides, rcond=_MIN_STEP_VALUE)[0] / size[there]
-            moves = np.tensordot(step[:count].reshape(-1, 10), _BASIS, 1)
-            stretch = np.append(np.linalg.eigvalsh(moves), step[count:])
-            own = np.append(np.repeat(weights[:count:10], 4), weights[count:])
-            change = tangent @ step
-            gain = -float(residual @ change + (weights * slopes) @ step)
-            length = _best_length(gain, float(change @ change), own, stretch)
-            shares = np.where(self._positive, self.behind, 1.0)
-            self.pseudo = factors @ (np.eye(4) + length * moves) @ transposed
-            self.pseudo = 0.5 * (self.pseudo + np.swapaxes(self.pseudo, 1, 2))
-            self.behind = self.behind + length * shares * step[count:]
-            if gain < _DECREMENT * float(residual @ residual + weights.sum()):
-                break
-
-    def open_masses(self, weight: float) -> Mask:
-        """Return the joints where the data leave more than half of the variance that the prior gives the mass alone."""
-        factors = np.linalg.cholesky(self.pseudo)
-        near = np.sqrt(weight * self._share)
-        inverse = np.linalg.pinv(np.vstack([self._tangent(factors), np.diag(near)]))
-        # The change by a step of the mass that moves with each joint.
-        masses = (factors[:, None] @ _BASIS @ np.swapaxes(factors, 1, 2)[:, None])[:, :, 3, 3]
-        moved = np.zeros((len(self._known) // 10, len(near)))
-        for b, joint in enumerate(self._joint):
-            moved[joint, 10 * b : 10 * b + 10] = masses[b]
-        count = 10 * len(self._joint)
-        alone = np.sum((moved[:, :count] / near[:count]) ** 2, axis=1)
-        return np.asarray(np.sum((moved @ inverse) ** 2, axis=1) > _OPEN_SHARE * alone)
-
-
-def _best_length(gain: float, square: float, weights: Array, stretch: Array) -> float:
-    """Return the step length along a direction, in Newton steps.
-
-    Args:
-        gain: minus the slope of the minimised sum at the beginning.
-        square: of the change of the residual over one step.
-        weights: of the logarithms, shape (k,).
-        stretch: change over one step of their arguments, which are 1 at the beginning, shape (k,).
-    """
-
-    def slope(length: float) -> float:
-        return float(length * square - gain + weights @ (length * stretch**2 / (1.0 + length * stretch)))
-
-    shrinks = -float(np.min(stretch[weights > 0.0], initial=0.0))
-    longest = min(_LONGEST_STEP, _STEP_SHARE / max(shrinks, 1e-300))
-    return longest if slope(longest) <= 0.0 else float(brentq(slope, 0.0, longest))
-
-
-FAR = 2.0
-"""Standard deviations, RMS, beyond which bodies are far from the base parameters."""
-_TOOL = "tool"  # the link that a tool file adds: its inertial is known
+def _alone(mapping: Array) -> Mask:
+    """Return which parameters have no entry in the null space of a mapping: they are determined individually, (P,)."""
+    null = null_space(mapping / np.maximum(np.linalg.norm(mapping, axis=0), 1e-300), rcond=1e-9)
+    return np.asarray(np.linalg.norm(null, axis=1) < _NULL)
 
 
 @dataclass(frozen=True, eq=False)
 class Consistency:
-    """Possible inertias, and their cost: RMS along the runs at each of n joints, Nm, shape (n,).
+    """Possible inertias, and their cost.
 
     Attributes:
         inertias: nearest to the identified base parameters.
         shares: RMS residual over RMS torque, all joints together: with the base parameters, with the inertias.
-        added: torque that the shift of the base parameters adds; 0 for a joint without rows, here and below.
-        before: residuals with the base parameters as identified.
-        after: residuals with the shifted ones.
     """
 
     inertias: ConsistentInertias
     shares: tuple[float, float]
-    added: Array
-    before: Array
-    after: Array
 
     @property
     def text(self) -> str:
@@ -558,7 +511,8 @@ class Consistency:
         real = {body.joint for body, guess in zip(prior.bodies, prior.guessed, strict=False) if not guess}
         for described, near in ((True, "the description's"), (False, "plausible ones, ellipsoids along the links")):
             joints = [name for k, name in enumerate(prior.joints) if self.inertias.open[k] and (k in real) == described]
-            words += [f"what {listed(joints)} move{'s' * (len(joints) == 1)} stays near {near}"] if joints else []
+            if joints:
+                words.append(f"what {listed(joints)} move{'' if len(joints) > 1 else 's'} stays near {near}")
         return f"masses that the runs do not determine: {'; '.join(words)}" if words else ""
 
     @property
@@ -576,18 +530,18 @@ class Consistency:
 
 
 def make_consistent(
-    problem: ExcitationProblem, friction: FrictionSelection, robot: RecordedRobot, options: RobotOptions
+    problem: ExcitationProblem, fitted: FittedArm, robot: RecordedRobot, options: RobotOptions
 ) -> Consistency:
     """Return the consistent inertias nearest to the base parameters of a fit.
 
     Args:
         problem: the equations.
-        friction: the fit.
+        fitted: the fit.
         robot: whose description gives the initial inertias, rotors and springs.
         options: that describe it.
     """
     arm = problem.arm
-    n = len(problem.arm.names)
+    n = len(arm.names)
     description: Path | str = Path(str(options.urdf))
     rotors: ArrayLike | None = problem.columns.values()[10 * n : 11 * n] if problem.columns.rotors else None
     known: tuple[str, ...] = ()
@@ -596,14 +550,12 @@ def make_consistent(
         rotors = robot.setup.drives.rotor_inertia
         known = () if (robot.setup.files or RobotFiles()).tool is None else (_TOOL,)
     prior = InertialPrior.of_urdf(description, arm.names, rotors, arm.spring[problem.columns.springs], known)
-    estimate = BaseEstimate.of(problem, linear_columns(friction, problem)[1], friction.fit)
-    inertias = consistent_inertias(estimate, prior)
-    residual = problem.torque - friction.predicted
-    change = problem.regressor @ inertias.shift
-    rows = np.maximum(np.bincount(problem.joint, minlength=n), 1)
-    squares = [np.bincount(problem.joint, one**2, n) for one in (change, residual, residual - change)]
-    before, after = (math.sqrt(float(one.sum() / np.sum(problem.torque**2))) for one in squares[1:])
-    return Consistency(inertias, (before, after), *(np.sqrt(one / rows) for one in squares))
+    inertias = consistent_inertias(BaseEstimate.of(problem, fitted), prior)
+    residual = fitted.fit.residual
+    size = float(np.linalg.norm(problem.torque))
+    before = float(np.linalg.norm(residual)) / size
+    after = float(np.linalg.norm(residual - problem.regressor @ inertias.shift)) / size
+    return Consistency(inertias, (before, after))
 
 
 def written_arm(problem: ExcitationProblem, consistency: Consistency) -> RigidArm:

@@ -9,7 +9,7 @@ torque = rx.predict_torque("friction.yaml", time, position, robot=rx.RobotOption
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,43 +18,35 @@ from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_common.estimation.law import Part
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.excitation.bandwidths import ROWS_PER_PARAMETER, choose_bandwidths
-from rx90_emulator.identification.excitation.bodies import make_consistent, written_arm
-from rx90_emulator.identification.excitation.filtering import Bandwidths, recording_notes, without_shocks
-from rx90_emulator.identification.excitation.friction import (
-    ALL_PARTS,
-    WITHOUT_BRISTLES,
-    identify_friction_parts,
-    predicted_torque,
-)
-from rx90_emulator.identification.excitation.law import Part
-from rx90_emulator.identification.excitation.problem import (
-    BaseGroups,
-    ExcitationProblem,
-    StandardColumns,
-    described_inertials,
-)
-from rx90_emulator.identification.excitation.result import (
-    ExcitationIdentification,
-    TorqueValidation,
-    base_parameters,
-    simulated_elements,
-    trends,
+from rx90_emulator.identification.bodies import make_consistent, written_arm
+from rx90_emulator.identification.fitted import (
+    TRIED,
+    FittedArm,
+    assumed_bristles,
+    fit_arm,
+    identified_elements,
+    simplest_fit,
 )
 from rx90_emulator.identification.identify import check_given_once, read_records, with_friction
 from rx90_emulator.identification.options import SHIPPED_ROBOT, ExcitationTolerances, RobotOptions, model_parts
 from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.result import ExcitationIdentification, TorqueValidation, base_parameters
 from rx90_emulator.identification.robot import BagLayout, RecordedRobot
+from rx90_emulator.identification.rows.excitation import ExcitationProblem
+from rx90_emulator.identification.rows.filtering import Bandwidths, recording_notes
+from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 from rx90_emulator.identification.sanity import Recorded, alarms, body_alarms, log_alarms, moved_bodies
 from rx90_emulator.identification.validation.prediction import (
     drive_torque,
+    filtered_runs,
     recorded_equations,
     validation_bandwidths,
     written_torque,
 )
-from rx90_emulator.identification.validation.verdict import run_torques
+from rx90_emulator.identification.validation.verdict import RunTorques, run_torques
 
 _DEFAULT_TOLERANCES = ExcitationTolerances()
 
@@ -68,7 +60,6 @@ def identify_excitation(
     bristles: bool = False,
     model: Sequence[str] | None = None,
     rotors: bool = True,
-    prior: float | None = None,
     bandwidth: float | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ExcitationIdentification:
@@ -81,17 +72,14 @@ def identify_excitation(
         robot: that the bags come from; by default this project's.
         validation: runs to predict, which the identification does not use.
         tolerances: limits for agreement with them.
-        bristles: whether bristles along the motion are tried even where neither a Stribeck rise nor the rows of
-            reversals suggest them; a trial takes several times as long as all other parts.
+        bristles: whether bristles along the motion are tried; a trial takes several times as long as all other parts.
         model: parts that all elements have, without selection: "coulomb-viscous", which every model contains, and the
             names in `options.MODEL_PARTS`; by default parts are selected by prediction. Only a part that ends at a
             bound is dropped.
         rotors: whether the recorded torques contain those of the rotors; torques of sensors between gear and link do
             not.
-        prior: relative standard deviation of the description's inertials, if they are to be used; by default they are
-            used only for values that the runs do not determine.
-        bandwidth: of the low-pass of the positions, Hz; that of the torque is a third of it. By default the widest of a
-            few that predicts as well as the best of them (`bandwidths.choose_bandwidths`).
+        bandwidth: of the low-pass of the positions, Hz; that of the torque is a third of it. By default twenty times
+            the band of the motion.
         progress: called with the name of each step before it.
 
     Returns:
@@ -107,97 +95,96 @@ def identify_excitation(
     if not by_use["excitation"]:
         raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
     check_given_once(by_use)
-    parts, fixed = _requested_parts(bristles, model)
+    parts = _requested_parts(bristles=bristles, model=model)
     _check_robot(robot, rotors=rotors)
     source = RecordedRobot.load(robot, everything, massless=True, follow=True)
     records = read_records(by_use, source, progress, currents=True)
     progress("filters and equations")
-    notes = _without_shock_rows(records, source)
-
-    def equations(some: Sequence[JointRecord], bandwidths: Bandwidths) -> ExcitationProblem:
-        return recorded_equations(some, source, bandwidths, rotors=rotors)
-
-    bandwidths, problem = choose_bandwidths(records["excitation"], equations, bandwidth)
-    notes += [*recording_notes(records["excitation"], bandwidths), *log_warnings(problem, source.held)]
-    parts = parts if fixed or len(problem) >= ROWS_PER_PARAMETER * problem.parameters else ()  # no choice by so few
+    bandwidths = Bandwidths.of(records["excitation"], bandwidth)
+    problem = recorded_equations(records["excitation"], source, bandwidths, rotors=rotors)
+    notes = [*recording_notes(records["excitation"], bandwidths), *log_warnings(problem, source.held)]
     given = replace(source.options, gear=_gears(source.layout(everything[0], fast=True), source))
     sanity = alarms(source.arm, Recorded.of(records["excitation"], source.arm), given, source.zero)
-    known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
     progress("friction")
-    friction = identify_friction_parts(problem, parts, known, progress, fixed=fixed)
+    fitted = fit_arm(problem, parts, progress, fixed=model is not None)
     progress("consistent inertias")
-    consistency = make_consistent(problem, friction, source, robot)
-    elements = simulated_elements(friction.elements, source.fallback)
-    written = written_arm(problem, consistency)
-    bodies = moved_bodies(source.arm, written)
-    checks = []
-    for record in records["validation"]:
-        progress(record.source.name)
-        other = equations([record], validation_bandwidths(record, bandwidths))
-        identified = predicted_torque(friction, other)
-        with_bodies = identified + other.regressor @ consistency.inertias.shift
-        by_files = written_torque(other, written, [one.element for one in elements])
-        torques = run_torques(other, identified)[0]
-        consistent = run_torques(other, with_bodies)[0]
-        files = run_torques(other, by_files)[0]
-        checks.append(TorqueValidation(torques, consistent, tolerances, files))
-    fitted = run_torques(problem, friction.predicted)
-    return ExcitationIdentification(
+    consistency = make_consistent(problem, fitted, source, robot)
+    bodies = moved_bodies(source.arm, written_arm(problem, consistency))
+    result = ExcitationIdentification(
         robot=source,
         options=robot,
         problem=problem,
-        friction=friction,
-        elements=elements,
-        base=base_parameters(problem, friction, consistency),
+        fitted=fitted,
+        elements=identified_elements(problem, fitted, source.fallback),
+        base=base_parameters(problem, fitted, consistency),
         consistency=consistency,
-        torques=fitted,
-        validations=tuple(checks),
-        trends=trends(fitted, friction.blocks.length),
-        alarms=(*log_alarms(records), *sanity, *body_alarms(bodies)),
+        torques=run_torques(problem, problem.torque - fitted.fit.residual),
+        validations=(),
         bodies=bodies,
+        alarms=(*log_alarms(records), *sanity, *body_alarms(bodies)),
         notes=tuple(notes),
         bags=tuple((use, record.bag) for use, some in records.items() for record in some),
     )
+    simplest = simplest_fit(problem)
+    checks = []
+    for record in records["validation"]:
+        progress(record.source.name)
+        checks.append(_validation(result, simplest, record, tolerances))
+    return replace(result, validations=tuple(checks))
 
 
-def _without_shock_rows(records: Mapping[str, list[JointRecord]], robot: RecordedRobot) -> list[str]:
-    """Mark the times of shocks in the records of each use, and return the findings in words."""
-    texts: list[str] = []
-    for some in records.values():
-        for k, record in enumerate(some):
-            some[k], shock_notes = without_shocks(record, robot.arm.element_matrix)
-            texts += shock_notes
-    return texts
+def _validation(
+    result: ExcitationIdentification, simplest: FittedArm, record: JointRecord, tolerances: ExcitationTolerances
+) -> TorqueValidation:
+    """Return the verdict of a run that the identification did not use."""
+    problem = result.problem
+    bandwidths = validation_bandwidths(record, problem.runs[0].bandwidths)
+    other = problem.other(filtered_runs(record, result.robot, bandwidths))
+    elements = [identified.element for identified in result.elements]
+    arm = written_arm(problem, result.consistency)
+
+    def torques(predicted: Array) -> RunTorques:
+        return run_torques(other, predicted)[0]
+
+    return TorqueValidation(
+        torques=torques(result.fitted.predicted(other)),
+        simplest=torques(simplest.predicted(other)),
+        files=torques(written_torque(other, arm, elements)),
+        assumed_bristles=any(assumed_bristles(result.elements)),
+        tolerances=tolerances,
+    )
 
 
 def log_warnings(problem: ExcitationProblem, held: Sequence[str] = ()) -> list[str]:
     """Return warnings of fewer instants than parameters, which leave no redundancy, and of joints fixed at 0."""
     instants = len(np.unique(problem.sample))
     parameters = problem.parameters
-    found = []
+    warnings = []
     if len(problem) <= parameters:
         raise IdentificationError(
             f"{len(problem)} equations ({instants} instants below {problem.runs[0].bandwidths.torque:.3g} Hz) for "
             f"{parameters} parameters; accepted: more than these, from longer runs or a wider --bandwidth"
         )
     if instants < parameters:
-        found.append(
+        warnings.append(
             f"warning: a short log, {instants} instants for {parameters} parameters: it does not determine single "
             "bodies, which stay near the description's, nor parts of friction beside Coulomb and viscous; deviations "
             "are rough"
         )
     if held:
-        found.append(f"warning: held at 0, though the log has them, for their gears are not known: {', '.join(held)}")
-    return found
+        text = f"warning: held at 0, though the log has them, for their gears are not known: {', '.join(held)}"
+        warnings.append(text)
+    return warnings
 
 
-def _requested_parts(bristles: bool, model: Sequence[str] | None) -> tuple[tuple[Part, ...], bool]:
-    """Return the parts of the friction to try, or to give to all elements, and whether the latter applies."""
-    if model is not None:
-        if bristles:
-            raise IdentificationError("--bristles with --model; accepted: --model with bristle among its parts")
-        return tuple(Part.named(name) for name in model_parts(model)), True
-    return ALL_PARTS if bristles else WITHOUT_BRISTLES, False
+def _requested_parts(*, bristles: bool, model: Sequence[str] | None) -> tuple[Part, ...]:
+    """Return the parts of the friction to try, or those of a model that is given."""
+    if model is None:
+        return (*TRIED, Part.BRISTLE) if bristles else TRIED
+    if bristles:
+        raise IdentificationError("--bristles with --model; accepted: --model with bristle among its parts")
+    names = model_parts(model)
+    return tuple(part for part in Part if part.value in names)
 
 
 def _check_robot(robot: RobotOptions, *, rotors: bool) -> None:
@@ -261,8 +248,6 @@ def excitation_problem(
     bags: Sequence[Path | str], robot: RobotOptions = SHIPPED_ROBOT, bandwidths: Bandwidths | None = None
 ) -> ExcitationProblem:
     """Return the equations of recorded runs, the first step of `identify_excitation`: filtered torque, regressor, rows.
-
-    Shocks are not excluded, and the bandwidths from the spectra are not checked by prediction.
 
     Args:
         bags: bags or tables.

@@ -1,0 +1,162 @@
+"""Rows on which friction elements act: the problem of a fit for a law of each element."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from rx90_common.base.arrays import Array, Index, Mask
+from rx90_common.estimation.fit import Fit, Problem, Projected, fit
+from rx90_common.estimation.law import Law, Speeds
+
+
+class ElementRows(Protocol):
+    """The rows that one element acts on."""
+
+    @property
+    def rows(self) -> Index:
+        """Return their numbers, shape (s,)."""
+
+    @property
+    def speeds(self) -> Speeds:
+        """Return the speeds with data."""
+
+    def torque(self, law: Law, x: Array) -> tuple[Array, Array]:
+        """Return what the element contributes to its rows, (s,), and its derivatives by the parameters, (s, k)."""
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyRows:
+    """Rows of an element that slides at a constant velocity.
+
+    Attributes:
+        rows: their numbers, shape (s,).
+        velocity: of the element, rad/s, shape (s,).
+        gain: what a row has per Nm of the element's torque, shape (s,).
+        speeds: with data.
+    """
+
+    rows: Index
+    velocity: Array
+    gain: Array
+    speeds: Speeds
+
+    def torque(self, law: Law, x: Array) -> tuple[Array, Array]:
+        """Return the steady torque and its derivatives, times the gain."""
+        torque, slopes = law.curve(self.velocity, x)
+        return self.gain * torque, self.gain[:, None] * slopes
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionRows:
+    """r rows of an arm or a rig: everything but the law of friction.
+
+    Attributes:
+        target: shape (r,).
+        linear: columns of parameters without friction, shape (r, p).
+        elements: the rows of each.
+        group: of equal noise, shape (r,).
+        block: of independent errors, shape (r,).
+        prior: as in `Problem`.
+        prior_target: as in `Problem`.
+    """
+
+    target: Array
+    linear: Array
+    elements: Sequence[ElementRows]
+    group: Index
+    block: Index
+    prior: Array | None = None
+    prior_target: Array | None = None
+    _kept: dict[int, tuple[Law, bytes, tuple[Array, Array]]] = field(default_factory=dict, repr=False)
+
+    def problem(self, laws: Sequence[Law], start: Array | None = None) -> Problem:
+        """Return the problem of one law for each element; its parameters stand one element after the other."""
+        bounds = [law.bounds(element.speeds) for law, element in zip(laws, self.elements, strict=True)]
+        first = [law.starts(element.speeds)[0] for law, element in zip(laws, self.elements, strict=True)]
+
+        def model(x: Array) -> tuple[Array, Array]:
+            total = np.zeros(len(self.target))
+            slopes = np.zeros((len(self.target), len(x)))
+            for number, place in enumerate(places(laws)):
+                torque, own = self._torque(number, laws[number], x[place])
+                total[self.elements[number].rows] += torque
+                slopes[self.elements[number].rows, place] = own
+            return total, slopes
+
+        return Problem(
+            target=self.target,
+            linear=self.linear,
+            model=model,
+            start=np.concatenate(first) if start is None else start,
+            lower=np.concatenate([lower for lower, _ in bounds]),
+            upper=np.concatenate([upper for _, upper in bounds]),
+            group=self.group,
+            block=self.block,
+            prior=self.prior,
+            prior_target=self.prior_target,
+        )
+
+    def _torque(self, number: int, law: Law, x: Array) -> tuple[Array, Array]:
+        """Return an element's torque and slopes; those of its last parameters are kept, as most do not change."""
+        kept = self._kept.get(number)
+        if kept is None or kept[0] != law or kept[1] != x.tobytes():
+            kept = (law, x.tobytes(), self.elements[number].torque(law, x))
+            self._kept[number] = kept
+        return kept[2]
+
+
+def places(laws: Sequence[Law]) -> list[slice]:
+    """Return where the parameters of each element's law stand among all."""
+    ends = np.cumsum([len(law.names) for law in laws]).tolist()
+    return [slice(end - len(law.names), end) for law, end in zip(laws, ends, strict=True)]
+
+
+def sizes_of(laws: Sequence[Law]) -> Mask:
+    """Return which of all parameters are sizes, shape (q,)."""
+    return np.array([name in law.sizes for law in laws for name in law.names], dtype=np.bool_)
+
+
+Known = Sequence[Mapping[str, float]]
+"""Fitted parameters of each element by name."""
+
+
+def fitted_values(laws: Sequence[Law], x: Array) -> list[dict[str, float]]:
+    """Return the fitted parameters of each element by name."""
+    return [dict(zip(law.names, x[place].tolist(), strict=True)) for law, place in zip(laws, places(laws), strict=True)]
+
+
+def fit_laws(rows: FrictionRows, laws: Sequence[Law], weight: Array | None = None, known: Known | None = None) -> Fit:
+    """Return the fit of one law for each element.
+
+    Args:
+        rows: the equations.
+        laws: of the elements.
+        weight: as in `fit`.
+        known: parameters to begin with; the shapes that are missing there are sought, element by element.
+    """
+    begin = find_start(rows, laws, weight, known)
+    return fit(rows.problem(laws, begin), weight)
+
+
+def find_start(rows: FrictionRows, laws: Sequence[Law], weight: Array | None, known: Known | None) -> Array:
+    """Return a start of all parameters, shape (q,): each element's shapes are sought with the others' as they are."""
+    problem = rows.problem(laws)
+    if weight is None:
+        size = [max(float(np.std(rows.target[rows.group == g])), 1e-12) for g in range(int(rows.group.max()) + 1)]
+        weight = 1.0 / np.array(size)[rows.group] ** 2
+    projected = Projected(problem, weight)
+    known = [{} for _ in laws] if known is None else known
+    starts = [law.starts(element.speeds, own) for law, element, own in zip(laws, rows.elements, known, strict=True)]
+    x = np.concatenate([shapes[0] for shapes in starts])
+    for place, shapes in zip(places(laws), starts, strict=True):
+        candidates = []
+        for shape in shapes:
+            candidate = x.copy()
+            candidate[place] = shape
+            candidates.append(candidate)
+        x = projected.best_start(candidates, sizes_of(laws))
+    return x

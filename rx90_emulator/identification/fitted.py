@@ -1,0 +1,244 @@
+"""Rigid body and friction of excitation runs, fitted together: chosen laws, values with deviations, and the reasons.
+
+A value that the runs do not determine has a reason in place of a deviation. The fitted curve stands in the files all
+the same: it predicts the torque, even where its parameters could be exchanged for each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rx90_common.base.arrays import Array, Mask
+from rx90_common.base.errors import IdentificationError
+from rx90_common.estimation.choose import Choice, Trial, choose, without_bound_parts
+from rx90_common.estimation.deviations import deviations
+from rx90_common.estimation.elements import fit_laws, places
+from rx90_common.estimation.fit import Fit
+from rx90_common.estimation.law import Law, Part
+from rx90_common.friction import FrictionElement
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.estimates import (
+    PARAMETERS,
+    IdentifiedElement,
+    ParameterEstimate,
+    with_passive_fading,
+)
+from rx90_emulator.identification.rows.excitation import ExcitationProblem
+
+TRIED = (Part.STRIBECK, Part.EXPONENT, Part.STRIBECK_EXPONENT)
+"""Parts of the friction that runs are asked for; bristles on request, for few runs tell them."""
+ROWS_PER_PARAMETER = 2.0
+"""Of the simplest model, from which parts are chosen: fewer rows predict nothing."""
+MOST_RELATIVE_DEVIATION = 0.5
+"""Of omega_s, delta, alpha, c0 and c1, up to which they are identified."""
+PRESLIDING_DISTANCE = 2.5e-4
+"""rad, at break-away where no c0 is known: that of the shipped RX90B's large joints."""
+RELAXATION = 1e-3
+"""s, c1 over c0 where no c1 is known, as there."""
+ASSUMED = "no file: bristles that break away after 0.25 mrad are assumed, and the least Coulomb torque of the others"
+"""Source, in words, of values that are not identified, without a fallback."""
+_PART_OF = {
+    "tau_s_positive": Part.STRIBECK,
+    "tau_s_negative": Part.STRIBECK,
+    "omega_s": Part.STRIBECK,
+    "delta": Part.STRIBECK_EXPONENT,
+    "alpha": Part.EXPONENT,
+    "c0": Part.BRISTLE,
+    "c1": Part.BRISTLE,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class FittedArm:
+    """A fit of all elements' laws and the base parameters.
+
+    Attributes:
+        arm: whose elements these are.
+        laws: of the elements.
+        fit: of friction, q parameters, and of b base parameters.
+        covariance: of these q + b, shape (q + b, q + b); 0 for what is not determined.
+        determined: which of them the rows determine, shape (q + b,).
+        trials: of the choice of the laws.
+        base_names: of the base parameters.
+        speeds: least and greatest speed with data of each element, rad/s; 0 for one that rests.
+    """
+
+    arm: RigidArm
+    laws: tuple[Law, ...]
+    fit: Fit
+    covariance: Array
+    determined: Mask
+    trials: tuple[Trial, ...]
+    base_names: tuple[str, ...]
+    speeds: tuple[tuple[float, float], ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the values: `element.parameter`, then base parameters, shape (q + b,)."""
+        elements = zip(self.arm.element_names, self.laws, strict=True)
+        return (*(f"{name}.{parameter}" for name, law in elements for parameter in law.names), *self.base_names)
+
+    @property
+    def values(self) -> Array:
+        """Return the fitted values, shapes by their logarithms, shape (q + b,)."""
+        return np.concatenate([self.fit.x, self.fit.linear])
+
+    @property
+    def deviation(self) -> Array:
+        """Return standard deviations, infinite where not determined, shape (q + b,)."""
+        return np.where(self.determined, np.sqrt(np.diag(self.covariance)), np.inf)
+
+    def predicted(self, problem: ExcitationProblem) -> Array:
+        """Return the torque of the rows of runs of the same arm, Nm, shape (r,)."""
+        friction = problem.friction_rows().problem(self.laws).model(self.fit.x)[0]
+        return np.asarray(friction + problem.regressor @ self.fit.linear)
+
+    def curve(self, number: int, velocity: Array) -> tuple[Array, Array]:
+        """Return an element's torque of steady sliding at velocities, rad/s, and its deviation, Nm, shape (m,) each."""
+        place = places(self.laws)[number]
+        torque, slopes = self.laws[number].curve(velocity, self.fit.x[place])
+        variance = np.einsum("mi,ij,mj->m", slopes, self.covariance[place, place], slopes)
+        return torque, np.sqrt(np.maximum(variance, 0.0))
+
+    def estimates(self, number: int) -> dict[str, ParameterEstimate]:
+        """Return the estimates of an element by the names of FrictionElement; shared by both directions."""
+        place = places(self.laws)[number]
+        law = self.laws[number]
+        if self.speeds[number][1] == 0.0:
+            return dict.fromkeys(PARAMETERS, ParameterEstimate.unknown("at rest in all runs"))
+        values, slopes = law.natural(self.fit.x[place])
+        variance = np.diag(slopes @ self.covariance[place, place] @ slopes.T)
+        deviation = np.sqrt(np.maximum(variance, 0.0))
+        known = ~(slopes[:, ~self.determined[place]] != 0.0).any(axis=1)
+        estimates = {}
+        for name, value, size, determined in zip(values, values.values(), deviation, known, strict=True):
+            reason = _reason(name, value, float(size), determined=bool(determined))
+            estimates[name] = ParameterEstimate.unknown(reason) if reason else ParameterEstimate(value, float(size))
+        for name in PARAMETERS:
+            if name not in estimates:
+                estimates[name] = ParameterEstimate.unknown(self._missing(number, _PART_OF[name]))
+        return {name: estimates[name] for name in PARAMETERS}
+
+    def _missing(self, number: int, part: Part) -> str:
+        """Return why an element does not have a part."""
+        trial = next((trial for trial in self.trials if trial.element == number and trial.part is part), None)
+        if trial is None:
+            return f"{part.value} was not tried"
+        low, high = self.speeds[number]
+        return f"no {part.value} shows at speeds from {low:.3g} to {high:.3g} rad/s: {trial.reason}"
+
+
+def _reason(name: str, value: float, deviation: float, *, determined: bool) -> str:
+    """Return why a parameter is not identified; "" if it is."""
+    if name.startswith("tau_c") and value <= 0.0:
+        return "no Coulomb friction shows"
+    if name == "c2" and value <= 0.0:
+        return "no viscous friction shows"
+    if not determined:
+        return "the runs do not determine it"
+    if name in _PART_OF and not name.startswith("tau") and deviation > MOST_RELATIVE_DEVIATION * value:
+        return f"standard deviation {deviation:.3g} at a value of {value:.3g}"
+    return ""
+
+
+def fit_arm(
+    problem: ExcitationProblem,
+    parts: Sequence[Part] = TRIED,
+    progress: Callable[[str], None] = lambda _: None,
+    *,
+    fixed: bool = False,
+) -> FittedArm:
+    """Fit rigid body and friction together.
+
+    Args:
+        problem: the rows.
+        parts: to try beside Coulomb and viscous friction.
+        progress: called with the name of each part before its trial.
+        fixed: whether all elements have the parts, without a choice.
+    """
+    rows = problem.friction_rows()
+    if fixed:
+        laws = [Law(frozenset(parts))] * len(rows.elements)
+        chosen = without_bound_parts(rows, Choice(tuple(laws), fit_laws(rows, laws), ()))
+    else:
+        enough = len(problem) >= ROWS_PER_PARAMETER * problem.parameters
+        chosen = choose(rows, parts if enough else (), [Law()] * len(rows.elements), progress)
+    known = deviations(chosen.fit)
+    return FittedArm(
+        arm=problem.arm,
+        laws=chosen.laws,
+        fit=chosen.fit,
+        covariance=known.covariance,
+        determined=known.determined,
+        trials=chosen.trials,
+        base_names=problem.names,
+        speeds=tuple((element.speeds.low, element.speeds.high) for element in rows.elements),
+    )
+
+
+def simplest_fit(problem: ExcitationProblem) -> FittedArm:
+    """Return the fit with Coulomb and viscous friction alone, which any other is held against."""
+    return fit_arm(problem, (), fixed=True)
+
+
+def identified_elements(
+    problem: ExcitationProblem, fitted: FittedArm, fallback: Sequence[FrictionElement] | None
+) -> tuple[IdentifiedElement, ...]:
+    """Return the elements with values for all parameters.
+
+    Bristles, without which an arm cannot stand still, are the fallback's, or else have the presliding distance of large
+    joints; both are assumptions. So is the friction of an element without a Coulomb torque: the fallback's, or else the
+    least Coulomb torque of the other elements.
+
+    Args:
+        problem: the rows.
+        fitted: of these.
+        fallback: elements in the same order; None if there are none.
+    """
+    sources = tuple(run.source for run in problem.runs)
+    estimates = [fitted.estimates(number) for number in range(len(fitted.laws))]
+    known = [own["tau_c_positive"].value for own in estimates if own["tau_c_positive"].identifiable]
+    if not known and fallback is None:
+        reasons = [own["tau_c_positive"].reason for own in estimates]
+        texts = "; ".join(f"{name}: {reason}" for name, reason in zip(fitted.arm.element_names, reasons, strict=True))
+        raise IdentificationError(
+            f"no friction of any element is identified ({texts}); accepted: runs that tell some, or --fallback with a "
+            "friction file"
+        )
+    elements = []
+    for number, own in enumerate(estimates):
+        other = None if fallback is None else fallback[number]
+        element = _element(fitted, number, other, min(known, default=0.0))
+        elements.append(IdentifiedElement.of(element, own, dict.fromkeys(own, sources), other))
+    return tuple(elements)
+
+
+def _element(fitted: FittedArm, number: int, other: FrictionElement | None, least: float) -> FrictionElement:
+    """Return an element; `other`, or the `least` Coulomb torque and assumed bristles, replace what is missing."""
+    law = fitted.laws[number]
+    x = fitted.fit.x[places(fitted.laws)[number]]
+    if fitted.speeds[number][1] == 0.0:
+        if other is not None:
+            return other
+        law = Law()
+        x = np.zeros(len(law.names))
+    coulomb = law.names.index("tau_c")
+    if x[coulomb] <= 0.0:
+        x = x.copy()
+        x[coulomb] = least if other is None else other.tau_c.positive
+    stiffness = float(x[coulomb]) / PRESLIDING_DISTANCE
+    assumed: dict[str, float] = {"c0": stiffness, "c1": stiffness * RELAXATION}
+    if other is not None:
+        assumed = {"c0": other.c0, "c1": other.c1, "omega_d": other.omega_d}
+    element = law.element(x, assumed)
+    if Part.BRISTLE in law.parts or other is None:
+        return with_passive_fading(element, other)
+    return element
+
+
+def assumed_bristles(elements: Sequence[IdentifiedElement]) -> tuple[bool, ...]:
+    """Return which elements have bristles that the runs do not tell."""
+    return tuple(not element.estimates["c0"].identifiable for element in elements)

@@ -1,0 +1,201 @@
+"""Rows of sweeps: what the plateaus of records say about the steady friction of the elements.
+
+A block of a plateau gives, joint by joint, drive torque - rigid torque = E^T f + Y p with the friction torques f of the
+elements and errors p of the arm's inertial parameters (an unknown payload, a wrong mass). An element that sticks
+carries any torque, so only combinations of joints are used in which no such element acts: with joints 5 and 6 turning
+against each other, element 5+6 sticks, and what remains is the difference of the two torques.
+
+An element has one velocity in a plateau, hence one torque. So a plateau gives three rows: the mean of its blocks, with
+friction, and slope and bend over them, which tell of the weight alone. The mean has a noise of its own: it contains
+what all blocks share, such as ripple, temperature, or an arm that is not quite rigid. Longer plateaus weigh more, up to
+some seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+
+import numpy as np
+from scipy.linalg import qr
+from scipy.stats import trim_mean
+
+from rx90_common.base.arrays import Array, Index, Mask
+from rx90_common.base.errors import IdentificationError
+from rx90_common.estimation.elements import FrictionRows, SteadyRows
+from rx90_common.estimation.law import Speeds
+from rx90_emulator.identification.arm import RigidArm
+from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.rows.plateaus import BagUse, Plateau, find_plateaus, velocity
+
+_TRIMMED = 0.15  # of a block's samples at either end of their order: spikes
+_LONGEST_S = 2.0  # plateau that weighs more than shorter ones: beyond it the mean has what all samples share
+_INDEPENDENT = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Means over the b blocks of p plateaus of n joints.
+
+    Attributes:
+        motion: positions, rad, velocities, rad/s, and accelerations, rad/s^2, shape (3, b, n).
+        torque: of the drives, Nm, shape (b, n).
+        plateau: number of each block's plateau, shape (b,).
+        velocity: of the elements in each plateau, rad/s, shape (p, n_el).
+        sliding: which elements slide in it, shape (p, n_el).
+        source: number of its record, shape (p,).
+        time: of it in the series, s, shape (p,).
+        duration: of it, s, shape (p,).
+    """
+
+    motion: Array
+    torque: Array
+    plateau: Index
+    velocity: Array
+    sliding: Mask
+    source: Index
+    time: Array
+    duration: Array
+
+
+def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks, tuple[BagUse, ...]]:
+    """Return the block means of all plateaus of records, and the account of each record.
+
+    Args:
+        records: of the same joints.
+        elements: E, joint velocities to input velocities of the friction elements, shape (n_el, n).
+    """
+    begins = accumulate((float(record.time[-1] - record.time[0]) for record in records), initial=0.0)
+    plateaus: list[tuple[int, float, Plateau]] = []
+    usage = []
+    for source, (record, begin) in enumerate(zip(records, begins, strict=False)):
+        pieces, use = find_plateaus(record, elements)
+        usage.append(use)
+        plateaus += [
+            (source, begin + float(record.time[piece.rows].mean() - record.time[0]), piece) for piece in pieces
+        ]
+    if not plateaus:
+        each = "; ".join(f"{record.source}: {use.reasons}" for record, use in zip(records, usage, strict=True))
+        raise IdentificationError(
+            f"{each or 'no bag'}: no stretch of constant velocity; accepted: sweeps at constant velocity"
+        )
+    means = [_block_means(records[source], plateau) for source, _, plateau in plateaus]
+    speeds = np.array([velocity(records[source], plateau.rows) for source, _, plateau in plateaus])
+    joined = np.concatenate(means, axis=1)
+    blocks = Blocks(
+        motion=joined[:3],
+        torque=joined[3],
+        plateau=np.repeat(np.arange(len(means)), [part.shape[1] for part in means]),
+        velocity=speeds @ elements.T,
+        sliding=np.array([plateau.sliding for _, _, plateau in plateaus]),
+        source=np.array([source for source, _, _ in plateaus]),
+        time=np.array([time for _, time, _ in plateaus]),
+        duration=np.array([np.ptp(records[source].time[plateau.rows]) for source, _, plateau in plateaus]),
+    )
+    return blocks, tuple(usage)
+
+
+def _block_means(record: JointRecord, plateau: Plateau) -> Array:
+    """Return position, velocity, acceleration and torque of a plateau's blocks, shape (4, b, n)."""
+    rows = plateau.rows
+    acceleration = np.polyfit(record.time[rows], record.velocity[rows], 1)[0]
+    mean = velocity(record, rows)
+    blocks = [slice(begin, end) for begin, end in plateau.blocks.tolist()]
+    position = np.array([record.position[block].mean(axis=0) for block in blocks])
+    torque = np.array([trim_mean(record.torque[block], _TRIMMED) for block in blocks])
+    motion = np.broadcast_to(mean, position.shape), np.broadcast_to(acceleration, position.shape)
+    return np.stack([position, *motion, torque])
+
+
+@dataclass(frozen=True, eq=False)
+class SweepRows:
+    """The rows of sweeps.
+
+    Attributes:
+        friction: rows of the elements in `elements`; its linear parameters are the errors of the inertial parameters,
+            in units of `RigidArm.inertial_scale`.
+        elements: numbers of the elements with a law.
+        plateau: of each row, shape (r,).
+        slopes: group of the rows that have the noise of the samples alone, for each row, shape (r,).
+    """
+
+    friction: FrictionRows
+    elements: Index
+    plateau: Index
+    slopes: Index
+
+
+def sweep_rows(blocks: Blocks, arm: RigidArm, elements: Index) -> SweepRows:
+    """Return the rows of all plateaus in which only some elements slide.
+
+    Args:
+        blocks: of the plateaus.
+        arm: rigid-body model.
+        elements: numbers of the elements with a law; the others count as sticking.
+    """
+    slide = blocks.sliding & np.isin(np.arange(len(arm.element_names)), elements)
+    torque = blocks.torque - arm.torque(*blocks.motion)
+    # The torque and its derivatives by the inertial parameters.
+    both = np.concatenate([torque[:, :, None], arm.regressor(*blocks.motion) * arm.inertial_scale()], axis=2)
+    parts = []
+    gains = []
+    plateaus = []
+    groups = []
+    for number, sliding in enumerate(slide):
+        combination = _unloaded(arm.element_matrix[~sliding])
+        gain = combination.T @ arm.element_matrix.T * sliding
+        told = gain.any(axis=1)
+        joint = np.abs(combination[:, told]).argmax(axis=0)
+        of_plateau = np.einsum("jk,bjc->bkc", combination[:, told], both[blocks.plateau == number])
+        weight = np.sqrt(min(blocks.duration[number], _LONGEST_S))
+        for order, shape in enumerate(_shapes(len(of_plateau))):
+            parts.append(weight * np.tensordot(shape, of_plateau, 1))
+            gains.append(weight * gain[told] * (order == 0))
+            plateaus.append(np.full(len(joint), number))
+            groups.append(2 * joint + min(order, 1))
+    joined = np.concatenate(parts)
+    gain = np.concatenate(gains)
+    plateau = np.concatenate(plateaus)
+    group = np.concatenate(groups)
+    numbers = np.unique(group)
+    slopes = np.where(np.isin(group | 1, numbers), group | 1, group)
+    steady = []
+    for e in elements.tolist():
+        rows = np.flatnonzero(gain[:, e])
+        velocity = blocks.velocity[plateau[rows], e]
+        speed = np.abs(velocity)
+        steady.append(SteadyRows(rows, velocity, gain[rows, e], Speeds(float(speed.min()), float(speed.max()))))
+    friction = FrictionRows(
+        target=joined[:, 0],
+        linear=joined[:, 1:],
+        elements=steady,
+        group=np.searchsorted(numbers, group),
+        block=plateau,
+        prior=np.eye(joined.shape[1] - 1),
+    )
+    return SweepRows(friction, elements, plateau, np.searchsorted(numbers, slopes))
+
+
+def _shapes(count: int) -> Array:
+    """Return what a plateau of so many blocks is multiplied by: mean, slope and bend, as far as it has them, (<= 3, b).
+
+    White noise of the blocks is the same in all.
+    """
+    powers = np.vander(np.linspace(-1.0, 1.0, count), min(count, 3), increasing=True)
+    basis = np.linalg.qr(powers)[0].T
+    return np.asarray(basis * np.sign(basis[0, 0]) / np.sqrt(count))
+
+
+def _unloaded(stuck: Array) -> Array:
+    """Return a sparse basis of the joint torques on which no stuck element, a row of E each, acts, shape (n, k)."""
+    n = stuck.shape[1]
+    if len(stuck) == 0:
+        return np.eye(n)
+    _, upper, order = qr(stuck, pivoting=True)
+    rank = int(np.sum(np.abs(np.diag(upper)) > _INDEPENDENT))
+    combination = np.zeros((n, n - rank))
+    combination[order[:rank]] = -np.linalg.solve(upper[:rank, :rank], upper[:rank, rank:])
+    combination[order[rank:]] = np.eye(n - rank)
+    combination[np.abs(combination) < _INDEPENDENT] = 0.0
+    return combination
