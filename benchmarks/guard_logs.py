@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import math
 import os
 import re
 import resource
@@ -18,6 +19,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -179,7 +181,7 @@ class Value:
 
     def score(self, true: float) -> float:
         """Return the error in deviations."""
-        return abs(self.value - true) / self.deviation if self.deviation > 0.0 else np.inf
+        return float(abs(self.value - true) / self.deviation) if self.deviation > 0.0 else math.inf
 
 
 @dataclass(frozen=True)
@@ -222,9 +224,16 @@ class Written:
         return float(one["relative"]), float(one["by_files"]["relative"])
 
     def heaviest(self, joints: Sequence[str]) -> float:
-        """Return the mass of the heaviest link that one of the joints moves, kg, with what is fixed to it."""
-        model = self._model(joints)
-        return max(float(inertia.mass) for inertia in list(model.inertias)[1:])
+        """Return the mass of the heaviest link that hangs directly on one of the joints, kg."""
+        robot = ElementTree.parse(self.friction.parent / "robot.urdf").getroot()
+        links = {link.get("name"): link for link in robot.iter("link")}
+        masses = [0.0]
+        for joint in robot.iter("joint"):
+            child = joint.find("child")
+            if joint.get("name") in joints and child is not None:
+                mass = links[child.get("link")].find("inertial/mass")
+                masses.append(0.0 if mass is None else float(mass.get("value", "0")))
+        return max(masses)
 
     def _model(self, joints: Sequence[str]) -> Any:
         whole = pin.buildModelFromUrdf(str(self.friction.parent / "robot.urdf"))

@@ -190,9 +190,9 @@ def negated(log: JointLog, rng: np.random.Generator) -> JointLog:
 
 
 def turned(log: JointLog, rng: np.random.Generator) -> JointLog:
-    """Let the zero of a joint be a quarter turn off."""
+    """Let the zero of the second joint be a quarter turn off; that of the first and the last may change no torque."""
     quarter = float(rng.choice([-0.5, 0.5])) * np.pi
-    return replace(log, position=_changed(log.position, _joint(log, rng), lambda values: values + quarter))
+    return replace(log, position=_changed(log.position, 1, lambda values: values + quarter))
 
 
 def noise_alone(log: JointLog, rng: np.random.Generator) -> JointLog:

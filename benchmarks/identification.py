@@ -34,7 +34,7 @@ from benchmarks.synthetic_sweeps import (
 )
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, make_plan
-from rx90_emulator.identification.presliding.fit import identify_presliding
+from rx90_emulator.identification.presliding import identify_presliding
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.identification.sliding import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
@@ -143,7 +143,7 @@ def presliding(sets: int) -> None:
             known = measured_sliding(friction.elements, rng)
             began = time.perf_counter()
             spreads = [sliding_covariance(one) for one in known]
-            fit = identify_presliding(records, arm, known, 0.0, spreads, setup.rates.period)
+            fit = identify_presliding(records, arm, known, 0.0, spreads)
             elapsed = time.perf_counter() - began
             for one in outcomes(fit.estimates, friction.elements):
                 tallies[level, one.parameter].add(one.element, one.error, one.score)

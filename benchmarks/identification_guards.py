@@ -27,7 +27,7 @@ import math
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +69,8 @@ STEADY_TORQUE = np.array([318.0, 166.0, 76.0, 34.0, 29.0, 11.0])
 RIG_NOISE = 0.002 / 0.18
 BLOCK = 4
 """Samples of 1 kHz that are averaged into one."""
+MOTOR_RATE = 4
+"""Samples of motor_states in one of joint_states."""
 HELD = (0.92, 0.98)
 TWO_PERCENT = 0.02
 NORMAL = 1.96
@@ -159,18 +161,25 @@ def sweeps(job: Job, folder: Path) -> Measured:
     return result
 
 
-def _noisy_table(bag: Path, rng: np.random.Generator) -> Path:
-    """Return a table of block means at 250 Hz of a bag's joint states, with the rig's noise on the torque."""
+def _noisy_table(bag: Path, rng: np.random.Generator, topic: str = "joint_states") -> Path:
+    """Return a table of block means at 250 Hz of a bag's states, joint side, with the rig's noise on the torque."""
     exported = bag.with_suffix(".exported.npz")
-    run([*EXPORT, bag, "-o", exported, "--topic", "joint_states"])
+    run([*EXPORT, bag, "-o", exported, "--topic", topic])
+    stated = {"t": "time_s", "q": "position_rad", "v": "velocity_rad_s", "f": "effort_Nm"}
     with np.load(exported) as data:
-        fields = {kind: data[f"joint_states_{name}"] for kind, name in (
-            ("t", "time_s"), ("q", "position_rad"), ("v", "velocity_rad_s"), ("f", "effort_Nm"),
-        )}  # fmt: skip
+        fields = {kind: data[f"{topic}_{name}"] for kind, name in stated.items()}
     exported.unlink()
-    fields["f"] = fields["f"] + RIG_NOISE * STEADY_TORQUE * rng.normal(size=fields["f"].shape)
-    rows = len(fields["t"]) // BLOCK * BLOCK
-    means = {kind: values[:rows].reshape(-1, BLOCK, *values.shape[1:]).mean(axis=1) for kind, values in fields.items()}
+    block = BLOCK
+    if topic == "motor_states":
+        gear, turns = _drives(config_path(f"robots/{RX90}/drives.yaml"), "gear"), _wrist()
+        for kind in "qv":
+            fields[kind] = np.linalg.solve(turns, (fields[kind] / gear).T).T
+        fields["f"] = (fields["f"] * gear) @ turns
+        block *= MOTOR_RATE
+    noise = RIG_NOISE * STEADY_TORQUE * math.sqrt(block / BLOCK)
+    fields["f"] = fields["f"] + noise * rng.normal(size=fields["f"].shape)
+    rows = len(fields["t"]) // block * block
+    means = {kind: values[:rows].reshape(-1, block, *values.shape[1:]).mean(axis=1) for kind, values in fields.items()}
     table = bag.with_suffix(".npz")
     np.savez(table, **means)
     return table
@@ -209,14 +218,13 @@ def emulated(job: Job, folder: Path) -> Measured:
 
 def _identified(arm: SyntheticArm, logs: Sequence[JointLog], folder: Path, ignored: int | None = None) -> Measured:
     """Identify from all logs but the last, and compare with what is true, but for a joint that is ignored."""
-    coupling = [f"{value:g}" for value in arm.coupling.ravel()]
     files = _written(arm, logs, folder)
-    more = ["--urdf", folder / "arm.urdf", *(["--coupling", *coupling] if arm.coupled else [])]
-    said = excitation(files[:-1], files[-1:], folder / "signals.yaml", folder / "found", more)
+    urdf = ["--urdf", folder / "arm.urdf"]
+    said = excitation(files[:-1], files[-1:], folder / "signals.yaml", folder / "found", urdf)
     result = Measured({}, [], [], said.processor)
     if said.broken:
         result.wrong.append(said.broken)
-    if said.code not in {0, 1}:
+    if not (folder / "found" / "parameters.yaml").is_file():
         result.wrong.append(_refused(said))
         return result
     if said.code == 1 and ignored is None:
@@ -253,7 +261,10 @@ def _written(arm: SyntheticArm, logs: Sequence[JointLog], folder: Path) -> list[
     """Write tables, map and a description whose masses are off by 40 %."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "arm.urdf").write_text(arm.urdf(wrong=0.4), encoding="utf-8")
-    (folder / "signals.yaml").write_text(signal_map(arm.names), encoding="utf-8")
+    signals = signal_map(arm.names)
+    if arm.coupled:
+        signals += yaml.safe_dump({"coupling": arm.coupling.ravel().tolist()})
+    (folder / "signals.yaml").write_text(signals, encoding="utf-8")
     return [log.write(folder / f"run_{number}.csv") for number, log in enumerate(logs)]
 
 
@@ -271,7 +282,7 @@ def _emulated_rx90(job: Job, folder: Path) -> Measured:
     rng = np.random.default_rng((job.number, 83))
     index = yaml.safe_load((folder / "series" / "experiments.yaml").read_text(encoding="utf-8"))
     tables = {
-        use: [_noisy_table(folder / "series" / name, rng) for name in index[use]]
+        use: [_noisy_table(folder / "series" / name, rng, "motor_states") for name in index[use]]
         for use in ("excitation", "validation")
     }
     signals = _table_map(folder)
@@ -362,15 +373,17 @@ class Recording:
 
 _UR = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 ARMS = {
-    "tx40": Recording(RX90_ELEMENTS[:6], (100.0, 50.0), 8.61, (7.24, 99.0), robot="tx40"),
-    "panda": Recording(tuple(f"panda_joint{k}" for k in range(1, 8)), (7.0, 2.5), 4.97, (0.74, 99.0)),
-    "tiago_4": Recording(tuple(f"arm_{k}_joint" for k in range(1, 5)), (5.0, 2.0), 2.28, (8.45, 99.0)),
-    "tiago_7": Recording(tuple(f"arm_{k}_joint" for k in range(1, 8)), (5.0, 2.0), 2.28, (8.01, 99.0)),
-    "ur10e": Recording(_UR, (10.0, 4.0), 12.93, (4.24, 99.0)),
+    "tx40": Recording(RX90_ELEMENTS[:6], (100.0, 50.0), 8.61, (7.24, 6.49), robot="tx40"),
+    "panda": Recording(tuple(f"panda_joint{k}" for k in range(1, 8)), (7.0, 2.5), 4.97, (0.74, 0.97)),
+    "tiago_4": Recording(tuple(f"arm_{k}_joint" for k in range(1, 5)), (5.0, 2.0), 2.28, (8.45, 7.71)),
+    "tiago_7": Recording(tuple(f"arm_{k}_joint" for k in range(1, 8)), (5.0, 2.0), 2.28, (8.01, 7.41)),
+    "ur10e": Recording(_UR, (10.0, 4.0), 12.93, (4.24, 3.69)),
 }
 MARGIN = 0.3
 """Points of % above today's error that are accepted."""
 TIAGO = 7.5
+KR300_STATED, KR300_RATIO = 3.3, 3.3 / 2.95
+"""% as the command states it, and over the independent fit in the same band."""
 KR300 = Recording(tuple(f"a{k}" for k in range(1, 7)), (10.0, 4.0), 339.12, (3.57, 99.0), times=2.0)
 WAM = Recording(tuple(f"j{k}" for k in range(1, 8)), (10.0, 4.0), 10.8, (99.0, 99.0))
 
@@ -402,9 +415,13 @@ def _read(arm: Recording, folder: Path, name: str, signals: str = "signals.yaml"
 
 
 def _coupling(arm: Recording) -> Array:
-    turns = np.eye(len(arm.joints))
-    if arm.robot:
-        turns[-1, -2] = 1.0
+    return _wrist() if arm.robot else np.eye(len(arm.joints))
+
+
+def _wrist() -> Array:
+    """Return motor turns for joint turns of this project's arms: motor 6 turns with joints 5 and 6."""
+    turns = np.eye(6)
+    turns[5, 4] = 1.0
     return turns
 
 
@@ -424,7 +441,7 @@ def recorded(job: Job, folder: Path, arm: Recording | None = None, signals: str 
     logs = sorted(source.glob("fit*.csv"))
     said = excitation(logs, [source / "unseen.csv"], source / signals, folder / "found", _options(arm, source))
     result = Measured({"code": said.code}, [], [said.broken] if said.broken else [], said.processor)
-    if said.code not in {0, 1}:
+    if not (folder / "found" / "parameters.yaml").is_file():
         result.wrong.append(_refused(said))
         return result
     written = Written(folder / "found" / "friction.yaml")
@@ -450,7 +467,7 @@ def independent(job: Job, folder: Path) -> Measured:
         [source / "fit.csv"], [], source / "signals.yaml", folder / "found", [*_options(arm, source), *PLAIN_MODEL]
     )
     result = Measured({}, [], [said.broken] if said.broken else [], said.processor)
-    if said.code:
+    if not (folder / "found" / "parameters.yaml").is_file():
         result.wrong.append(_refused(said))
         return result
     written = Written(folder / "found" / "friction.yaml")
@@ -465,8 +482,8 @@ def independent(job: Job, folder: Path) -> Measured:
 
 
 def resting(job: Job, folder: Path) -> Measured:
-    """Identify the arm of seven joints of which two move."""
-    result = recorded(job, folder, WAM)
+    """Identify the arm of seven joints of which two move: all of them, or these two alone."""
+    result = recorded(job, folder, WAM if job.number == 0 else replace(WAM, joints=("j2", "j4")))
     if "base" in result.values:
         found = Written(folder / "found" / "friction.yaml").identified("j2")
         result.values["tau_c j2"] = found["tau_c_positive"].value if "tau_c_positive" in found else math.nan
@@ -486,7 +503,9 @@ def ramps(job: Job, folder: Path) -> Measured:
     """Measure an emulated rig with the command, and compare f_c, f_v and J with what is true."""
     rig = source_rig() if job.name == "source" else random_rig(1, job.number, job.name)
     file = folder / "rig.yaml"
-    file.write_text(model_text(rig), encoding="utf-8")
+    content = yaml.safe_load(model_text(rig))
+    content.pop("file", None)  # where the rig was read
+    file.write_text(yaml.safe_dump(content), encoding="utf-8")
     said = run_warm([*RAMP, "--rig", file, "--seed", str(10_000 + job.number), OUTPUT, folder / "ramps"])
     result = Measured({}, [], [said.broken] if said.broken else [], said.processor)
     if not (folder / "ramps" / "estimates.yaml").is_file():
@@ -570,7 +589,7 @@ def falling(job: Job, folder: Path) -> Measured:
         files[:-1], files[-1:], folder / "signals.yaml", folder / "found", ["--urdf", folder / "arm.urdf"]
     )
     result = Measured({}, [], [said.broken] if said.broken else [], said.processor)
-    if said.code not in {0, 1}:
+    if not (folder / "found" / "parameters.yaml").is_file():
         result.wrong.append(_refused(said))
         return result
     written = Written(folder / "found" / "friction.yaml")
@@ -692,11 +711,13 @@ def _mutated_sweeps(job: Job, folder: Path) -> Measured:
 
 
 def _coverage(name: str, outcomes: Sequence[Measured], bounds: tuple[float, float] = HELD) -> Guard:
+    """Judge a share of intervals; one outside of the bounds by less than its own error at 95 % is accepted."""
     held = [one for outcome in outcomes for one in outcome.held]
     share = float(np.mean(held)) if held else math.nan
     error = math.sqrt(max(share * (1.0 - share), 0.0) / max(len(held), 1))
     text = f"{share:.1%} +- {error:.1%} of {len(held)}"
-    return Guard(name, text, f"{bounds[0]:.0%} to {bounds[1]:.0%}", bounds[0] <= share <= bounds[1], share)
+    ok = bounds[0] - NORMAL * error <= share <= bounds[1] + NORMAL * error
+    return Guard(name, text, f"{bounds[0]:.0%} to {bounds[1]:.0%}", ok, share)
 
 
 def _verdicts(name: str, outcomes: Sequence[Measured]) -> Guard:
@@ -765,16 +786,9 @@ def _judge_ramps(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
         yield _coverage(f"ramps, {kind}: 95 % intervals", some, (0.9, 1.0))
         for name in dict.fromkeys(name for outcome in some for name in outcome.values if "inertia" not in name):
             errors = np.array([outcome.values[name] for outcome in some if name in outcome.values])
-            today, deviation = RAMPS_TODAY.get((kind, name), (math.nan, math.nan))
             middle = 100.0 * float(np.median(np.abs(errors)))
-            bound = today + deviation
-            ok = middle <= bound or math.isnan(bound)
-            yield Guard(f"ramps, {kind}: {name}, median error", f"{middle:.2f} %", f"<= {bound:.2f} %", ok, middle)
+            yield Guard(f"ramps, {kind}: {name}, median error", f"{middle:.2f} %", "(beside)", True, middle)
         yield replace(_verdicts(f"ramps, {kind}: refused or broken", some), bound="(beside)", ok=True)
-
-
-RAMPS_TODAY: dict[tuple[str, str], tuple[float, float]] = {}
-"""By kind of rig and estimate: the median error of the frozen tree, and what it may rise by, %."""
 
 
 def _judge_time(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
@@ -793,11 +807,9 @@ def _judge_gears(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
     for job, outcome in outcomes.items():
         values = outcome.values
         if job.number == 0:
-            yield _at_most("kr300: unseen, files (own band)", values.get("files", math.nan), 3.3)
-            stated = values.get("files stated", math.nan)
-            yield replace(_at_most("kr300: unseen, files (stated)", stated, 3.3), bound="(beside) <= 3.3 %", ok=True)
-            independent_error = values.get("independent", math.nan)
-            yield replace(_at_most("kr300: independent fit", independent_error, 3.3), bound="(beside)", ok=True)
+            most = KR300_RATIO * values.get("independent", math.nan)
+            yield _at_most("kr300: unseen, files (own band)", values.get("files", math.nan), most)
+            yield _at_most("kr300: unseen, files (stated)", values.get("files stated", math.nan), KR300_STATED)
             yield _at_most(
                 "kr300: heaviest link", values.get("heaviest", math.nan), KR300.times * KR300.heaviest, " kg"
             )
@@ -810,11 +822,13 @@ def _judge_gears(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
 
 
 def _judge_resting(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
-    for outcome in outcomes.values():
-        value = outcome.values.get("tau_c j2", math.nan)
-        yield Guard("wam: tau_c of j2", f"{value:.2f} Nm", "2.33 +- 0.5 Nm", abs(value - 2.33) <= 0.5, value)
-        yield _at_most("wam: unseen, base (stated)", outcome.values.get("base", math.nan), 8.0)
-        yield _verdicts("wam: refused or broken", [outcome])
+    for job, outcome in outcomes.items():
+        name = "wam" if job.number == 0 else "wam, --joints j2 j4"
+        if job.number == 0:
+            value = outcome.values.get("tau_c j2", math.nan)
+            yield Guard(f"{name}: tau_c of j2", f"{value:.2f} Nm", "2.33 +- 0.5 Nm", abs(value - 2.33) <= 0.5, value)
+            yield _at_most(f"{name}: unseen, base (stated)", outcome.values.get("base", math.nan), 8.0)
+        yield _verdicts(f"{name}: refused or broken", [outcome])
 
 
 def _judge_falling(outcomes: dict[Job, Measured]) -> Iterator[Guard]:
@@ -861,7 +875,7 @@ class Row:
 _RIGS = ("Coulomb-viscous", "LuGre", "source")
 ROWS = {
     "sweeps": Row(sweeps, _judge_sweeps, {"set": 30}, {"set": 1}),
-    "emulated": Row(emulated, _judge_emulated, {TX40_LIKE: 10, SMALL: 28, RX90_LIKE: 2}, {TX40_LIKE: 1, SMALL: 3}),
+    "emulated": Row(emulated, _judge_emulated, {TX40_LIKE: 8, SMALL: 30, RX90_LIKE: 2}, {TX40_LIKE: 1, SMALL: 3}),
     "poor": Row(poor, _judge_poor, dict.fromkeys(CONDITIONS, 10), dict.fromkeys(CONDITIONS, 1)),
     "recordings": Row(recorded, _judge_recordings, dict.fromkeys(ARMS, 1), dict.fromkeys(("tiago_4", "ur10e"), 1)),
     "independent": Row(
@@ -870,7 +884,7 @@ ROWS = {
     "ramps": Row(ramps, _judge_ramps, dict.fromkeys(_RIGS, 8), {"source": 2}),
     "time": Row(seconds, _judge_time, dict.fromkeys(TIMES, 1), {"20 s of seven joints": 1}),
     "gears": Row(gears, _judge_gears, {"kr300": 3}, {"kr300": 3}),
-    "resting": Row(resting, _judge_resting, {"wam": 1}, {"wam": 1}),
+    "resting": Row(resting, _judge_resting, {"wam": 2}, {"wam": 2}),
     "falling": Row(falling, _judge_falling, {"arm": 5}, {"arm": 1}),
     "mutated": Row(mutated, _judge_mutated, {"log": 200}, {"log": 21}),
 }
@@ -899,29 +913,21 @@ def _jobs(row: str, options: argparse.Namespace) -> list[Job]:
     return jobs
 
 
-def _note_row(written: dict[str, Any], outcomes: dict[Job, Measured], guards: Sequence[Guard]) -> None:
-    """Add a row to what the JSON file holds, and print what was said wrongly."""
-    for job, outcome in outcomes.items():
-        key = f"{job.row} {job.name} {job.number}"
-        for text in outcome.wrong:
-            print(f"{key}: {text}")
-        written["measured"][key] = {
-            "values": outcome.values,
-            "intervals": len(outcome.held),
-            "held": sum(outcome.held),
-            "wrong": outcome.wrong,
-            "said": outcome.said,
-            "processor": outcome.processor,
-        }
-    for guard in guards:
-        stated = {"measured": guard.measured, "bound": guard.bound, "ok": bool(guard.ok), "value": guard.value}
-        written["guards"][guard.name] = stated
+def _judged(written: dict[str, Any]) -> list[Guard]:
+    """Return the table of all rows that were measured, now or before."""
+    by_row: dict[str, dict[Job, Measured]] = {row: {} for row in ROWS}
+    for key, values in written.items():
+        row, *name, number = key.split(" ")
+        by_row[row][Job(row, " ".join(name), int(number), "")] = Measured(**values)
+    return [guard for row, outcomes in by_row.items() if outcomes for guard in ROWS[row].judge(outcomes)]
 
 
 def main() -> int:
     """Measure, print the table, write the figures; return 1 where a bound is not held."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rows", nargs="+", choices=[*ROWS], default=[*ROWS], help="which (all)")
+    parser.add_argument(
+        "--rows", nargs="*", choices=[*ROWS], default=[*ROWS], help="which to measure (all); none: judge --output"
+    )
     parser.add_argument("--arms", type=int, default=0, help="measurements of each kind at most (as the rows have it)")
     parser.add_argument("--short", action="store_true", help="the short set")
     parser.add_argument("--recordings", type=Path, help="folder of real recordings")
@@ -929,22 +935,29 @@ def main() -> int:
     parser.add_argument("--beside", type=Path, help="JSON file of another tree, whose values are printed beside")
     options = parser.parse_args()
     known = json.loads(options.beside.read_text(encoding="utf-8")) if options.beside else {}
-    table: list[Guard] = []
-    written: dict[str, Any] = {"guards": {}, "measured": {}}
+    written: dict[str, Any] = {}
     if options.output and options.output.is_file():
-        written = json.loads(options.output.read_text(encoding="utf-8"))
+        written = json.loads(options.output.read_text(encoding="utf-8"))["measured"]
     whole = True
     for row in options.rows:
         jobs = _jobs(row, options)
         outcomes = in_processes(do, jobs, row) if jobs else {}
         whole = whole and len(outcomes) == len(jobs)
-        guards = [*ROWS[row].judge(outcomes)] if outcomes else []
-        _note_row(written, outcomes, guards)
+        written = {key: one for key, one in written.items() if not key.startswith(f"{row} ")}
+        written |= {f"{job.row} {job.name} {job.number}": asdict(outcome) for job, outcome in outcomes.items()}
+        for job, outcome in outcomes.items():
+            for text in outcome.wrong:
+                print(f"{job.row} {job.name} {job.number}: {text}")
         if options.output:
-            options.output.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
-        table += guards
+            options.output.write_text(json.dumps({"measured": written}) + "\n", encoding="utf-8")
         if not whole:
             break
+    table = _judged(written)
+    if options.output:
+        guards = {guard.name: asdict(guard) for guard in table}
+        options.output.write_text(
+            json.dumps({"guards": guards, "measured": written}, indent=1) + "\n", encoding="utf-8"
+        )
     others = {name: str(one["measured"]) for name, one in known.get("guards", {}).items()}
     rows = [
         (guard.name, guard.measured, others.get(guard.name, ""), guard.bound, "yes" if guard.ok else "NO")

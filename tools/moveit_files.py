@@ -139,8 +139,9 @@ def _base(robot: RobotModel) -> str:
 def _named(poses: Poses | None) -> list[tuple[str, tuple[float, ...]]]:
     if poses is None:
         return []
-    sweeps = [(f"sweep_{i}", position) for i, position in enumerate(poses.sweeps, 1)]
-    return [("home", poses.home), *sweeps, *((f"validation_{i}", p) for i, p in enumerate(poses.validation, 1))]
+    sweeps = [(f"sweep_{i}", position) for i, position in enumerate(poses.sweeps.positions, 1)]
+    others = [(f"validation_{i}", position) for i, position in enumerate(poses.validation.positions, 1)]
+    return [("home", poses.home.position), *sweeps, *others]
 
 
 def limits_text(setup: Setup, said: str) -> str:

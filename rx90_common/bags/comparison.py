@@ -117,7 +117,6 @@ class BagComparison:
         path_b: the second one.
         topics: the comparison of each topic.
         skipped: names of the topics that are no JointState.
-        notes: remarks for the user about the reading of the bags.
         shift_ns: offset added to the stamps of the second one.
     """
 
@@ -125,7 +124,6 @@ class BagComparison:
     path_b: Path
     topics: tuple[TopicComparison, ...]
     skipped: tuple[str, ...]
-    notes: tuple[str, ...] = ()
     shift_ns: int = 0
 
     @property
@@ -220,10 +218,11 @@ def compare_bags(
     if not results:
         raise BagError(f"neither {plain(first.path)} nor {plain(second.path)} has a JointState message in the window")
     if set(scope.fields) < set(FIELDS) and not any(r.values or r.verdict is not Verdict.SAME for r in results):
-        raise BagError(f"fields {', '.join(scope.fields)}: no message has any of them; accepted: others")
+        parts = [series for bag in (first, second) for sets in bag.series.values() for series in sets]
+        recorded = listed(dict.fromkeys(field for series in parts for field in series.fields))
+        raise BagError(f"fields {', '.join(scope.fields)}: no message has any of them; accepted: some of {recorded}")
     skipped = tuple(sorted({topic.name for topic in every if not topic.is_joint_state}))
-    notes = tuple(f"{plain(bag.path)}: {note}" for bag in (first, second) for note in bag.notes)
-    return BagComparison(first.path, second.path, tuple(results), skipped, notes, shift)
+    return BagComparison(first.path, second.path, tuple(results), skipped, shift)
 
 
 def _compare_topic(

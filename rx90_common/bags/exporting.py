@@ -91,15 +91,14 @@ def _write_csv(path: Path, tables: Sequence[JointSeries]) -> None:
     path.with_suffix(".yaml").write_text(exported_mapping(series), encoding="utf-8")
 
     with path.open("w", encoding="utf-8", newline="") as file:
-        names = [plain(name) for _, _, name in _columns(series)]  # in one line, whatever a joint is called
-        csv.writer(file, lineterminator="\n").writerow([_TIME, *names])
+        table = csv.writer(file, lineterminator="\n")
+        # Each name in one line, whatever a joint is called.
+        table.writerow([_TIME, *(plain(name) for _, _, name in _columns(series))])
         for begin in range(0, len(series.stamp_ns), _ROWS_AT_ONCE):
             block = series.take(slice(begin, begin + _ROWS_AT_ONCE))
             values = np.concatenate(list(block.fields.values()), axis=1)
-            file.writelines(
-                f"{stamp // NANOSECONDS}.{stamp % NANOSECONDS:09d},{','.join(map(repr, row))}\n"
-                for stamp, row in zip(block.stamp_ns.tolist(), values.tolist(), strict=True)
-            )
+            for stamp, row in zip(block.stamp_ns.tolist(), values.tolist(), strict=True):
+                table.writerow([f"{stamp // NANOSECONDS}.{stamp % NANOSECONDS:09d}", *row])
 
 
 def _write_parquet(path: Path, tables: Sequence[JointSeries]) -> None:

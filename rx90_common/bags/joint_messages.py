@@ -53,7 +53,7 @@ class SeriesBuilder:
         self._beginning = LITTLE_ENDIAN if cdr else None
         self._pending: list[bytes] = []
         self._times: list[int] = []
-        self._rows: dict[_Content, list[_Rows]] = {}
+        self._sets: dict[frozenset[str], tuple[_Content, list[_Rows]]] = {}
         self._decoded = 0
 
     def add(self, message: bytes, stamp_ns: int | None = None) -> None:
@@ -67,33 +67,31 @@ class SeriesBuilder:
     def build(self) -> list[JointSeries]:
         """Return one series per set of joints; joints that changed their order come in the first one's."""
         self._decode_pending()
-        sets: dict[frozenset[str], list[_Content]] = {}
-        for content in sorted(self._rows, key=lambda content: min(rows.place[0] for rows in self._rows[content])):
-            sets.setdefault(frozenset(content.names), []).append(content)
-        return [self._merge(contents) for contents in sets.values()]
+        built = []
+        for (names, fields), parts in self._sets.values():
+            place = np.concatenate([part.place for part in parts])
+            order = np.argsort(place)
+            stamp = np.concatenate([part.stamp_ns for part in parts])
+            if self._times:
+                stamp = np.array(self._times, dtype=np.int64)[place]
+            arrays = {  # one after the other: of a long bag all of them twice would be a lot of memory
+                field: np.concatenate([part.values[:, k] for part in parts])[order] for k, field in enumerate(fields)
+            }
+            built.append(JointSeries(self._topic, names, stamp[order], **arrays, effort_unit=self._effort_unit))
+        return built
 
-    def _merge(self, contents: list[_Content]) -> JointSeries:
-        names, fields = contents[0]
-        rows: list[_Rows] = []
-        for content in contents:
-            if content.fields != fields:
-                start = min(int(rows.stamp_ns[0]) for rows in self._rows[content])
-                raise BagError(
-                    f"{self._topic}: carries {', '.join(fields) or 'no arrays'} in some messages "
-                    f"and {', '.join(content.fields) or 'no arrays'} in others (from t = {start / NANOSECONDS:.9f} s)"
-                )
-            columns = [content.names.index(name) for name in names]
-            same = content.names == names
-            rows += [part if same else part._replace(values=part.values[:, :, columns]) for part in self._rows[content]]
-        place = np.concatenate([part.place for part in rows])
-        order = np.argsort(place)
-        stamp = np.concatenate([part.stamp_ns for part in rows])
-        if self._times:
-            stamp = np.array(self._times, dtype=np.int64)[place]
-        arrays = {  # one after the other: of a long bag all of them twice would be a lot of memory
-            field: np.concatenate([part.values[:, k] for part in rows])[order] for k, field in enumerate(fields)
-        }
-        return JointSeries(self._topic, names, stamp[order], **arrays, effort_unit=self._effort_unit)
+    def _keep(self, content: _Content, rows: _Rows) -> None:
+        """Keep rows with those of the same joints, in the order of joints of the first one."""
+        first, parts = self._sets.setdefault(frozenset(content.names), (content, []))
+        if content.fields != first.fields:
+            usual = ", ".join(first.fields) or "no arrays"
+            other = ", ".join(content.fields) or "no arrays"
+            start = f"(from t = {rows.stamp_ns[0] / NANOSECONDS:.9f} s)"
+            raise BagError(f"{self._topic}: carries {usual} in some messages and {other} in others {start}")
+        if content.names != first.names:
+            columns = [content.names.index(name) for name in first.names]
+            rows = rows._replace(values=rows.values[:, :, columns])
+        parts.append(rows)
 
     def _decode_pending(self) -> None:
         messages = self._pending
@@ -106,23 +104,24 @@ class SeriesBuilder:
         while len(remaining):
             first = remaining[0]
             message = self._message(messages[first])
-            decoded = self._content(message)
+            content, stamp_ns, values = self._content(message)
             alike = remaining[:1]
+            others = remaining[1:]
             if layouts < _MAX_LAYOUTS and messages[first][:ENCAPSULATION] == self._beginning:
                 layouts += 1
-                alike = remaining[sizes[remaining] == sizes[first]]
-                block = np.frombuffer(b"".join([messages[row] for row in alike.tolist()]), np.uint8)
-                block = block.reshape(len(alike), sizes[first])
-                fixed, numbers = _places(message.header.frame_id, decoded[0])
+                chosen = sizes[remaining] == sizes[first]
+                block = np.frombuffer(b"".join([messages[row] for row in remaining[chosen].tolist()]), np.uint8)
+                block = block.reshape(-1, sizes[first])
+                fixed, numbers = _places(message.header.frame_id, content)
                 fits = (block[:, fixed] == block[0, fixed]).all(axis=1)
-                alike = alike[fits]
-                block = block[fits]
-                decoded = decoded[0], cdr_stamps_ns(block), np.take(block, numbers, axis=1).view("<f8")
-            content, stamp_ns, values = decoded
+                chosen[chosen] = fits
+                stamp_ns = cdr_stamps_ns(block[fits])
+                values = np.take(block[fits], numbers, axis=1).view("<f8")
+                alike = remaining[chosen]
+                others = remaining[~chosen]
             shape = len(alike), len(content.fields), len(content.names)
-            rows = _Rows(alike + start, stamp_ns, values.reshape(shape))
-            self._rows.setdefault(content, []).append(rows)
-            remaining = np.setdiff1d(remaining, alike, assume_unique=True)
+            self._keep(content, _Rows(alike + start, stamp_ns, values.reshape(shape)))
+            remaining = others
 
     def _content(self, message: Any) -> tuple[_Content, Int64Array, Array]:
         """Return the content of a message, its stamp and its numbers."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -50,22 +50,18 @@ class TopicPlot:
         names: of the bags.
         series: of each bag, with the same joints.
         less: second less first, if there are two.
+        zero_ns: stamp from which the times are counted.
     """
 
     names: Sequence[str]
     series: tuple[JointSeries, ...]
     less: JointSeries | None
-
-    @property
-    def _zero(self) -> int:
-        """Return the stamp, ns, from which the times are counted."""
-        start = min(int(series.stamp_ns[0]) for series in self.series)
-        return start if start > _WALL_CLOCK else 0
+    zero_ns: int = 0
 
     @property
     def time_label(self) -> str:
         """Return the label of the axis of time."""
-        return f"time since {self._zero / NANOSECONDS:.9f} s, s" if self._zero else "time, s"
+        return f"time since {self.zero_ns / NANOSECONDS:.9f} s, s" if self.zero_ns else "time, s"
 
     @property
     def panels(self) -> list[TopicPanel]:
@@ -90,7 +86,7 @@ class TopicPlot:
         return panels
 
     def _lines(self, series: JointSeries, field: str) -> list[TopicLine]:
-        time = (series.stamp_ns - self._zero) / NANOSECONDS
+        time = (series.stamp_ns - self.zero_ns) / NANOSECONDS
         return [
             TopicLine(plain(name), time, series.fields[field][:, k], COLOURS[k % len(COLOURS)])
             for k, name in enumerate(series.names)
@@ -128,7 +124,9 @@ def plot_bags(
     words = [path.resolve().name for path in paths]
     if len(set(words)) < len(words):
         words = [str(path) for path in paths]
-    return [_topic_plot(words, [bag.one(name, joints, "say which with --joint") for bag in bags]) for name in names]
+    plots = [_topic_plot(words, [bag.one(name, joints, "say which with --joint") for bag in bags]) for name in names]
+    start = min(int(series.stamp_ns[0]) for plot in plots for series in plot.series)
+    return [replace(plot, zero_ns=start) for plot in plots] if start > _WALL_CLOCK else plots
 
 
 def _topic_plot(words: Sequence[str], series: Sequence[JointSeries]) -> TopicPlot:

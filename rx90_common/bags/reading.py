@@ -89,7 +89,6 @@ class BagReader:
 
     Attributes:
         path: as given.
-        notes: remarks for the user about the reading of the bag.
         effort_units: of topics whose efforts are not in the usual unit of their names, by its metadata.
         table: the series of a log in columns.
     """
@@ -99,7 +98,6 @@ class BagReader:
         self._mapping = mapping
         if not self.path.exists():
             raise BagError(f"{plain(path)}: no such bag")
-        self.notes: list[str] = []
         self.effort_units: dict[str, str] = {}
         self.table: Sequence[JointSeries] = ()
         self._storages: dict[Path, StorageFile] = {}
@@ -194,7 +192,7 @@ class BagReader:
         names = [topic.name for topic in topics]
         if self.table:
             series = {series.topic: [series] for series in self.table if series.topic in names}
-            return JointBag(self.path, self.topics, series, self.notes)
+            return JointBag(self.path, self.topics, series)
         builders: dict[int, SeriesBuilder] = {}  # to hash a topic takes 0.5 us
         for topic in topics:
             unit = self.effort_units.get(topic.name, "")
@@ -207,7 +205,7 @@ class BagReader:
                 if done % _STEP == 0 or done == total > _STEP:
                     progress(done, total)
             series = dict(zip(names, (builder.build() for builder in builders.values()), strict=True))
-        return JointBag(self.path, self.topics, series, self.notes)
+        return JointBag(self.path, self.topics, series)
 
     def _read_metadata(self, counts: Counter[tuple[str, str]]) -> list[Path]:
         """Return the files that metadata.yaml names; note the units of efforts, and messages by topic and type."""
@@ -255,7 +253,6 @@ class BagReader:
                 f"{where}: {FILE} is missing, and there are {listed(file.name for file in files)}; accepted: one file, "
                 "or each by its path; 'ros2 bag reindex' writes the metadata of several"
             )
-        self.notes.append(f"{FILE} is missing; read as it is: {plain(files[0].name)}")
         return files[0]
 
     def _messages(
@@ -289,13 +286,11 @@ class JointBag:
         topics: all topics of the bag.
         series: by absolute topic name, one for each set of joints in the topic, in the order of their first
             messages; none for a topic without messages.
-        notes: remarks for the user about the reading of the bag.
     """
 
     path: Path
     topics: Sequence[BagTopic]
     series: dict[str, list[JointSeries]]
-    notes: Sequence[str]
 
     @property
     def begin_ns(self) -> int:

@@ -8,12 +8,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
 from rx90_common.bags.mapping import is_table
-from rx90_common.bags.reading import BagReader
+from rx90_common.bags.reading import BagReader, JointBag
 from rx90_common.bags.topics import JOINT_TRAJECTORY, STRING, reports_changes
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain, quoted
@@ -32,26 +32,20 @@ _VALUES = (
 """The fields of a rcl_interfaces/ParameterValue by its type, without the ending."""
 
 
-def robot_of(path: Path | str) -> str | None:
-    """Return the name in the first description of a robot in a bag; None if it has none."""
-    if is_table(Path(path)):
-        return None
-    with BagReader(path) as bag:
-        topics = [t for t in bag.topics if t.msgtype == STRING and t.name.rpartition("/")[2] == _DESCRIPTION]
-        for topic, _, data in islice(bag.messages(topics) if topics else (), 1):
-            with suppress(ET.ParseError, ValueError):
-                return robot_name(str(bag.deserialize(topic, data).data)) or None
-    return None
-
-
 def check_robot(path: Path | str, robot: str) -> None:
     """Check that a bag is of a robot: that the first description in it, if there is one, bears its name."""
-    found = robot_of(path)
-    if found not in (None, robot):
-        raise BagError(
-            f"{plain(path)}: recorded of the robot {quoted(found)}, not of {quoted(robot)}; accepted: a bag of "
-            "that robot, or --robot with the bag's"
-        )
+    if is_table(Path(path)):
+        return
+    with BagReader(path) as bag:
+        topics = [t for t in bag.topics if t.msgtype == STRING and t.name.rpartition("/")[2] == _DESCRIPTION]
+        for topic, _, data in islice(bag.messages(topics), 1):
+            with suppress(ET.ParseError, ValueError):
+                name = robot_name(str(bag.deserialize(topic, data).data))
+                if name not in ("", robot):
+                    raise BagError(
+                        f"{plain(path)}: recorded of the robot {quoted(name)}, not of {quoted(robot)}; accepted: a "
+                        "bag of that robot, or --robot with the bag's"
+                    )
 
 
 @dataclass(frozen=True)
@@ -81,7 +75,7 @@ def read_values(path: Path | str) -> dict[str, Any]:
 def _events(path: Path | str) -> list[Any]:
     with BagReader(path) as bag:
         topics = [topic for topic in bag.topics if reports_changes(topic.name, topic.msgtype)]
-        return [bag.deserialize(topic, data) for topic, _, data in bag.messages(topics)] if topics else []
+        return [bag.deserialize(topic, data) for topic, _, data in bag.messages(topics)]
 
 
 def _value(value: Any) -> str:
@@ -124,19 +118,7 @@ def read_trajectories(path: Path | str) -> list[RecordedTrajectory]:
     return sorted(trajectories, key=lambda one: one.start_ns)
 
 
-class Begins(Protocol):
-    """A bag as far as it was read, that knows when it begins."""
-
-    @property
-    def path(self) -> Path:
-        """Return its path."""
-
-    @property
-    def begin_ns(self) -> int:
-        """Return its first stamp, ns; raises BagError if there is none."""
-
-
-def time_shift(align: int | str, first: Begins, second: Begins) -> int:
+def time_shift(align: int | str, first: JointBag, second: JointBag) -> int:
     """Return the offset to add to the stamps of the second of two bags, ns; `align` as in `Scope`."""
     if isinstance(align, int):
         return align

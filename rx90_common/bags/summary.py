@@ -68,7 +68,6 @@ class BagSummary:
         size: of its files in bytes.
         topics: by name.
         changes: of parameters, in the order of the messages.
-        notes: remarks for the user about the reading of the bag.
     """
 
     path: Path
@@ -76,7 +75,6 @@ class BagSummary:
     size: int
     topics: tuple[TopicSummary, ...]
     changes: tuple[ParameterChange, ...]
-    notes: tuple[str, ...]
 
     @property
     def count(self) -> int:
@@ -108,7 +106,6 @@ def summarise(path: Path | str, mapping: LogMapping | None = None) -> BagSummary
                 for topic in topics
             ),
             changes=() if bag.table else tuple(read_changes(path)),
-            notes=tuple(bag.notes),
         )
 
 

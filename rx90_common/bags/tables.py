@@ -29,7 +29,7 @@ def comparison_text(comparison: BagComparison) -> str:
         verdict += f"; {counted(len(comparison.skipped), 'other topic')} not compared"
     elif comparison.skipped:
         blocks.append(f"not compared, as they are no JointState: {listed(comparison.skipped)}")
-    return "\n\n".join([*blocks, *comparison.notes, verdict])
+    return "\n\n".join([*blocks, verdict])
 
 
 def comparison_json(comparison: BagComparison) -> str:
@@ -42,7 +42,6 @@ def comparison_json(comparison: BagComparison) -> str:
         "shift_ns": comparison.shift_ns,
         "topics": [asdict(topic) | {"verdict": topic.verdict.name.lower()} for topic in comparison.topics],
         "not_compared": list(comparison.skipped),
-        "notes": list(comparison.notes),
     }
     return json.dumps(content, indent=2, allow_nan=False)
 
@@ -85,7 +84,6 @@ def summary_text(summary: BagSummary) -> str:
     ]  # fmt: skip
     return "\n".join([
         f"{plain(summary.path)}: {summary.storage}, {summary.size / 1e6:.1f} MB, {counted(summary.count, 'message')}",
-        *summary.notes,
         _table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics]),
         *changes,
     ])  # fmt: skip

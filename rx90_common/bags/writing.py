@@ -249,7 +249,7 @@ class BagWriter:
         Raises:
             BagWriteError: if the disk is full or nearly so, or writing fails otherwise.
         """
-        second = np.maximum.accumulate([self._second, *(log_ns // NANOSECONDS).tolist()])
+        second = np.maximum.accumulate(np.append(self._second, log_ns // NANOSECONDS))
         stops = np.flatnonzero(np.diff(second)) + 1
         writer = self._writer
         storage: Any = writer.storage

@@ -14,7 +14,7 @@ accepted. What is accepted comes from the field's JSON schema, or from `accepted
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -46,8 +46,6 @@ Provenance: TypeAlias = Literal["published", "derived", "assumed", "identified"]
 
 _REFUSED: Final = "refused"
 _UNKNOWN_KEY: Final = "extra_forbidden"
-_TYPING_ERROR: Final = 0.8
-"""Likeness of a misspelt key to the missing one that is meant, where other keys are accepted, too."""
 _MAX_FAULTS: Final = 20
 """Misspelt keys that are told at most, and as many other faults."""
 _MISSING: Final = {"missing", "union_tag_not_found"}
@@ -240,6 +238,20 @@ def refusal(key: str, value: object, accepted: str) -> PydanticCustomError:
     return PydanticCustomError(_REFUSED, "{key} is {value}; accepted: {accepted}", context)
 
 
+def spread(block: AnyModel, count: int) -> AnyModel:
+    """Return a mapping whose lists of a single value have it for each of so many joints."""
+    single = {key: values * count for key, values in block if isinstance(values, tuple) and len(values) == 1}
+    return block.model_copy(update=single)
+
+
+def check_counts(blocks: Iterable[tuple[str, Any]], count: int, like: str) -> None:
+    """Refuse a list of one value for each joint, in blocks by name, that is longer or shorter than the list `like`."""
+    for name, block in blocks:
+        for key, values in block if isinstance(block, FileModel) else ():
+            if isinstance(values, tuple) and values and len(values) != count:
+                raise refusal(f"{name}.{key}", values, f"{count} numbers, as many as {like} has")
+
+
 def read_model(
     model: type[AnyModel], path: Path, accepted: str = "a mapping of keys to values", *, first: bool = False
 ) -> AnyModel:
@@ -297,9 +309,10 @@ def _with_units(value: Any) -> Any:
     return named
 
 
-def unit_of(model: type[BaseModel], field: str) -> str:
-    """Return the unit of a model's field, empty if it has none."""
-    return _extra_text(model, field, "unit")
+def word_of(model: type[BaseModel], field: str, word: str) -> str:
+    """Return what the `quantity` of a model's field says as "unit" or "path", empty if it says nothing."""
+    extra = model.model_fields[field].json_schema_extra
+    return str(extra.get(word, "")) if isinstance(extra, dict) else ""
 
 
 def unit_at(root: JsonSchema, place: Place, content: Any) -> str:
@@ -311,16 +324,6 @@ def unit_at(root: JsonSchema, place: Place, content: Any) -> str:
                 if "unit" in schema:
                     return str(schema["unit"])
     return ""
-
-
-def path_of(model: type[BaseModel], field: str) -> str:
-    """Return the name that a field's `quantity` gives it in paths of sweeps, empty if it has none."""
-    return _extra_text(model, field, "path")
-
-
-def _extra_text(model: type[BaseModel], field: str, key: str) -> str:
-    extra = model.model_fields[field].json_schema_extra
-    return str(extra.get(key, "")) if isinstance(extra, dict) else ""
 
 
 @cache
@@ -373,22 +376,25 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
     for fault, place in faults:
         if fault["type"] == _UNKNOWN_KEY or any(inner != place and inner[: len(place)] == place for inner in places):
             continue  # of several kinds of value, another one is meant
-        if fault["type"] in _MISSING:
-            if place in meant:
-                continue  # one mistake would be told twice
-            node = schema_at(schema, place[:-1], content)
-            given = value_at(content, place[:-1])
-            strange = (key for key in given if key not in node.get("properties", {})) if isinstance(given, dict) else ()
-            near = nearest(str(place[-1]), strange, _TYPING_ERROR)
-            if near:  # where other keys are accepted, too
-                lines.insert(0, _unknown_key(where, (*place[:-1], near), str(place[-1]), node))
-                continue
+        if fault["type"] in _MISSING and place in meant:
+            continue  # one mistake would be told twice
         line = _line(schema, fault, place, where, content)
-        lines.append(line)
+        misspelt = _misspelt_tag(fault, place, where, schema, content)
+        lines.insert(0 if misspelt else len(lines), misspelt or line)
     lines = list(dict.fromkeys(lines))  # two kinds of a union, or both signs, say the same
     if len(told) < len(every):
         lines.append(f"{where}{': ' if where else ''}{len(every) - len(told):,} more faults, which are not told")
     return lines
+
+
+def _misspelt_tag(fault: Mapping[str, Any], place: Place, where: str, schema: JsonSchema, content: Any) -> str:
+    """Return the line for a key that should be the one that chooses a kind; empty if there is none like it."""
+    given = value_at(content, place[:-1])
+    if fault["type"] not in _MISSING or not isinstance(given, Mapping):
+        return ""
+    node = schema_at(schema, place[:-1], content)
+    near = nearest(str(place[-1]), (str(key) for key in given if key not in node.get("properties", {})))
+    return _unknown_key(where, (*place[:-1], near), str(place[-1]), node) if near else ""
 
 
 def _unknown_key(where: str, place: Place, near: str, node: JsonSchema) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from difflib import get_close_matches
 from itertools import islice
 from typing import Any, Final
@@ -58,11 +58,6 @@ def listed(names: Iterable[object], most: int = _MAX_NAMES) -> str:
     every = list(names)
     shown = ", ".join(plain(name) for name in every[:most])
     return f"{shown} and {len(every) - most:,} more" if len(every) > most else shown
-
-
-def conjoined(names: Sequence[str]) -> str:
-    """Return names in a sentence: one, one and two, or one, two and three."""
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def counted(count: int, noun: str) -> str:

@@ -7,48 +7,40 @@ import sys
 import sysconfig
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple
 
-
-class Source(NamedTuple):
-    """Where a module comes from: its distribution for pip, and its package for Ubuntu 24.04's apt, if it has one."""
-
-    pip: str
-    apt: str = ""
-
-
-SOURCES = {
-    "backports": Source("rosbags"),  # backports.zstd
-    "bokeh": Source("bokeh"),
-    "distributed": Source("distributed"),
-    "ezdxf": Source("ezdxf"),
-    "jinja2": Source("Jinja2", "python3-jinja2"),
-    "llvmlite": Source("numba"),
-    "lz4": Source("rosbags"),
-    "markdown_it": Source("markdown-it-py"),
-    "markupsafe": Source("Jinja2", "python3-jinja2"),
-    "matplotlib": Source("matplotlib", "python3-matplotlib"),
-    "mcap": Source("mcap"),
-    "mujoco": Source("mujoco"),
-    "numba": Source("numba"),
-    "numpy": Source("numpy", "python3-numpy"),
-    "pinocchio": Source("pin", "ros-jazzy-pinocchio"),
-    "pyarrow": Source("pyarrow"),
-    "pydantic": Source("pydantic"),  # Ubuntu's python3-pydantic is 1.10
-    "pydantic_core": Source("pydantic"),
-    "rosbags": Source("rosbags"),
-    "rich": Source("viser"),
-    "scipy": Source("scipy", "python3-scipy"),
-    "serial": Source("pyserial", "python3-serial"),
-    "shtab": Source("shtab"),
-    "tqdm": Source("tqdm", "python3-tqdm"),
-    "viser": Source("viser"),
-    "yaml": Source("PyYAML", "python3-yaml"),
+_NAMED_ALIKE = (
+    "bokeh",
+    "distributed",
+    "ezdxf",
+    "matplotlib",
+    "mcap",
+    "mujoco",
+    "numba",
+    "numpy",
+    "pyarrow",
+    "pydantic",
+    "rosbags",
+    "scipy",
+    "shtab",
+    "tqdm",
+    "viser",
+)
+SOURCES = {name: name for name in _NAMED_ALIKE} | {
+    "backports": "rosbags",  # backports.zstd
+    "jinja2": "Jinja2",
+    "llvmlite": "numba",
+    "lz4": "rosbags",
+    "markdown_it": "markdown-it-py",
+    "markupsafe": "Jinja2",
+    "pinocchio": "pin",
+    "pydantic_core": "pydantic",
+    "rich": "viser",
+    "serial": "pyserial",
+    "yaml": "PyYAML",
 }
-"""Of each module outside the standard library and ROS that the project imports."""
+"""The distribution for pip of each module outside the standard library and ROS that the project imports."""
 
 _ROS_FROM_PIP = "'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces"
-_APT_FOLDER = "/usr/lib/python3/dist-packages"
 
 
 def missing_module(error: ImportError) -> str | None:
@@ -91,12 +83,9 @@ def _accepted(module: str) -> str:
         return f"sudo apt install {package}" if sourced else "make action, in the project's folder"
     if is_ros(module):
         return "a sourced ROS 2 Jazzy" + ("" if managed else f", or {_pip(_ROS_FROM_PIP)}")
-    source = SOURCES[module]
-    if source.apt and _APT_FOLDER in sys.path and os.environ.get("ROS_DISTRO") == "jazzy":
-        return f"sudo apt install {source.apt}"
     if managed:
-        return f"a virtual environment with {source.pip} in it, as in docs/start/install.md"
-    return _pip(source.pip)
+        return f"a virtual environment with {SOURCES[module]} in it, as in docs/start/install.md"
+    return _pip(SOURCES[module])
 
 
 def _pip(what: str) -> str:

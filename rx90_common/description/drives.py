@@ -11,18 +11,28 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeAlias
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.models import (
+    AnyModel,
     FileModel,
     NotNegative,
     Positive,
     RowOf,
     as_refusal,
+    check_counts,
     quantity,
     read_model,
     refusal,
+    spread,
 )
 from rx90_common.description.coupling import Coupling
 
@@ -55,8 +65,15 @@ class Cogging(FileModel):
     harmonic: Annotated[_Waves, quantity("1", "Waves in a turn of the motor, one for each row of the others.")]
     amplitude: Annotated[_Rows, quantity("Nm", "Amplitudes of the motors, motor side.")]
     phase: Annotated[
-        _Rows, quantity("rad", "Phases of the cosines where the motors are at 0; 0 where they are left out.")
+        _Rows,
+        quantity("rad", "Phases of the cosines where the motors are at 0; 0 where they are left out."),
+        Field(validate_default=True),
     ] = ()
+
+    @field_validator("phase")
+    @classmethod
+    def _complete_phase(cls, phase: _Rows, info: ValidationInfo) -> _Rows:
+        return phase or tuple((0.0,) * len(row) for row in info.data.get("amplitude", ()))
 
     @model_validator(mode="after")
     def _check_shapes(self) -> Cogging:
@@ -64,8 +81,6 @@ class Cogging(FileModel):
         if terms > MAX_TERMS:
             raise refusal("harmonic", list(self.harmonic), f"up to {MAX_TERMS} numbers")
         motors = len(self.amplitude[0]) if self.amplitude else 0
-        if not self.phase:
-            self.__dict__["phase"] = ((0.0,) * motors,) * terms
         for key, rows in (("amplitude", self.amplitude), ("phase", self.phase)):
             if len(rows) != terms or any(len(row) != motors for row in rows):
                 raise refusal(key, [list(row) for row in rows], f"{terms} rows of {motors} numbers")
@@ -113,6 +128,7 @@ class Windings(FileModel):
     initial: Annotated[
         _Degrees | None,
         quantity("°C", "Temperature of the windings at the start; as warm as the surroundings if left out."),
+        Field(validate_default=True),
     ] = None
     reference: Annotated[_Degrees, quantity("°C", "Temperature at which the resistance holds.")] = 20.0
     coefficient: Annotated[float, quantity("1/K", "Rise of the resistance with temperature.", ge=0.0, le=0.1)] = COPPER
@@ -121,10 +137,13 @@ class Windings(FileModel):
     ]
     limit: Annotated[_DegreesOrNever, quantity("°C", "Temperature at which it gives none; .inf for never.")]
 
+    @field_validator("initial")
+    @classmethod
+    def _complete_initial(cls, initial: float | None, info: ValidationInfo) -> float | None:
+        return info.data.get("ambient") if initial is None else initial
+
     @model_validator(mode="after")
     def _check_temperatures(self) -> Windings:
-        if self.initial is None:
-            self.__dict__["initial"] = self.ambient
         if self.used and not self.derating < self.limit:
             raise refusal("derating", self.derating, f"below limit = {self.limit:g} °C")
         warmest = max(self.ambient, self.initial or self.ambient)
@@ -280,10 +299,17 @@ class DriveParameters(FileModel):
     brake: Brakes
     spring: Springs
     end_stops: EndStops
-    elasticity: Elasticity = Field(default_factory=lambda: RIGID)
+    elasticity: Elasticity = Field(default_factory=lambda: RIGID, validate_default=True)
     cogging: Cogging = Field(default_factory=lambda: NO_COGGING)
-    winding: Windings = Field(default_factory=lambda: COLD)
-    current_sensor: CurrentSensor = Field(default_factory=lambda: IDEAL_SENSOR)
+    winding: Windings = Field(default_factory=lambda: COLD, validate_default=True)
+    current_sensor: CurrentSensor = Field(default_factory=lambda: IDEAL_SENSOR, validate_default=True)
+
+    @field_validator("elasticity", "winding", "current_sensor")
+    @classmethod
+    def _spread(cls, block: AnyModel, info: ValidationInfo) -> AnyModel:
+        """Give each drive the single value of a list."""
+        transmission = info.data.get("transmission")
+        return block if transmission is None else spread(block, len(transmission.gear))
 
     @model_validator(mode="after")
     def _check_counts(self) -> DriveParameters:
@@ -294,21 +320,9 @@ class DriveParameters(FileModel):
             raise refusal(
                 "transmission.coupling", turns.tolist(), f"{joints} rows and columns, as many as gear has numbers"
             )
-        for name, block in self:
-            if not isinstance(block, FileModel):
-                continue
-            fitting = {}
-            for key, values in block:
-                if not isinstance(values, tuple) or key in ("coupling", "harmonic"):
-                    continue
-                rows = values if name == "cogging" else (values,)
-                if name in _OPTIONAL and len(values) == 1 < joints and name != "cogging":
-                    fitting[key] = values * joints
-                elif any(len(row) != joints for row in rows):
-                    accepted = f"{joints} numbers, as many as transmission.gear has"
-                    raise refusal(f"{name}.{key}", list(values), accepted)
-            if fitting:
-                self.__dict__[name] = block.model_copy(update=fitting)
+        check_counts([block for block in self if block[0] != "cogging"], joints, "transmission.gear")
+        if any(len(row) != joints for row in self.cogging.amplitude):
+            raise refusal("cogging.amplitude", self.cogging.amplitude, f"rows of {joints} numbers, one for each motor")
         for i in np.flatnonzero(self.elasticity.elastic):
             if self.rotor_inertia[i] == 0.0:
                 raise refusal(f"transmission.rotor_inertia[{i}]", 0.0, "a number > 0 where the drive is elastic")

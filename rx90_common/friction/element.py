@@ -16,7 +16,7 @@ from pydantic import Field, GetJsonSchemaHandler, ValidationError, model_validat
 from pydantic_core import CoreSchema
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.models import FileModel, JsonSchema, quantity, refusal, refusals, unit_of
+from rx90_common.base.models import FileModel, JsonSchema, quantity, refusal, refusals, word_of
 from rx90_common.friction.parts.bristles import BRISTLES, LUGRE_PASSIVITY, Bristles
 from rx90_common.friction.parts.curve import CURVE, CurvePart
 from rx90_common.friction.parts.load import LOAD, LoadPart
@@ -251,7 +251,7 @@ PARTS: dict[str, Part] = {
 """The parts that an element may have, by the keys of their blocks, which are its attributes."""
 
 FRICTION_UNITS = {
-    name: unit_of(FrictionElement, name.removesuffix("_positive").removesuffix("_negative"))
+    name: word_of(FrictionElement, name.removesuffix("_positive").removesuffix("_negative"), "unit")
     for name in (
         *(f"{torque}_{sign}" for torque in ("tau_c", "tau_s") for sign in SIGNS),
         *("omega_s", "delta", "c0", "c1", "c2", "omega_d", "alpha"),

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.models import FileModel, Named, model_text, quantity, read_model, refusals
-from rx90_common.base.quoting import conjoined, counted, nearest, question, quoted
+from rx90_common.base.quoting import counted, nearest, question, quoted
 from rx90_common.friction.element import FrictionElement, legend
 from rx90_common.friction.parts.bristles import MaxwellSlip
 
@@ -148,8 +148,7 @@ def _passivity_warning(name: str, element: FrictionElement, speed: float) -> str
     if math.isinf(limit):
         return ""
     reducing = [part_name for part_name, part in element.parts.items() if part.lowers_friction]
-    leave = "leaves" if len(reducing) == 1 else "leave"
-    least = f", where {conjoined(reducing)} {leave} least friction" if reducing else ""
+    least = f", with the least friction by {', '.join(reducing)}" if reducing else ""
     blocks = isinstance(element.bristles, MaxwellSlip)
     bound = "the bound of its blocks, docs/explanation/bristles.md," if blocks else "c1 < 4 c0 g / |v|"
     return (

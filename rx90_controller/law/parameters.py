@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Annotated, Any, Final, TypeAlias
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, located
-from rx90_common.base.models import FileModel, Positive, RowOf, quantity, read_model, refusal
+from rx90_common.base.models import FileModel, Positive, RowOf, check_counts, quantity, read_model
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import Rates
 from rx90_common.description.coupling import ArmSize, gear_field
@@ -112,7 +112,14 @@ class FeedForward(FileModel):
     viscous_exponent: Annotated[
         RowOf[_Exponent],
         quantity("1", "Exponent of the viscous friction to compensate.", path="viscous_exponent"),
+        Field(validate_default=True),
     ] = (1.0,)
+
+    @field_validator("viscous_exponent")
+    @classmethod
+    def _spread(cls, exponents: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        """Give each joint the single exponent."""
+        return exponents * len(info.data.get("coulomb_torque", "1")) if len(exponents) == 1 else exponents
 
     @property
     def model_parts(self) -> int:
@@ -182,14 +189,7 @@ class CS7BParameters(FileModel):
 
     @model_validator(mode="after")
     def _check_counts(self) -> CS7BParameters:
-        joints = len(self.servo.inertia)
-        if len(self.feed_forward.viscous_exponent) == 1 < joints:
-            exponents = self.feed_forward.viscous_exponent * joints
-            self.__dict__["feed_forward"] = self.feed_forward.model_copy(update={"viscous_exponent": exponents})
-        for name, block in self:
-            for key, values in block if isinstance(block, FileModel) else ():
-                if isinstance(values, tuple) and len(values) != joints:
-                    raise refusal(f"{name}.{key}", list(values), f"{joints} numbers, as many as servo.inertia has")
+        check_counts(self, len(self.servo.inertia), "servo.inertia")
         return self
 
     @cached_property

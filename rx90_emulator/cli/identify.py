@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("sliding", "sweeps at constant velocity: 5 speeds or more in both directions, at several poses"),
         (
             "presliding",
-            "micro-oscillations, 500 samples per second or more; without them c0 and c1 are those of --fallback",
+            "micro-oscillations, 500 samples per second or more; else c0 and c1 are those of --fallback, or assumed",
         ),
         ("excitation", "runs in which all joints move, without plateaus: dynamics and friction of the whole arm"),
         ("validation", "a run to hold the result against, not used before"),

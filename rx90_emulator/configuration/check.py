@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 
 from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError, Rx90Error
-from rx90_common.base.models import FileModel, JsonSchema, read_model, schema_at
+from rx90_common.base.models import FileModel, JsonSchema, schema_at
 from rx90_common.base.quoting import listed, nearest, one_line, plain, quoted
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_controller.lines.task import load_task
-from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind, MoveItLimits
+from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind
 from rx90_emulator.identification.experiments.plan import INDEX, Poses
 from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.setup import Setup
@@ -144,7 +144,7 @@ def _check_urdf(path: Path) -> CheckedFile:
     )
 
 
-def _faults_together(files: RobotFiles, setup: Setup, limits: Path) -> list[Rx90Error]:
+def _faults_together(files: RobotFiles, setup: Setup) -> list[Rx90Error]:
     """Return what is wrong with files of a robot, each right alone, that others decide."""
     faults: list[Rx90Error] = []
     task = files.task
@@ -155,23 +155,15 @@ def _faults_together(files: RobotFiles, setup: Setup, limits: Path) -> list[Rx90
     if poses is not None:
         refused = _faults_of(lambda: Poses.load(poses).check(setup.robot))
         faults += [ConfigError(f"{plain(poses)}: {error}") for error in refused]
-    if limits.is_file():
-        given = read_model(MoveItLimits, limits).joint_limits.entries
-        names = setup.robot.joint_names
-        wrong = [(name, "is missing") for name in names if name not in given]
-        wrong += [(name, "is no joint") for name in given if name not in names]
-        where = f"{plain(limits)}: joint_limits"
-        faults += [ConfigError(f"{where}.{plain(name)} {what}; accepted: {listed(names)}") for name, what in wrong]
     return faults
 
 
 def _check_robot(folder: Path) -> list[CheckedFile]:
     """Check the files of a robot folder one by one and, if there is nothing wrong in them, together.
 
-    Together: names of joints in all files, poses, limits, whether the arm can travel the task's line, missing files.
+    Together: names of joints in all files, poses, whether the arm can travel the task's line, missing files.
     """
     files = RobotFiles.named(str(folder))
-    limits = folder / "moveit/joint_limits.yaml"
     roles = {path: role for role in FILES if role != "urdf" and (path := getattr(files, role)) is not None}
     found = [
         check_file(path, kind_named(role))
@@ -179,8 +171,6 @@ def _check_robot(folder: Path) -> list[CheckedFile]:
         else CheckedFile(path, role, (f"{plain(path)}: is missing; accepted: a {role} file",))
         for path, role in roles.items()
     ]
-    if limits.is_file():
-        found.append(check_file(limits, kind_named("moveit_limits")))
     found.append(_check_urdf(files.urdf))
     if any(each.problems for each in found):
         return found
@@ -191,7 +181,7 @@ def _check_robot(folder: Path) -> list[CheckedFile]:
     except Rx90Error as refused:
         faults.append(refused)
     else:
-        faults += _faults_together(files, setup, limits)
+        faults += _faults_together(files, setup)
     together = []
     for error in faults:
         of = next((path for path in roles if str(error).startswith(f"{plain(path)}: ")), None)

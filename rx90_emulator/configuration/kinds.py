@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from friction_bench.rig.rig_file import RigFile, load_rig
 from rx90_common.bags.mapping import LogMapping, SignalMapFile
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import FileModel, JsonSchema, Model, Named, fault_lines, json_schema, quantity, read_model
+from rx90_common.base.models import JsonSchema, Model, fault_lines, json_schema, read_model
 from rx90_common.base.quoting import plain
 from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import Tool, load_tool
@@ -20,31 +20,12 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.law.parameters import CS7BParameters, load_controller
 from rx90_controller.lines.task import TaskFile, load_task
 from rx90_emulator.correction.file import CorrectionHead, load_correction
-from rx90_emulator.identification.experiments.plan import ExperimentsFile, Poses, PosesFile, read_index
+from rx90_emulator.identification.experiments.plan import ExperimentsFile, Poses, read_index
 from rx90_emulator.loop.path_file import PathFile, TrajectoryFile, load_path, load_trajectory
 from rx90_emulator.sweep.plan import PlanFile, load_sweep_plan
 
 NODE_PARAMETERS = "node_parameters"
 """The name of the kind of the nodes' parameter files."""
-
-
-class JointLimits(FileModel):
-    """Limits of a joint."""
-
-    model_config = ConfigDict(extra="allow")
-
-    has_velocity_limits: Annotated[bool, Field(description="Whether max_velocity holds.")]
-    max_velocity: Annotated[float, quantity("rad/s", "Largest velocity.", gt=0.0)]
-    has_acceleration_limits: Annotated[bool, Field(description="Whether max_acceleration holds.")]
-    max_acceleration: Annotated[float, quantity("rad/s^2", "Largest acceleration.", gt=0.0)]
-
-
-class MoveItLimits(FileModel):
-    """Limits of the joints for MoveIt, in its own format; python -m tools.moveit_files writes them."""
-
-    model_config = ConfigDict(extra="allow")
-
-    joint_limits: Annotated[Named[JointLimits], Field(description="Limits by joint.")]
 
 
 def _read_sweep(path: Path) -> object:
@@ -87,8 +68,7 @@ KINDS = (
     FileKind("controller", CS7BParameters, load_controller),
     FileKind("task", TaskFile, load_task),
     FileKind("path", PathFile, load_path),
-    FileKind("poses", PosesFile, Poses.load),
-    FileKind("moveit_limits", MoveItLimits, lambda path: read_model(MoveItLimits, path)),
+    FileKind("poses", Poses, Poses.load),
     FileKind("rig", RigFile, load_rig),
     FileKind("sweep_plan", PlanFile, _read_sweep),
     FileKind(

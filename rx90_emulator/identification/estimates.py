@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
@@ -47,34 +46,6 @@ def with_passive_fading(element: FrictionElement, fallback: FrictionElement | No
     factor = LUGRE_PASSIVITY if bristles is None else float(bristles.passivity_factor(element.c0, 0.0))
     passive = 0.5 * factor * math.sqrt(2.0 * math.e) * least / max(element.c1, 1e-300)
     return element.replaced(omega_d=min(usual, max(passive, MIN_SPEED)))
-
-
-def cluster_variances(
-    slope: Array, residual: Array, cluster: NDArray[np.int64], root: Array, power: float, least: float
-) -> Array:
-    """Return the variances of q parameters by the influence of each cluster's residuals on them, shape (q,).
-
-    Residuals within a cluster may be correlated. The residuals of a fit are too small by its leverage, which is
-    corrected: with its square root the variances are unbiased for pure noise (CR2), with the whole leverage they are
-    those of the jackknife over the clusters but for a factor (CR3; Bell and McCaffrey, Survey Methodology 28, 2002).
-
-    Args:
-        slope: derivatives of the equations, shape (r, q).
-        residual: of unit noise, shape (r,).
-        cluster: number of each equation's cluster, -1 where it is in none, shape (r,).
-        root: of the covariance with independent residuals, root @ root^T, shape (q, q).
-        power: exponent of 1 - leverage, 0.5 for CR2 and 1 for CR3.
-        least: lower bound of 1 - leverage: without some clusters a parameter would not be determined.
-    """
-    scaled = slope @ root
-    total = np.zeros(len(root))
-    for number in np.unique(cluster[cluster >= 0]).tolist():
-        rows = cluster == number
-        leverage, directions = np.linalg.eigh(scaled[rows].T @ scaled[rows])
-        pull = directions.T @ (scaled[rows].T @ residual[rows]) / np.maximum(1.0 - leverage, least) ** power
-        with np.errstate(over="ignore"):  # an infinite variance means that the parameter is not identifiable
-            total += (root @ (directions @ pull)) ** 2
-    return total
 
 
 @dataclass(frozen=True)

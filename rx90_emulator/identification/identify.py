@@ -6,10 +6,9 @@ Records -> sliding regime -> presliding regime -> result -> validation.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,16 +21,15 @@ from rx90_common.friction.signs import SIGNS
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
     NOT_IN_MODEL,
-    PARAMETERS,
     PRESLIDING,
     SLIDING,
-    VISCOUS_EXPONENT,
     ElementEstimate,
     IdentifiedElement,
     ParameterEstimate,
     with_passive_fading,
 )
 from rx90_emulator.identification.experiments.plan import IdentificationBags, read_emulated, read_index
+from rx90_emulator.identification.fitted import PRESLIDING_DISTANCE, RELAXATION
 from rx90_emulator.identification.options import (
     NO_TOLERANCES,
     SHIPPED_ROBOT,
@@ -40,7 +38,7 @@ from rx90_emulator.identification.options import (
     RobotOptions,
     model_parts,
 )
-from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
+from rx90_emulator.identification.presliding import PreslidingFit, identify_presliding
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.rows.filtering import Bandwidths
@@ -91,9 +89,9 @@ class FrictionIdentification:
         return FrictionSet(self.arm.element_names, self.lugre)
 
     @property
-    def with_given_bristles(self) -> tuple[str, ...]:
-        """Return the elements whose bristles are those of the fallback, of another kind than LuGre's."""
-        return tuple(name for name, one in self._named() if one.given_bristles)
+    def assumed_bristles(self) -> bool:
+        """Return whether c0 or c1 of an element are assumed."""
+        return not all(element.estimates[name].identifiable for element in self.elements for name in PRESLIDING)
 
     @property
     def confirmed(self) -> bool:
@@ -102,34 +100,11 @@ class FrictionIdentification:
         return agrees and not self.sliding.doubt
 
     @property
-    def identified_elements(self) -> tuple[str, ...]:
-        """Return the elements with at least one identified parameter."""
-        return tuple(name for name, one in self._named() if any(each.identifiable for each in one.estimates.values()))
-
-    @property
     def scope(self) -> str:
         """Return the scope of a verdict, "54 of 63 values are assumed"; "" where nothing is assumed."""
         identifiable = [each.identifiable for one in self.elements for each in one.estimates.values()]
         assumed = identifiable.count(False)
         return f"{assumed} of {len(identifiable)} values are assumed" if assumed else ""
-
-    @property
-    def unidentifiable(self) -> dict[str, dict[str, list[str]]]:
-        """Return the parameters that the bags do not identify, by reason and element."""
-        lacking: dict[str, dict[str, list[str]]] = {}
-        for name, one in self._named():
-            for parameter, estimate in one.estimates.items():
-                if not estimate.identifiable:
-                    lacking.setdefault(estimate.reason, {}).setdefault(name, []).append(parameter)
-        return lacking
-
-    def _named(self) -> Iterator[tuple[str, IdentifiedElement]]:
-        return zip(self.arm.element_names, self.elements, strict=True)
-
-
-def shown_parameters(result: FrictionIdentification) -> tuple[str, ...]:
-    """Return the parameters to show in tables: the viscous exponent only where an element has one."""
-    return tuple(name for name in PARAMETERS if any(name in one.estimates for one in result.elements))
 
 
 def identify_friction(
@@ -169,17 +144,13 @@ def identify_friction(
     check_given_once(by_use)
     source = RecordedRobot.load(robot, [path for paths in by_use.values() for path in paths])
     truth = read_emulated([*chosen.sliding, *chosen.presliding])
-    if not chosen.presliding and source.fallback is None:
-        raise IdentificationError(
-            "no bag with micro-oscillations, and nothing to take c0 and c1 from; accepted: --presliding BAG ..., or "
-            "--fallback FILE"
-        )
     records = read_records(by_use, source, progress)
     result = identify_records(records["sliding"], records["presliding"], source, progress, model=model)
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
-        checks.append(validate(source, result.lugre, record, tolerances, sliding=result.sliding))
+        check = validate(source, result.lugre, record, tolerances, sliding=result.sliding)
+        checks.append(replace(check, assumed_bristles=result.assumed_bristles))
     used = tuple((use, record.bag) for use, some in records.items() for record in some)
     return replace(result, bags=used, validations=tuple(checks), truth=truth)
 
@@ -229,8 +200,21 @@ def check_friction(
     checks = []
     for record in records:
         progress(record.source.name)
-        checks.append(validate(source, lugre, record, tolerances, bandwidths=bandwidths))
+        check = validate(source, lugre, record, tolerances, bandwidths=bandwidths)
+        checks.append(replace(check, assumed_bristles=_bristles_assumed(file)))
     return tuple(checks)
+
+
+def _bristles_assumed(file: FrictionFile) -> bool:
+    """Return whether the file says of c0 or c1 of an element that they were not identified."""
+    parameters = (file.identification or {}).get("parameters")
+    elements = parameters.values() if isinstance(parameters, Mapping) else []
+    return any(
+        element.get(name, {}).get("identifiable") is False
+        for element in elements
+        if isinstance(element, Mapping)
+        for name in PRESLIDING
+    )
 
 
 def with_friction(
@@ -374,22 +358,22 @@ def identify_records(
     fallback = robot.fallback or (None,) * len(arm.element_names)
     progress("sliding regime")
     slides = identify_sliding(sliding, arm, zero=robot.zero, model=model)
+    least = _least_coulomb(slides.estimates, robot.fallback)
     progress("presliding regime")
     if presliding:
         # The sliding regime of an element does not depend on its c0 and c1.
         bristles = {"c0": ParameterEstimate(1e4, 0.0), "c1": ParameterEstimate(0.0, 0.0)}
-        known = [_element(one, bristles, other) for one, other in zip(slides.estimates, fallback, strict=True)]
+        pairs = zip(slides.estimates, fallback, strict=True)
+        known = [_element(estimate, bristles, other, least) for estimate, other in pairs]
         seven = len(SLIDING)  # presliding does not depend on a viscous exponent
         covariances = [estimate.covariance()[:seven, :seven] for estimate in slides.estimates]
-        cycles = identify_presliding(
-            presliding, arm, known, robot.options.torque_delay, covariances, robot.plant_period
-        )
+        cycles = identify_presliding(presliding, arm, known, robot.options.torque_delay, covariances)
     else:
         reason = "no bag with micro-oscillations was given"
         cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names))
     elements = []
     for first, second, other in zip(slides.estimates, cycles.estimates, fallback, strict=True):
-        element = _element(first, second.parameters, other)
+        element = _element(first, second.parameters, other, least)
         if other is None:
             element = with_passive_fading(element, None)
         sources = dict.fromkeys(second.parameters, second.sources) | dict.fromkeys(first.parameters, first.sources)
@@ -398,27 +382,44 @@ def identify_records(
     return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name)
 
 
-_NO_RISE_VALUES = {"omega_s": 0.1, "delta": 1.0}  # without effect while tau_s = tau_c
+# Without effect while tau_s = tau_c, or where there is no viscous friction.
+_NEUTRAL = {"omega_s": 0.1, "delta": 1.0, "c2": 0.0, "alpha": 1.0}
+
+
+def _least_coulomb(sliding: Sequence[ElementEstimate], fallback: Sequence[FrictionElement] | None) -> float:
+    """Return the least identified Coulomb torque, Nm, which is assumed for elements without any."""
+    coulomb = [estimate.parameters["tau_c_positive"] for estimate in sliding]
+    known = [estimate.value for estimate in coulomb if estimate.identifiable]
+    if not known and fallback is None:
+        reasons = "; ".join(f"{one.element}: {why.reason}" for one, why in zip(sliding, coulomb, strict=True))
+        raise IdentificationError(
+            f"no friction of any element is identified ({reasons}); accepted: sweeps that tell some, or --fallback "
+            "with a friction file"
+        )
+    return min(known, default=0.0)
 
 
 def _element(
-    sliding: ElementEstimate, presliding: Mapping[str, ParameterEstimate], fallback: FrictionElement | None
+    sliding: ElementEstimate,
+    presliding: Mapping[str, ParameterEstimate],
+    fallback: FrictionElement | None,
+    least: float,
 ) -> FrictionElement:
-    """Return the element; parameters that are not identifiable come from the fallback."""
-    estimates = {VISCOUS_EXPONENT: ParameterEstimate(1.0, 0.0), **sliding.parameters, **presliding}
-    values: dict[str, Any] = {} if fallback is None else {"omega_d": fallback.omega_d}
-    for name in PARAMETERS:
-        estimate = estimates[name]
-        if estimate.reason == NOT_IN_MODEL:
-            values[name] = _NO_RISE_VALUES.get(name, 0.0)
-            continue
-        if not estimate.identifiable and fallback is None:
-            raise IdentificationError(
-                f"{sliding.element}: {name} is not identifiable from these bags ({estimate.reason}); accepted: bags "
-                "from which it is, or --fallback with a friction file for such values"
-            )
-        values[name] = estimate.value if estimate.identifiable else fallback.parameters[name]  # type: ignore[union-attr]
+    """Return the element; what is not identifiable comes from the fallback, or is assumed.
+
+    Without a fallback tau_s is tau_c, bristles break away after PRESLIDING_DISTANCE, and an unknown Coulomb torque is
+    the `least` of the other elements, as after excitation runs.
+    """
+    estimates = {**sliding.parameters, **presliding}
+    values = dict(_NEUTRAL)
+    if fallback is not None:
+        absent = {name for name, estimate in estimates.items() if estimate.reason == NOT_IN_MODEL}
+        values |= {name: value for name, value in fallback.parameters.items() if name not in {*absent, "alpha"}}
+    values |= {name: estimate.value for name, estimate in estimates.items() if estimate.identifiable}
     for sign in SIGNS:
-        # A fallback's static torque may lie below an identified Coulomb torque.
-        values[f"tau_s_{sign}"] = max(values[f"tau_s_{sign}"], values[f"tau_c_{sign}"])
+        coulomb = values.setdefault(f"tau_c_{sign}", least)
+        values[f"tau_s_{sign}"] = max(values.get(f"tau_s_{sign}", 0.0), coulomb)
+    mean = 0.5 * (values["tau_c_positive"] + values["tau_c_negative"])
+    values.setdefault("c0", mean / PRESLIDING_DISTANCE)
+    values.setdefault("c1", RELAXATION * values["c0"])
     return FrictionElement.of(values)

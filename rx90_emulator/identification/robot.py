@@ -148,7 +148,7 @@ def arm_layout(
     motors = own and topic.rpartition("/")[2] == MOTOR_STATES
     gear = own_drives().gear if own_drives is not None and motors and options.gear is None else _array(options.gear)
     if own and gear is None and options.coupling is not None:
-        raise IdentificationError("coupling without gear; accepted: for the motors' states, with their gear")
+        raise IdentificationError("coupling without gears; accepted: for the motors' states, with their --gear")
     turns = None
     if gear is not None:
         usual = np.eye(n) if own_drives is None else own_drives().turning.turns

@@ -174,7 +174,8 @@ def identify_sliding(
         name = min(lacking, key=lambda name: lacking[name] == _DOES_NOT_SLIDE)
         raise IdentificationError(f"{where}: {name} {lacking[name]}")
     used = ~(~blocks.sliding[blocks.plateau] @ (arm.element_matrix != 0.0)) & arm.identified
-    doubt = "; ".join(mistake_alarms(arm, Recorded(blocks.motion, blocks.torque, used, blocks.plateau), zero=zero))
+    alarms = mistake_alarms(arm, Recorded(blocks.motion, blocks.torque, used, blocks.plateau), zero=zero)
+    doubt = "; ".join(alarms)
     rows = sweep_rows(blocks, arm, known)
     parts = None if model is None else model_parts(model, SLIDING_PARTS)
     shared = [int(e) >= len(arm.names) for e in known]

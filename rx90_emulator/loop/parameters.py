@@ -21,7 +21,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from rx90_common.base.errors import ConfigError, check_type, located
-from rx90_common.base.models import AnyModel, Model, path_of, unit_of
+from rx90_common.base.models import AnyModel, Model, word_of
 from rx90_common.base.quoting import counted, nearest, question, quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
@@ -132,7 +132,7 @@ class Catalogue:
         for name, value in model:
             key = (*around, name)
             if isinstance(value, BySign) and isinstance(value.positive, float):
-                unit = unit_of(type(model), name)
+                unit = word_of(type(model), name, "unit")
                 self._add((*key, "positive"), value.positive, unit, (*path, f"{name}_positive"))
                 self._add((*key, "negative"), value.negative, unit, (*path, f"{name}_negative"))
                 self._leaves[(*path, name)] = ((*key, "positive"), (*key, "negative"))
@@ -140,8 +140,8 @@ class Catalogue:
                 self._add_model(key, (*path, name), value)
             elif isinstance(value, bool):
                 self._add(key, value, SWITCH, (*path, name))
-            elif value is not None and np.size(value) and (unit := unit_of(type(model), name)):
-                short = path_of(type(model), name)
+            elif value is not None and np.size(value) and (unit := word_of(type(model), name, "unit")):
+                short = word_of(type(model), name, "path")
                 self._add(key, value, unit, (path[0], short) if short else (*path, name))
 
     def value(self, leaf: Leaf) -> Value:

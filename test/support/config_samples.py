@@ -74,7 +74,6 @@ def shipped() -> list[tuple[str, Path]]:
     """Return kind and path of every shipped file that the project's own readers read."""
     robots = [config_path(f"robots/{name}") for name in shipped_robots()]
     found = [(role, folder / file) for folder in robots for role, file in FILES.items() if role != "urdf"]
-    found += [("moveit_limits", folder / "moveit" / "joint_limits.yaml") for folder in robots]
     found += [("friction", path) for path in sorted(config_path("friction").rglob("*.yaml"))]
     found += [("rig", path) for path in sorted(config_path("rig").glob("*.yaml"))]
     found += [("path", path) for path in sorted(config_path("paths").glob("*.yaml"))]

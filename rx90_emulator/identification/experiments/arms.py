@@ -55,7 +55,7 @@ class PlannedArm:
     def from_setup(cls, setup: Setup, home: Sequence[float] | None = None) -> PlannedArm:
         """Return the arm of a setup; home is the given one, else that of the robot's poses, else mid-range."""
         if home is None and setup.files is not None and setup.files.poses is not None:
-            home = Poses.of(setup).home
+            home = Poses.of(setup).home.position
         pose, remarks = _home(setup.robot, home)
         controller = setup.controller
         return cls(

@@ -80,33 +80,17 @@ class PoseList(FileModel):
     ]
 
 
-class PosesFile(FileModel):
+class Poses(FileModel):
     """Where the experiments of an identification take place."""
 
     home: HomePose
     sweeps: Annotated[PoseList, Field(description="Where the sweeps take place.")]
     validation: Annotated[PoseList, Field(description="Between which the validation moves.")]
 
-
-@dataclass(frozen=True)
-class Poses:
-    """Joint positions, rad, each of shape (n,).
-
-    Attributes:
-        home: where every experiment begins and ends.
-        sweeps: poses of the sweeps, at least one.
-        validation: poses between which the validation moves.
-    """
-
-    home: tuple[float, ...]
-    sweeps: tuple[tuple[float, ...], ...]
-    validation: tuple[tuple[float, ...], ...]
-
     @classmethod
     def load(cls, file: Path) -> Poses:
         """Read a poses file."""
-        content = read_model(PosesFile, file)
-        return cls(content.home.position, content.sweeps.positions, content.validation.positions)
+        return read_model(cls, file)
 
     @classmethod
     def of(cls, setup: Setup) -> Poses:
@@ -119,10 +103,10 @@ class Poses:
 
     def check(self, robot: RobotModel) -> None:
         """Check that an arm reaches the poses."""
-        check_pose("home", self.home, robot)
-        for number, pose in enumerate(self.sweeps, 1):
+        check_pose("home", self.home.position, robot)
+        for number, pose in enumerate(self.sweeps.positions, 1):
             check_pose(f"pose {number}", pose, robot)
-        for number, pose in enumerate(self.validation, 1):
+        for number, pose in enumerate(self.validation.positions, 1):
             check_pose(f"pose {number} of the validation", pose, robot)
 
 
@@ -188,7 +172,7 @@ def plan_experiments(
     """
     options = PlanOptions(poses=Poses.of(setup), groups=tuple(groups))
     if quick:
-        pose = replace(options.poses, sweeps=options.poses.sweeps[:1])
+        pose = options.poses.replaced(sweeps={"positions": options.poses.sweeps.positions[:1]})
         options = replace(
             options, poses=pose, speeds=8, travel=0.016, presliding_cycles=(2e-3,), tone_amplitudes=(4e-5,), burst=3.0
         )
@@ -295,8 +279,8 @@ def _sweeps(
     The error by ripple that is synchronous with the sampling differs between speeds, not between poses, and changes its
     sign with the direction.
     """
-    motion = Motion(options.poses.home)
-    poses = options.poses.sweeps
+    motion = Motion(options.poses.home.position)
+    poses = options.poses.sweeps.positions
 
     def sweep(motion: Motion, speed: float) -> Motion:
         held = float(np.clip(options.travel / abs(speed), _MIN_HOLD_S, _MAX_HOLD_S))
@@ -321,13 +305,13 @@ def _sweeps(
             _approach(robot, motion, start)
             motion.rest(0.1)
             sweep(motion, speed)
-    return _experiment(robot, f"sliding_{name}", Kind.SLIDING, motion, len(speeds), options.poses.home)
+    return _experiment(robot, f"sliding_{name}", Kind.SLIDING, motion, len(speeds), options.poses.home.position)
 
 
 def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction: Array) -> Experiment:
     """Return presliding cycles and micro-oscillations of a direction."""
-    motion = Motion(options.poses.home)
-    _approach(robot, motion, np.asarray(options.poses.sweeps[0]) - 0.03 * direction)
+    motion = Motion(options.poses.home.position)
+    _approach(robot, motion, np.asarray(options.poses.sweeps.positions[0]) - 0.03 * direction)
     motion.rest(0.2)
     # Sliding first: the deflection of the bristles then does not depend on the earlier motion.
     motion.sweep(direction, 0.05, 0.6, _ACCELERATION)
@@ -338,13 +322,13 @@ def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction:
         motion.oscillate(direction, [tone_amplitude / len(_TONES)] * len(_TONES), _TONES, options.burst)
     motion.rest(0.2)
     count = 2 * len(options.tone_amplitudes)
-    return _experiment(robot, f"presliding_{name}", Kind.PRESLIDING, motion, count, options.poses.home)
+    return _experiment(robot, f"presliding_{name}", Kind.PRESLIDING, motion, count, options.poses.home.position)
 
 
 def _validation(robot: RobotModel, options: PlanOptions) -> Experiment:
     """Return moves of all joints at once that no other experiment contains: fast, slow, with reversals."""
-    motion = Motion(options.poses.home)
-    poses = options.poses.validation
+    motion = Motion(options.poses.home.position)
+    poses = options.poses.validation.positions
     for number, pose in enumerate(poses):
         share = _VALIDATION_SPEED_SHARES[number % len(_VALIDATION_SPEED_SHARES)]
         motion.move(pose, robot.max_velocity * share, _ACCELERATION)
@@ -353,7 +337,7 @@ def _validation(robot: RobotModel, options: PlanOptions) -> Experiment:
         np.array([0.02, -0.015, 0.02, -0.03, 0.03, -0.02, 0.025][: len(robot.joint_names)]), [1.0], [0.5], 6.0
     )
     motion.rest(0.2)
-    return _experiment(robot, "validation", Kind.VALIDATION, motion, len(poses) + 1, options.poses.home)
+    return _experiment(robot, "validation", Kind.VALIDATION, motion, len(poses) + 1, options.poses.home.position)
 
 
 def _approach(robot: RobotModel, motion: Motion, pose: ArrayLike) -> None:

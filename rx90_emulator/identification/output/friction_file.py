@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime, timezone
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from rx90_common.base.config import check_numbers
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import counted, plain
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.friction.friction_file import FrictionFile
@@ -24,6 +24,7 @@ from rx90_emulator.identification.estimates import (
     ParameterEstimate,
     digits,
 )
+from rx90_emulator.identification.fitted import ASSUMED
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.records import BagSource, in_unit
 from rx90_emulator.identification.rows.filtering import Bandwidths
@@ -36,26 +37,56 @@ _REMARKS = """\
 """
 _LARGEST = {"Nm": 1e6, "rad/s": 1e4, "1": 1e3, "Nm/rad": 1e12, "Nm s/rad": 1e9, "Nm (s/rad)^alpha": 1e6}
 """Largest values with these units: orders of magnitude beyond any arm, which only a failed fit gives."""
-_NONE: Mapping[str, Any] = MappingProxyType({})
 _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
+
+
+@dataclass(frozen=True, eq=False)
+class FileFacts:
+    """What a friction file says beside its elements.
+
+    Attributes:
+        date: of the identification; by default the present.
+        joints: torques beside links and friction, as in `FrictionFile.joints`.
+        warnings: why an element's values cannot be trusted, by its name.
+        speeds: least and greatest speed with data, rad/s, by element.
+        sweeps: what was used of each bag of sweeps, in words.
+        fit: goodness of fit by element, as plain data.
+        bandwidths: of excitation runs, which a validation of the file uses again.
+        unit: of the torques, if they are currents.
+    """
+
+    date: datetime | None = None
+    joints: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    warnings: Mapping[str, str] = field(default_factory=dict)
+    speeds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    sweeps: Mapping[BagSource, str] = field(default_factory=dict)
+    fit: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    bandwidths: Bandwidths | None = None
+    unit: str = "Nm"
 
 
 def friction_text(result: FrictionIdentification) -> str:
     """Return the text of the file of an identification from sweeps; errors as in `elements_text`."""
-    return elements_text(result.arm.element_names, result.elements, result.fallback_name, result=result)
+    names = result.arm.element_names
+    sliding = result.sliding
+    speeds = {}
+    for name, curve in zip(names, sliding.curves, strict=True):
+        if curve is not None:
+            size = np.abs(curve.velocity)
+            speeds[name] = (float(size.min()), float(size.max()))
+    facts = FileFacts(
+        speeds=speeds,
+        sweeps={use.bag: use.text(names) for use in sliding.usage},
+        fit={name: fit.content for name, fit in zip(names, sliding.quality, strict=True) if fit is not None},
+    )
+    return elements_text(names, result.elements, result.fallback_name or ASSUMED, facts)
 
 
 def elements_text(
     names: Sequence[str],
     elements: Sequence[IdentifiedElement],
     fallback_name: str | None,
-    now: datetime | None = None,
-    result: FrictionIdentification | None = None,
-    joints: Mapping[str, Mapping[str, float]] = _NONE,
-    bandwidths: Bandwidths | None = None,
-    unit: str = "Nm",
-    warnings: Mapping[str, str] = _NONE,
-    speeds: Mapping[str, tuple[float, float]] = _NONE,
+    facts: FileFacts = FileFacts(),
 ) -> str:
     """Return the text of a file with these elements.
 
@@ -63,57 +94,51 @@ def elements_text(
         names: of the elements.
         elements: identified values of each.
         fallback_name: file of the values that replace parameters that are not identifiable, if any.
-        now: date of the identification; by default the present.
-        result: from sweeps, whose use of the bags and goodness of fit are written into the file.
-        joints: torques beside links and friction, as in `FrictionFile.joints`.
-        bandwidths: of excitation runs, which a validation of the file uses again.
-        unit: of the torques, if they are currents.
-        warnings: why an element's values cannot be trusted, by its name.
-        speeds: least and greatest speed with data, rad/s, by element; with `result` those of its sweeps.
+        facts: on the identification.
     """
-    date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
+    date = (facts.date or datetime.now(timezone.utc)).isoformat(timespec="seconds")
     named = dict(zip(names, elements, strict=True))
-    rounded = {name: _rounded(name, one) for name, one in named.items()}
-    used = [bags for one in elements for bags in one.sources.values()]
-    labels = {bag: f"bag_{k}" for k, bag in enumerate(dict.fromkeys(bag for bags in used for bag in bags), 1)}
-    notes = dict(warnings)
-    for name, one in named.items():
-        if one.given_bristles:
-            before = f"{notes[name]}; " if name in notes else ""
-            notes[name] = f"{before}bristles: as its c0 those of {fallback_name}, assumed"
-    bags = {label: {"path": str(b.path), "sha256": b.sha256, "recorded": b.recorded} for b, label in labels.items()}
-    identification: dict[str, Any] = {"date": date, "bags": bags}
-    if unit != "Nm":
-        identification["unit"] = unit
-    if bandwidths is not None:
-        identification["bandwidths"] = {"position": float(bandwidths.position), "torque": float(bandwidths.torque)}
-    if result is not None:
-        curves = zip(names, result.sliding.curves, strict=True)
-        sizes = {name: np.abs(curve.velocity) for name, curve in curves if curve is not None}
-        speeds = {name: (float(size.min()), float(size.max())) for name, size in sizes.items()}
-    if speeds:
-        identification["speeds"] = {name: [digits(speed, 3) for speed in pair] for name, pair in speeds.items()}
-    if result is not None:
-        usage = result.sliding.usage
-        fits = zip(names, result.sliding.quality, strict=True)
-        identification["sweeps"] = {labels[use.bag]: use.text(names) for use in usage if use.bag in labels}
-        identification["fit"] = {name: one.content for name, one in fits if one is not None}
+    rounded = {name: _rounded(name, element) for name, element in named.items()}
+    used = [bag for element in elements for bags in element.sources.values() for bag in bags]
+    labels = {bag: f"bag_{k}" for k, bag in enumerate(dict.fromkeys(used), 1)}
+    notes = dict(facts.warnings)
+    for name, element in named.items():
+        if element.given_bristles:
+            bristles = f"bristles: as its c0 those of {fallback_name}, assumed"
+            notes[name] = f"{notes[name]}; {bristles}" if name in notes else bristles
+    identification: dict[str, Any] = {
+        "date": date,
+        "bags": {
+            label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": bag.recorded}
+            for bag, label in labels.items()
+        },
+    }
+    if facts.unit != "Nm":
+        identification["unit"] = facts.unit
+    if facts.bandwidths is not None:
+        position, torque, _ = facts.bandwidths
+        identification["bandwidths"] = {"position": float(position), "torque": float(torque)}
+    if facts.speeds:
+        identification["speeds"] = {name: [digits(speed, 3) for speed in pair] for name, pair in facts.speeds.items()}
+    if facts.sweeps:
+        identification["sweeps"] = {labels[bag]: text for bag, text in facts.sweeps.items() if bag in labels}
+        identification["fit"] = dict(facts.fit)
     identification["parameters"] = {
-        name: _provenance(one, rounded[name], labels, date, fallback_name) for name, one in named.items()
+        name: _provenance(element, rounded[name], labels, date, fallback_name) for name, element in named.items()
     }
     check_numbers(identification, LARGEST, "identification")
-    source = f"{len(labels)} bag{'s' * (len(labels) != 1)}, {date}; omega_d is not identified"
-    source += "" if fallback_name is None else f", it is at most that of {fallback_name}"
+    source = f"{counted(len(labels), 'bag')}, {date}; omega_d is not identified"
+    if fallback_name is not None:
+        source += f", it is at most that of {fallback_name}"
     noted = {name: element.replaced(note=notes.get(name)) for name, element in rounded.items()}
     file = FrictionFile.of(
         {"provenance": {"omega_d": "assumed"}, **noted},
         provenance="identified",
         source=source,
-        joints=dict(joints),
+        joints=dict(facts.joints),
         identification=identification,
     )
-    text = file.text(_REMARKS)
-    return in_unit(text, unit)
+    return in_unit(file.text(_REMARKS), facts.unit)
 
 
 def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:

@@ -34,7 +34,7 @@ from rx90_emulator.identification.bodies import central
 from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate, digits
 from rx90_emulator.identification.fitted import ASSUMED
 from rx90_emulator.identification.output.assumed_files import assumed_files
-from rx90_emulator.identification.output.friction_file import elements_text
+from rx90_emulator.identification.output.friction_file import FileFacts, elements_text
 from rx90_emulator.identification.output.summary import bodies_warnings, in_currents
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.result import ExcitationIdentification
@@ -238,12 +238,14 @@ def robot_texts(
             elements,
             result.elements,
             result.robot.fallback_name or ASSUMED,
-            now,
-            joints=_joints(result),
-            bandwidths=result.problem.runs[0].bandwidths,
-            unit=result.unit,
-            warnings=notes,
-            speeds=dict(zip(elements, result.fitted.speeds, strict=True)),
+            FileFacts(
+                date=now,
+                joints=_joints(result),
+                warnings=notes,
+                speeds=dict(zip(elements, result.fitted.speeds, strict=True)),
+                bandwidths=result.problem.runs[0].bandwidths,
+                unit=result.unit,
+            ),
         ),
     }
     if base is None:

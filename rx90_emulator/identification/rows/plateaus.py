@@ -34,7 +34,8 @@ _NOISE_SD = 6.0  # standard deviations of the noise of a change that are no chan
 _MOST_NOISE = 0.75  # of the velocity, which keeps its sign
 _NOISE_WINDOW_S = 2.0  # over which the noise is estimated, from
 _NOISE_SAMPLES = 21
-_MAD_TO_DEVIATION = 1.4826
+_MAD_TO_DEVIATION = 1.4826  # and that of a change over that of its second difference, for white noise of positions:
+_CHANGE_SHARE = np.sqrt(6.0 / 70.0)
 _SETTLE_S = 0.25  # for the servo loops after a change of velocity: their integrators' pole is near 20 /s
 _SETTLE_SHARE = 0.5  # of a plateau, within which bristles must settle for the element to count as sliding
 _TREND_BLOCKS = 8  # of a plateau, to which a parabola is fitted
@@ -137,17 +138,18 @@ def _steady(record: JointRecord, size: int, fastest: float) -> Mask:
     """Return at which samples no joint changes its velocity between the `size` samples before and after, shape (m,)."""
     count = len(record.time)
     steady = np.zeros(count, dtype=np.bool_)
-    if count < 4 * size:
+    if count <= 4 * size:
         return steady
     time = record.time
     mean = (record.position[size:] - record.position[:-size]) / (time[size:] - time[:-size])[:, None]
     change = mean[size:] - mean[:-size]
     speed = np.abs(mean[size:] + mean[:-size]) / 2.0
-    # Noise from second differences of the change: an acceleration that is constant or grows evenly cancels.
-    rough = np.abs(np.diff(change, n=2, axis=0, prepend=change[:1], append=change[-1:]))
+    # Noise and ripple from second differences of the change: an acceleration that is constant or grows evenly cancels.
+    rough = np.zeros_like(change)
+    rough[size:-size] = np.abs(change[2 * size :] - 2.0 * change[size:-size] + change[: -2 * size])
     spacing = max(1, round(_NOISE_WINDOW_S / record.period / _NOISE_SAMPLES))
     few = median_filter(rough[::spacing], size=(_NOISE_SAMPLES, 1), mode="nearest")
-    noise = _MAD_TO_DEVIATION / np.sqrt(6.0) * np.repeat(few, spacing, axis=0)[: len(rough)]
+    noise = _MAD_TO_DEVIATION * _CHANGE_SHARE * np.repeat(few, spacing, axis=0)[: len(rough)]
     usual = np.maximum(_SAME_VELOCITY * speed, _REST_SHARE * speed.max(axis=1, keepdims=True))
     allowed = np.maximum(usual, np.minimum(_NOISE_SD * noise, _MOST_NOISE * speed))
     even = time[2 * size :] - time[: -2 * size] < 3.0 * size * record.period

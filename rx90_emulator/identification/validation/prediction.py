@@ -67,6 +67,7 @@ class Validation:
         alarms: what looks wrong in the bag, a sentence each, if it is compared with a given friction.
         unit: of the torques, which are currents if the friction was identified from currents.
         notes: what was left out of the bag, if it is compared with a given friction.
+        assumed_bristles: whether c0 and c1 of any element are assumed: then torques at reversals do not judge the rest.
     """
 
     names: tuple[str, ...]
@@ -78,6 +79,7 @@ class Validation:
     alarms: tuple[str, ...] = ()
     unit: str = "Nm"
     notes: tuple[str, ...] = ()
+    assumed_bristles: bool = False
 
     rms = property(attrgetter("torque.rms"), doc="RMS torque difference, Nm, shape (n,); NaN for a joint at rest.")
     worst = property(attrgetter("torque.worst"), doc="Largest torque difference, Nm, shape (n,); NaN as in `rms`.")
@@ -103,13 +105,22 @@ class Validation:
     def criteria(self) -> tuple[Criterion, ...]:
         """Return the criteria of the verdict: torques of all joints and of each, and distance of the tips."""
         limits = self.tolerances
-        torque = self.torque
+        torque = self.torque.away_from_reversals if self.assumed_bristles else self.torque
+        where = ", away from reversals" if self.assumed_bristles else ""
         worst = largest("largest torque difference", self.names, torque.worst_share, limits.worst_torque)
         return (
-            *torque_criteria(self.names, torque.total_share, torque.rms_share, limits.total, limits.torque),
+            *torque_criteria(self.names, torque.total_share, torque.rms_share, limits.total, limits.torque, where),
             *([worst] if math.isfinite(limits.worst_torque) else []),
             Criterion("tip worst", self.tip_worst, limits.tip, unit="µm"),
         )
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Return, in words, what assumed bristles miss at reversals."""
+        if not self.assumed_bristles:
+            return ()
+        share = self.torque.at_reversals.total_share
+        return (f"at reversals, where the assumed c0 and c1 act, {share:.2%}",) if math.isfinite(share) else ()
 
     @property
     def passed(self) -> bool:

@@ -350,9 +350,6 @@ def test_what_the_metadata_say_beside_the_counts_is_not_needed(tmp_path: Path, o
     write_joint_states(tmp_path / "bag", [series(30)])
     OTHERWISE[otherwise](tmp_path / "bag")
     np.testing.assert_array_equal(read_joint_states(tmp_path / "bag", "joint_states").position, series(30).position)
-    with BagReader(tmp_path / "bag") as bag:
-        note = "metadata.yaml is missing; read as it is: bag.mcap"
-        assert bag.notes == ([note] if otherwise == "no metadata" else [])
 
 
 @pytest.mark.parametrize(

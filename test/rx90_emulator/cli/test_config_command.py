@@ -161,7 +161,6 @@ def test_a_urdf_is_checked_as_one(tmp_path: Path, shipped_files: RobotFiles, cap
     [
         ("friction.yaml", ("joint_4:", "joint_7:"), r"friction.yaml:\d+: elements.joint_7 .*mean joint_4\?"),
         ("poses.yaml", ("[0.0, -0.6,", "[0.0, -6.6,"), r"poses.yaml:? pose 1: joint_2 is -6.6 rad; accepted: \["),
-        ("moveit/joint_limits.yaml", ("joint_2:", "elbow:"), r"joint_limits.joint_2 is missing; accepted: joint_1, jo"),
         ("robot.urdf", ("<robot", "<robott"), r"robot.urdf:(\d+:)? "),
         ("robot.urdf", ('"tool0"', '"mount"'), r"robot.urdf:? link 'tool0' is None; accepted: a link of that name"),
         ("task.yaml", ("start: [0.6,", "start: [2.6,"), r"task.yaml:? the line cannot be travelled at 0.000 m "),
@@ -170,7 +169,7 @@ def test_a_urdf_is_checked_as_one(tmp_path: Path, shipped_files: RobotFiles, cap
 def test_a_robot_folder_is_checked_as_a_whole(
     arm: Path, capsys: Captured, file: str, change: tuple[str, str], said: str
 ) -> None:
-    """Names of joints, poses and limits must fit the arm; one fault in a good folder is one line."""
+    """Names of joints and poses must fit the arm; one fault in a good folder is one line."""
     assert run("rx90_config", ["check", str(arm)]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == f"{arm}: robot folder, no problem"
     edited(arm / file, change)

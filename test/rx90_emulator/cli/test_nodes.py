@@ -201,7 +201,7 @@ def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
             start = f"{program}: {package} cannot be loaded (NumPy 1.26.4 is too old); accepted: a version"
         else:
             start = f"{program}: needs {package}, which is not installed; accepted: "
-            where = "a sourced ROS 2 Jazzy" if is_ros(package) else SOURCES[package].pip
+            where = "a sourced ROS 2 Jazzy" if is_ros(package) else SOURCES[package]
             assert where in errors.removeprefix(start), errors
         assert errors.startswith(start), errors
     assert list(tmp_path.iterdir()) == []
@@ -210,7 +210,7 @@ def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
 def test_each_source_is_a_distribution_of_the_set_up() -> None:
     """What pip is told to install is what setup.py requires, or offers as an extra."""
     named = set(re.findall(r'"([A-Za-z0-9-]+)>=', (ROOT / "setup.py").read_text(encoding="utf-8")))
-    assert {source.pip for source in SOURCES.values()} <= named
+    assert set(SOURCES.values()) <= named
 
 
 def test_an_error_of_the_project_itself_is_none_of_a_package() -> None:

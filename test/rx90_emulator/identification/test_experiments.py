@@ -34,7 +34,7 @@ HOME = (0.0,) * 6
 def test_the_plan_keeps_every_limit(shipped: Setup) -> None:
     """Each experiment of the default plan stays within ranges, speeds and torques, by the controller's own check."""
     for experiment in make_plan(shipped.robot, shipped.drives):
-        assert np.allclose(experiment.points.position[[0, -1]], Poses.of(shipped).home, atol=1e-12)
+        assert np.allclose(experiment.points.position[[0, -1]], Poses.of(shipped).home.position, atol=1e-12)
         used = PlannedArm.from_setup(shipped).check(experiment)
         assert all(share <= 1.0 for share, _ in used.values())
 

@@ -20,7 +20,7 @@ from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import identify as identification
 from rx90_emulator.identification.estimates import SLIDING, ElementEstimate, ParameterEstimate
-from rx90_emulator.identification.identify import identify_records
+from rx90_emulator.identification.identify import check_friction, identify_records
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.identification.robot import RecordedRobot
 
@@ -60,6 +60,21 @@ def test_a_joint_without_micro_oscillations_takes_c0_and_bristles(
     assert FrictionFile.read(file).elements["hinge"].bristles == PARTS[0]
     assert f"bristles of hinge: as c0 those of {given}, assumed" in capsys.readouterr().out
     assert "With c0 the bristles of hinge are those of that file" in file.with_suffix(".html").read_text("utf-8")
+
+
+def test_without_a_file_bristles_are_assumed(hinge: Hinge, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Sweeps alone, no fallback: bristles break away after 0.25 mrad, marked so; rows at reversals judge them alone."""
+    file = tmp_path / "friction.yaml"
+    words = ["--sliding", str(hinge.bag), "--urdf", str(hinge.urdf), "--output", str(file)]
+    assert run("rx90_identify", words) == DONE
+    element = FrictionFile.read(file).elements["hinge"]
+    mean = 0.5 * (element.tau_c.positive + element.tau_c.negative)
+    assert element.c0 == pytest.approx(mean / 2.5e-4, rel=1e-5)
+    assert "break away after 0.25 mrad" in file.read_text("utf-8")
+    assert "not identifiable: c0, c1 of hinge" in capsys.readouterr().out
+    (check,) = check_friction(file, [hinge.bag], RobotOptions(urdf=str(hinge.urdf)))
+    assert check.assumed_bristles
+    assert all("away from reversals" in criterion.quantity for criterion in check.criteria[:2])
 
 
 @pytest.mark.parametrize("known", [False, True], ids=["c0 open", "c0 known"])

@@ -67,7 +67,6 @@ def mimicking(hinge: Hinge, folder: Path) -> list[object]:
 
 REFUSED_CASES = {
     "slow": (lambda h, _: ["--sliding", h.bag, "--presliding", h.bag], "100 samples per second; accepted: 500 or more"),
-    "no_presliding": (options("--fallback", "none"), "no bag with micro-oscillations, .*, or --fallback FILE"),
     "driven": (sliding(torque=lambda h: -h.torque), "hinge: the torque does not oppose the motion"),
     "motor_angles": (
         sliding(position=lambda h: 1e3 * h.position, velocity=lambda h: 1e3 * h.velocity),

@@ -19,7 +19,7 @@ from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import PlanOptions
-from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
+from rx90_emulator.identification.presliding import PreslidingFit, identify_presliding
 from rx90_emulator.identification.records import JointRecord
 from rx90_emulator.loop.setup import Setup
 
@@ -59,7 +59,7 @@ def fitted(
 ) -> PreslidingFit:
     """Identify records of this project's engine with the true sliding regime."""
     arm, elements = RigidArm.from_setup(setup), setup.friction.elements
-    return identify_presliding(records, arm, elements, 0.0, sliding_covariances, setup.rates.period)
+    return identify_presliding(records, arm, elements, 0.0, sliding_covariances)
 
 
 @pytest.mark.parametrize(("noise", "seed"), [(0.0, 1), (0.5, 3)])
@@ -130,7 +130,7 @@ def test_a_fit_without_noise(fourth: tuple[Setup, list[Any]]) -> None:
     assert not first.identifiable
     assert np.isnan(first.value)
     assert "micro-oscillation" in first.reason
-    spreads = [100.0 * sliding_covariance(element) for element in setup.friction.elements]
+    spreads = [1000.0 * sliding_covariance(element) for element in setup.friction.elements]
     known, assumed = (one.estimates[3].parameters for one in (fit, fitted(setup, records, spreads)))
     for name in ("c0", "c1"):
         assert assumed[name].value == known[name].value
@@ -190,7 +190,7 @@ def test_a_wrong_inertia_or_delay_gives_a_reason(
     """Inertias wrong by a factor of 2, and a torque stamped 5 ms early or late, give no number, and the reason."""
     setup, runs = fourth
     arm, records = change(RigidArm.from_setup(setup)), measured(setup, runs, 0.5, 3)
-    fit = identify_presliding(records, arm, setup.friction.elements, delay, None, setup.rates.period)
+    fit = identify_presliding(records, arm, setup.friction.elements, delay)
     for estimate in fit.estimates[FOURTH].parameters.values():
         assert not estimate.identifiable
         assert reason in estimate.reason

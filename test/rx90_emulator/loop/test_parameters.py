@@ -12,7 +12,7 @@ from pinocchio_chain import pinocchio_chain
 
 import rx90_emulator as rx
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.models import FileModel, Model, unit_of
+from rx90_common.base.models import FileModel, Model, word_of
 from rx90_common.description.drives import Cogging
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, FrictionSet
@@ -187,7 +187,7 @@ def test_every_value_of_a_part_has_a_path(parted: Setup) -> None:
     for name, part in PARTS.items():
         for key, number in part.numbers().items():
             path = f"friction.joint_2.{name}.{key}"
-            assert listed[path] == (number, unit_of(type(part), key.partition("[")[0]))
+            assert listed[path] == (number, word_of(type(part), key.partition("[")[0], "unit"))
             element = rx.with_parameters(parted, {path: 0.9 * number}).friction.elements[1]
             assert element.parts[name].numbers()[key] == 0.9 * number
     paths = [place.path for place in Catalogue(parted).places("friction.*.load.driving")]

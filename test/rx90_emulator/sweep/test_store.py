@@ -125,8 +125,12 @@ def test_foreign_files_are_refused(tmp_path: Path, sweep: Sweep) -> None:
     pq.write_table(pa.table({"index": [1, 2]}), foreign)
     torn = tmp_path / "torn.parquet"
     torn.write_bytes(foreign.read_bytes()[:-20])
+    bomb = tmp_path / "bomb.parquet"
+    pq.write_table(pa.table({"index": np.zeros(40_000_000, np.int8)}), bomb)
+    assert bomb.stat().st_size < 1 << 20
     for file, said in (
         (tmp_path, "is a folder"),
+        (bomb, "320,000,000 bytes unpacked; accepted: up to 268,435,456"),
         (torn, "cannot be read as Parquet"),
         (foreign, "is not a result of rx90_sweep"),
         (lacking, "lacking.parquet has other columns, lacking index, error; accepted: "),
@@ -135,7 +139,7 @@ def test_foreign_files_are_refused(tmp_path: Path, sweep: Sweep) -> None:
         with pytest.raises(SweepError, match=said) as error:
             ResultStore(file, sweep, resume=True)
         assert "\n" not in str(error.value)
-    assert len(list(tmp_path.iterdir())) == 5
+    assert len(list(tmp_path.iterdir())) == 6
 
 
 def test_a_damaged_part_is_named(tmp_path: Path, sweep: Sweep, outcomes: list[RunOutcome]) -> None:

@@ -1,0 +1,238 @@
+"""Identify the presliding regime, c0 and c1, from micro-oscillations (paper, section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import IdentificationError
+from rx90_common.estimation.deviations import deviations
+from rx90_common.estimation.fit import Fit, Projected, fit
+from rx90_common.friction import FrictionElement
+from rx90_emulator.identification.arm import JointGroup, RigidArm, joint_groups
+from rx90_emulator.identification.estimates import (
+    LARGEST_DEVIATION,
+    PRESLIDING,
+    SLIDING,
+    ElementEstimate,
+    ParameterEstimate,
+)
+from rx90_emulator.identification.records import JointRecord
+from rx90_emulator.identification.rows.micro_oscillations import (
+    INERTIA_SD,
+    BristleRows,
+    MicroMotion,
+    find_micro_motions,
+)
+
+_BREAK_AWAY_SHARE = 0.7  # of break-away; beyond it bristles slide, and their torque depends little on c0 and c1
+_MIN_RELATIVE_LOAD = 0.25  # of the strongest motion of a group: fainter ones tell little
+_MAX_MOTIONS_PER_BAG = 3  # of a group
+_PASSES = 3  # each with the noise that the previous one left
+_RELATIVE_STEP = 1e-4  # of difference quotients
+_FLOOR = (0.005, 0.01)  # relative deviation of c0 and c1: residuals do not show encoder steps, nor errors of 10 us
+_NEARLY_SLIDING = 0.75  # of an element's Coulomb torque: beyond it small errors of the motion deflect bristles far
+_SLIDING_LOAD = 0.95  # of it: bristles slide
+_MAX_MISFIT = 0.3  # of the friction torque
+_MAX_INERTIA_SD = 2.0  # prior deviations of an error of the mass matrix
+_REACTIONS = "its joints were moved by the reactions of others alone; accepted: micro-oscillations of their own"
+
+
+@dataclass(frozen=True, eq=False)
+class PreslidingFit:
+    """The presliding regime of all elements.
+
+    Attributes:
+        estimates: for each element of the arm, in its order; the parameters are those in PRESLIDING.
+        loops: largest micro-motion of each joint that has any, by its name: position, rad from the mean, and friction
+            torque, Nm, "measured" (drive less the rigid arm's) and "simulated" (bristles deflected along this motion);
+            block means, shape (b,).
+        motions: number of micro-motions that were used.
+    """
+
+    estimates: tuple[ElementEstimate, ...]
+    loops: Mapping[str, tuple[Array, dict[str, Array]]] = field(default_factory=dict)
+    motions: int = 0
+
+
+def identify_presliding(
+    records: Sequence[JointRecord],
+    arm: RigidArm,
+    sliding: Sequence[FrictionElement],
+    torque_delay: float = 0.0,
+    sliding_covariances: Sequence[Array] | None = None,
+) -> PreslidingFit:
+    """Fit c0 and c1 of every element whose joints make micro-oscillations.
+
+    Args:
+        records: motion with reversals well within the bristles' range, 500 samples per second or more.
+        arm: rigid-body model of the same joints.
+        sliding: the sliding regime of the arm's elements, in its order; their c0 and c1 are not used.
+        torque_delay: by how much a torque acted later than in the sample period that ends at its stamp, s.
+        sliding_covariances: of each element's sliding regime, in the order of SLIDING, shape (7, 7); None if it is
+            known exactly.
+    """
+    groups = joint_groups(arm)
+    found = [find_micro_motions(record, arm, groups, torque_delay) for record in records]
+    if not any(any(of_record) for of_record in found):
+        where = ", ".join(str(record.source) for record in records) or "no bag"
+        raise IdentificationError(
+            f"{where}: no velocity reversals small enough for the presliding regime; accepted: oscillations of "
+            "some 0.1 mrad at some 3 to 30 Hz, such as rx90_experiment makes"
+        )
+    covariances = sliding_covariances or [np.zeros((len(SLIDING),) * 2)] * len(sliding)
+    estimates: dict[int, ElementEstimate] = {}
+    loops: dict[str, tuple[Array, dict[str, Array]]] = {}
+    used = 0
+    for number, group in enumerate(groups):
+        elements = [sliding[e] for e in group.elements]
+        break_away = group.break_away(elements)
+        motions = [motion for of_record in found for motion in _most_informative(of_record[number], break_away)]
+        if not motions:
+            reason = f"no micro-oscillation of its joints in the bags, or {_REACTIONS}"
+            for e in group.elements:
+                estimates[e] = ElementEstimate.unknown(arm.element_names[e], PRESLIDING, reason)
+            continue
+        result = _GroupFit.of(motions, group, elements)
+        far = [motion for motion, load in zip(motions, result.loads.max(axis=1), strict=True) if load < _NEARLY_SLIDING]
+        if 0 < len(far) < len(motions):
+            # An element of several joints may nearly slide although the torque of each is far from break-away.
+            result = _GroupFit.of(far, group, elements)
+        used += len(result.rows.motions)
+        spread = block_diag(*(covariances[e] for e in group.elements))
+        estimates |= zip(group.elements, result.estimates(arm, group, spread), strict=True)
+        loops |= {arm.names[joint]: result.loop(place) for place, joint in enumerate(group.joints)}
+    ordered = tuple(estimates[e] for e in range(len(arm.element_names)))
+    return PreslidingFit(ordered, loops, used)
+
+
+def _most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[MicroMotion]:
+    """Return the motions of a group in one record with the largest friction torques short of break-away, Nm, (k,)."""
+    loads = np.array([motion.load(break_away) for motion in motions])
+    below = loads[loads <= _BREAK_AWAY_SHARE]
+    if not len(below):  # all break away: the smallest is best
+        return [motions[int(loads.argmin())]] if motions else []
+    strong = np.flatnonzero((loads <= _BREAK_AWAY_SHARE) & (loads >= _MIN_RELATIVE_LOAD * below.max()))
+    best = strong[np.argsort(-loads[strong])][:_MAX_MOTIONS_PER_BAG]
+    return [motions[k] for k in best.tolist()]
+
+
+@dataclass(frozen=True, eq=False)
+class _GroupFit:
+    """The fit of the bristles of a group's e elements to M motions."""
+
+    rows: BristleRows
+    fit: Fit
+
+    @classmethod
+    def of(cls, motions: Sequence[MicroMotion], group: JointGroup, elements: Sequence[FrictionElement]) -> _GroupFit:
+        rows = BristleRows(motions, group.inputs, elements)
+        problem = rows.problem()
+        weight = 1.0 / group.break_away(elements)[problem.group] ** 2
+        projected = Projected(problem, weight)
+        x = min(rows.starts(), key=lambda start: float(np.sum(projected.residual(start) ** 2)))
+        for _ in range(_PASSES):
+            # The prior of the start deflections is about 0, where the search for them begins again.
+            start = np.where(np.arange(len(x)) < rows.bristles.stop, x, 0.0)
+            result = fit(replace(problem, start=start), weight)
+            x = result.x
+            weight = 1.0 / np.maximum(result.noise, 1e-9)[problem.group] ** 2
+        return cls(rows, result)
+
+    @property
+    def loads(self) -> Array:
+        """Return the amplitude of each bristle's torque over its Coulomb torque, shape (M, e)."""
+        coulomb = [element.tau_c.positive for element in self.rows.elements]
+        along = [self.rows.along(self.fit.x, number)[1] for number in range(len(self.rows.motions))]
+        spans = [np.percentile(torque, 99.0, axis=0) - np.percentile(torque, 1.0, axis=0) for torque in along]
+        return 0.5 * np.array(spans) / coulomb
+
+    def loop(self, place: int) -> tuple[Array, dict[str, Array]]:
+        """Return the loop of the largest motion of a joint of the group, as in `PreslidingFit.loops`."""
+        sizes = [motion.position[:, place].std() for motion in self.rows.motions]
+        largest = int(np.argmax(sizes))
+        motion = self.rows.motions[largest]
+        simulated = self.rows.along(self.fit.x, largest)[0][:, place]
+        position = motion.position[:, place]
+        return position - position.mean(), {"measured": motion.friction[:, place], "simulated": simulated}
+
+    def estimates(self, arm: RigidArm, group: JointGroup, sliding: Array) -> list[ElementEstimate]:
+        """Return the elements' estimates, given the covariance of their sliding regime, shape (7 e, 7 e)."""
+        spread = deviations(self.fit)
+        count = self.rows.bristles.stop
+        slopes = self._by_sliding()[:count]
+        covariance = spread.covariance[:count, :count] + slopes @ sliding @ slopes.T
+        covariance += np.diag(np.tile(_FLOOR, len(self.rows.elements))) ** 2
+        doubts = self._doubts(arm, group)
+        sources = tuple(dict.fromkeys(motion.record.bag for motion in self.rows.motions))
+        found = []
+        for place, e in enumerate(group.elements):
+            own = slice(2 * place, 2 * place + 2)
+            relative = np.sqrt(np.diag(covariance[own, own]))
+            parameters = {}
+            for name, logarithm, sd, known in zip(
+                PRESLIDING, self.fit.x[own], relative.tolist(), spread.determined[own], strict=True
+            ):
+                value = float(np.exp(logarithm))
+                reason = doubts[place]
+                if not reason and not (known and sd < LARGEST_DEVIATION):
+                    reason = f"relative standard deviation {sd:.2g} at a value of {value:.3g}"
+                estimate = ParameterEstimate(value, value * sd)
+                parameters[name] = ParameterEstimate.unknown(reason) if reason else estimate
+            found.append(ElementEstimate.of(arm.element_names[e], parameters, covariance[own, own], sources))
+        return found
+
+    def _by_sliding(self) -> Array:
+        """Return by how much all parameters of the fit change with the sliding regime, shape (q + p, 7 e)."""
+        here = self.rows.torque(self.fit.x)[0]
+        columns = self.fit.columns
+        information = columns.T @ columns + self.fit.prior_information
+        changes = []
+        for n, element in enumerate(self.rows.elements):
+            for name in SLIDING:
+                # The Coulomb torque is decreased, so that it stays below the static one.
+                value = element.parameters[name]
+                step = value * (-_RELATIVE_STEP if name.startswith("tau_c") else _RELATIVE_STEP)
+                moved = list(self.rows.elements)
+                moved[n] = element.with_parameters({name: value + step})
+                torque = replace(self.rows, elements=moved).torque(self.fit.x)[0]
+                changes.append((torque - here) / step if step else 0.0 * here)
+        pull = columns.T @ (np.sqrt(self.fit.weight)[:, None] * np.column_stack(changes))
+        return np.asarray(-np.linalg.lstsq(information, pull, rcond=1e-12)[0])
+
+    def _doubts(self, arm: RigidArm, group: JointGroup) -> list[str]:
+        """Return why the model does not hold for each element; empty if it does."""
+        inertia = np.abs(self.fit.linear)
+        first, second = np.triu_indices(len(group.joints))
+        worst = int(np.argmax(inertia))
+        heavy = " and ".join(dict.fromkeys(arm.names[group.joints[k]] for k in (first[worst], second[worst])))
+        # The residual torque beyond noise over the friction, RMS, of each joint.
+        misfit = []
+        for joint in range(len(group.joints)):
+            rows = self.fit.problem.group == joint
+            beyond = np.mean(self.fit.residual[rows] ** 2) - self.fit.noise[joint] ** 2
+            friction = np.mean((self.fit.problem.target - self.fit.residual)[rows] ** 2)
+            misfit.append(float(np.sqrt(max(beyond, 0.0) / friction)))
+        doubts = []
+        for place, load in enumerate(self.loads.min(axis=0).tolist()):
+            missed = [joint for joint in np.flatnonzero(group.inputs[place]) if misfit[joint] > _MAX_MISFIT]
+            doubt = ""
+            if load > _SLIDING_LOAD:
+                doubt = f"its bristles slide in every micro-oscillation: {load:.2g} of the Coulomb torque or more"
+            elif inertia[worst] > _MAX_INERTIA_SD * INERTIA_SD:
+                doubt = (
+                    f"the inertia at {heavy} would be {inertia[worst]:.0%} off the description's: a payload, a rotor "
+                    "or the torque's delay may be missing"
+                )
+            elif missed:
+                name = arm.names[group.joints[missed[0]]]
+                doubt = (
+                    f"the model misses {misfit[missed[0]]:.0%} of the friction torque of {name}: another delay of the "
+                    "torque, another inertia, or no bristles"
+                )
+            doubts.append(doubt)
+        return doubts

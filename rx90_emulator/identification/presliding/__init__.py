@@ -1,1 +1,0 @@
-"""The presliding regime, c0 and c1, from micro-oscillations."""
