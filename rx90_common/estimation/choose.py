@@ -4,13 +4,15 @@ All elements begin with all parts, because what one part explains another one im
 part after the other, the last first, is left out of all elements at once, and each block of rows is predicted by the
 fit to the other blocks. An element keeps the part if that lowers the squares on its rows by more than one standard
 error over the blocks (the one-standard-error rule of Breiman et al. 1984), and if none of the part's parameters ends at
-a bound. Only omega_s may end at the top speed, where friction falls with speed.
+a bound. A rise whose omega_s is near the top speed is a slope, which the viscous exponent has as well: it stays only
+where friction falls with speed.
 
 Leaving out a block takes one Gauss-Newton step from the fit to all rows, which is exact for linear parameters.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,8 +22,10 @@ from scipy.linalg import lstsq
 from rx90_common.base.arrays import Array
 from rx90_common.estimation.elements import FrictionRows, fit_laws, fitted_values, places
 from rx90_common.estimation.fit import Fit
-from rx90_common.estimation.law import Law, Part
+from rx90_common.estimation.law import LEAST_STRIBECK, Law, Part
 
+STEEP = 0.25
+"""Of the top speed: omega_s up to which a rise is one, and no slope over the whole range of speeds."""
 MOST_FOLDS = 20
 """Blocks are joined to so many folds at most."""
 
@@ -138,9 +142,16 @@ def _at_bound(law: Law, part: Part, result: Fit, place: slice) -> str:
     """Return the name of a parameter of a part that ends at a bound which it may not end at; "" if there is none."""
     problem = result.problem
     for number, name in enumerate(law.names, place.start):
-        at_top = problem.upper[number] - result.x[number] < result.x[number] - problem.lower[number]
-        falls = name == "omega_s" and at_top
-        if result.at_bound[number] and name.startswith(_OWN[part]) and not falls:
+        if not name.startswith(_OWN[part]):
+            continue
+        bad = bool(result.at_bound[number])
+        if name == "omega_s":
+            low = math.exp(problem.lower[number]) / LEAST_STRIBECK
+            high = math.exp(problem.upper[number])
+            slow, fast = law.curve(np.array([low, high]), result.x[place])[0]
+            bad |= math.exp(result.x[number]) > STEEP * high
+            bad &= bool(fast >= slow)
+        if bad:
             return name
     return ""
 

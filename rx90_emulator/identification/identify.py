@@ -6,7 +6,7 @@ Records -> sliding regime -> presliding regime -> result -> validation.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,7 +21,6 @@ from rx90_common.friction.signs import SIGNS
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
     NOT_IN_MODEL,
-    PARAMETERS,
     PRESLIDING,
     SLIDING,
     ElementEstimate,
@@ -90,11 +89,6 @@ class FrictionIdentification:
         return FrictionSet(self.arm.element_names, self.lugre)
 
     @property
-    def with_given_bristles(self) -> tuple[str, ...]:
-        """Return the elements whose bristles are those of the fallback, of another kind than LuGre's."""
-        return tuple(name for name, one in self._named() if one.given_bristles)
-
-    @property
     def assumed_bristles(self) -> bool:
         """Return whether c0 or c1 of an element are assumed."""
         return not all(element.estimates[name].identifiable for element in self.elements for name in PRESLIDING)
@@ -106,34 +100,11 @@ class FrictionIdentification:
         return agrees and not self.sliding.doubt
 
     @property
-    def identified_elements(self) -> tuple[str, ...]:
-        """Return the elements with at least one identified parameter."""
-        return tuple(name for name, one in self._named() if any(each.identifiable for each in one.estimates.values()))
-
-    @property
     def scope(self) -> str:
         """Return the scope of a verdict, "54 of 63 values are assumed"; "" where nothing is assumed."""
         identifiable = [each.identifiable for one in self.elements for each in one.estimates.values()]
         assumed = identifiable.count(False)
         return f"{assumed} of {len(identifiable)} values are assumed" if assumed else ""
-
-    @property
-    def unidentifiable(self) -> dict[str, dict[str, list[str]]]:
-        """Return the parameters that the bags do not identify, by reason and element."""
-        lacking: dict[str, dict[str, list[str]]] = {}
-        for name, one in self._named():
-            for parameter, estimate in one.estimates.items():
-                if not estimate.identifiable:
-                    lacking.setdefault(estimate.reason, {}).setdefault(name, []).append(parameter)
-        return lacking
-
-    def _named(self) -> Iterator[tuple[str, IdentifiedElement]]:
-        return zip(self.arm.element_names, self.elements, strict=True)
-
-
-def shown_parameters(result: FrictionIdentification) -> tuple[str, ...]:
-    """Return the parameters to show in tables: the viscous exponent only where an element has one."""
-    return tuple(name for name in PARAMETERS if any(name in one.estimates for one in result.elements))
 
 
 def identify_friction(

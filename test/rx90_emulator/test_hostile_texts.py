@@ -136,8 +136,9 @@ def _mapped(_arm: Arm, page: Path) -> None:
 
 
 def _drawn(_arm: Arm, page: Path) -> None:
-    figures = [chart(text, text, text) for text in TEXTS]
-    for shown, text in zip(figures, TEXTS, strict=True):
+    shown_texts = [*TEXTS, TEXTS[0]]
+    figures = [chart(text, text, text) for text in shown_texts]
+    for shown, text in zip(figures, shown_texts, strict=True):
         shown.line([0.0, 1.0], [0.0, 1.0], name=text)
     drawn = [[shown] for shown in figures]
     named = {"title": TEXTS[0], "paths": TEXTS, "topics": [*TEXTS, "heat"], "figures": drawn}

@@ -16,6 +16,7 @@ from bokeh.plotting import figure
 
 from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.report.page import render_page
+from rx90_emulator.identification.estimates import IdentifiedElement
 from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.output import plots, summary
 from rx90_emulator.identification.records import in_unit
@@ -44,6 +45,16 @@ def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, list[fi
         (check, Path(check.source).name, [*plots.torques(check.torque, check.names, check.unit), *plots.tips(check)])
         for check in checks
     ]
+
+
+def _friction(names: Sequence[str], elements: Sequence[IdentifiedElement]) -> dict[str, Any]:
+    """Return what templates show of identified friction: rows, columns with units, what is lacking."""
+    rows = summary.friction_rows(names, elements)
+    columns = []
+    for column in summary.friction_columns(rows):
+        name = column.rstrip("+-")
+        columns.append((column, FRICTION_UNITS.get(name) or FRICTION_UNITS.get(f"{name}_positive", "")))
+    return {"friction": rows, "columns": columns, "lacking": summary.lacking(names, elements)}
 
 
 def check_page(checks: Sequence[Validation], friction_file: str) -> str:
@@ -83,17 +94,18 @@ def report_page(result: FrictionIdentification, friction_file: str) -> str:
     names = result.arm.element_names
     sliding = result.sliding
     presliding = result.presliding
-    named = dict(zip(names, result.elements, strict=True))
     curves = [(name, curve) for name, curve in zip(names, sliding.curves, strict=True) if curve is not None]
     return _render(
         "identification.html.j2",
         result=result,
-        named=named,
-        identified=[(name, named[name]) for name in result.identified_elements],
-        others=[name for name in names if name not in result.identified_elements],
-        assumed=[(summary.which(lacking), reason) for reason, lacking in result.unidentifiable.items()],
-        units=FRICTION_UNITS,
-        fading=[(name, one.element.omega_d) for name, one in named.items() if math.isfinite(one.element.omega_d)],
+        **_friction(names, result.elements),
+        truth=result.truth,
+        bristles=[name for name, one in zip(names, result.elements, strict=True) if one.given_bristles],
+        fading=[
+            (name, identified.element.omega_d)
+            for name, identified in zip(names, result.elements, strict=True)
+            if math.isfinite(identified.element.omega_d)
+        ],
         shared=names[len(result.arm.names) :],
         checks=_checks(result.validations),
         friction_file=friction_file,
@@ -113,10 +125,6 @@ def excitation_page(
         versions: of interpreter and libraries.
         files: names of the robot's files, and last a sentence about them.
     """
-    rows = [summary.friction_columns(one.estimates) for one in result.elements]
-    shown = dict.fromkeys(name for row in rows for name, one in row.items() if one.identifiable)
-    units = {name: FRICTION_UNITS.get(plain) or FRICTION_UNITS.get(f"{plain}_positive", "")
-             for name in shown if (plain := name.rstrip("+-"))}  # fmt: skip
     checked = [one.torques for one in result.validations]
     longest = max(result.torques, key=lambda run: run.source.duration)
     return _render(
@@ -126,8 +134,8 @@ def excitation_page(
         result=result,
         files=files,
         versions=", ".join(f"{name} {number}" for name, number in versions.items()),
-        friction=list(zip(result.problem.arm.element_names, rows, strict=True)),
-        shown=list(units.items()),
+        **_friction(result.problem.arm.element_names, result.elements),
+        truth={},
         runs=[*(("fitted", run) for run in result.torques), *(("not used", run) for run in checked)],
         drawn=[(run, plots.torques(run, run.names, result.unit)) for run in (checked[:2] or [longest])],
         curves=plots.friction_curves(result, result.unit),

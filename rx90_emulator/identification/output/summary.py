@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import TypeVar
 
 from rx90_common.estimation.law import Part
-from rx90_emulator.identification.estimates import ParameterEstimate
-from rx90_emulator.identification.identify import FrictionIdentification, shown_parameters
+from rx90_common.friction import FrictionElement
+from rx90_emulator.identification.estimates import IdentifiedElement, ParameterEstimate
+from rx90_emulator.identification.identify import FrictionIdentification
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.result import ExcitationIdentification, TorqueValidation
 from rx90_emulator.identification.sanity import MovedBodies
@@ -22,6 +24,7 @@ from rx90_emulator.identification.validation.verdict import verdict
 _NEGATIVE = 3.0  # deviations below 0 from which a negative rotor inertia is significant
 _CONFIRMED = ("confirmed", "NOT CONFIRMED")
 _WITH_ALARM = ("confirmed, but the alarms stand", "NOT CONFIRMED")
+_NONE: Mapping[str, FrictionElement] = MappingProxyType({})
 _Value = TypeVar("_Value", bound=Hashable)
 
 
@@ -52,43 +55,47 @@ def together(values: Iterable[tuple[str, _Value]]) -> list[tuple[str, _Value]]:
 
 
 def identification_summary(result: FrictionIdentification) -> str:
-    """Return values with deviations, true values below, unidentifiable parameters with reasons, and the verdicts."""
-    parameters = shown_parameters(result)
+    """Return values with deviations, true values below, what is not identified with reasons, and the verdicts."""
     names = result.arm.element_names
+    lines = _friction_lines(names, result.elements, result.truth)
+    given = [name for name, identified in zip(names, result.elements, strict=True) if identified.given_bristles]
+    if given:
+        lines.append(f"bristles of {', '.join(given)}: as c0 those of {result.fallback_name}, assumed")
     sliding = result.sliding
-    rows = []
-    for name, one in zip(names, result.elements, strict=True):
-        if name in result.identified_elements:
-            given = (one.estimates.get(parameter) for parameter in parameters)
-            cells = ("1" if each is None else _with_deviation(each, "not identifiable") for each in given)
-            rows.append([name, *cells])
-            if name in result.truth:
-                rows.append(
-                    ["  true", *(f"{result.truth[name].parameters[parameter]:.6g}" for parameter in parameters)]
-                )
-    lines = _table(["element", *parameters], [_width(10, names), *[22] * len(parameters)], rows)
-    if others := ", ".join(name for name in names if name not in result.identified_elements):
-        lines.append(f"{others}: nothing identified")
-    lines += [f"not identifiable: {which(lacking)}: {reason}" for reason, lacking in result.unidentifiable.items()]
-    if given_bristles := ", ".join(result.with_given_bristles):
-        lines.append(f"bristles of {given_bristles}: as c0 those of {result.fallback_name}, assumed")
     lines += [quality.text(name) for name, quality in zip(names, sliding.quality, strict=True) if quality]
     lines += [f"warning: {sliding.doubt}"] if sliding.doubt else []
     lines += [f"{use.bag.path}: {use.text(names)}" for use in sliding.usage]
     return "\n".join([*lines, *(validation_verdict(check, result.scope) for check in result.validations)])
 
 
-def _with_deviation(estimate: ParameterEstimate | None, unknown: str = "-") -> str:
+def _friction_lines(
+    names: Sequence[str], elements: Sequence[IdentifiedElement], truth: Mapping[str, FrictionElement] = _NONE
+) -> list[str]:
+    """Return the table of identified values, true ones below where they are known, and the reasons for the others."""
+    shown = friction_rows(names, elements)
+    columns = friction_columns(shown)
+    rows = []
+    for name, estimates in shown.items():
+        rows.append([name, *(_with_deviation(estimates.get(column)) for column in columns)])
+        if name in truth:
+            rows.append(["  true", *(f"{true_value(truth[name], column):.6g}" for column in columns)])
+    lines = _table(["element", *columns], [_width(10, names), *[22] * len(columns)], rows)
+    nothing = [name for name in names if name not in shown]
+    if nothing:
+        lines.append(f"{', '.join(nothing)}: nothing identified")
+    # Where elements have different reasons, the report gives them.
+    lines += [
+        f"not identified: {parameters} of {whose}: {reasons[0] if len(reasons) == 1 else 'reasons in the report'}"
+        for parameters, whose, reasons in lacking(names, elements)
+    ]
+    return lines
+
+
+def _with_deviation(estimate: ParameterEstimate | None) -> str:
     if estimate is None or not estimate.identifiable:
-        return unknown
+        return "-"
     value, deviation = estimate.texts()
     return f"{value} +- {deviation}" if estimate.deviation else value
-
-
-def which(lacking: Mapping[str, Sequence[str]]) -> str:
-    """Return parameters with the elements that lack them; elements that lack the same ones are named together."""
-    whose = together((name, ", ".join(parameters)) for name, parameters in lacking.items())
-    return "; ".join(f"{parameters} of {names}" for names, parameters in whose)
 
 
 def validation_verdict(check: Validation, scope: str = "") -> str:
@@ -141,7 +148,7 @@ def measured_summary(result: MeasuredComparison) -> str:
     rows = [
         (name, f"{_number(torque.rms[k])} Nm", _number(torque.rms_share[k], ".2%"),
          f"{_number(torque.worst[k])} Nm", _number(torque.worst_share[k], ".2%"),
-         f"{torque.compared[:, k].mean():.0%}",
+         f"{result.compared_share[k]:.0%}",
          f"{1e3 * result.position_rms[k]:.3f} mrad", f"{1e3 * result.position_worst[k]:.3f} mrad")
         for k, name in enumerate(result.names)
     ]  # fmt: skip
@@ -151,17 +158,8 @@ def measured_summary(result: MeasuredComparison) -> str:
 
 def excitation_summary(result: ExcitationIdentification) -> str:
     """Return friction with deviations, goodness of fit, the selected model, and what was left out and why."""
-    names = result.problem.arm.element_names
     joints = result.torques[0].names
-    shown = [friction_columns(one.estimates) for one in result.elements]
-    columns = list(dict.fromkeys(name for row in shown for name, one in row.items() if one.identifiable))
-    rows = [[name, *(_with_deviation(row.get(c)) for c in columns)] for name, row in zip(names, shown, strict=True)]
-    lines = _table(["element", *columns], [_width(9, names), *[22] * len(columns)], rows)
-    # Where elements have different reasons, the report gives them.
-    lines += [
-        f"not identified: {parameters} of {elements}: {reasons[0] if len(reasons) == 1 else 'reasons in the report'}"
-        for parameters, elements, reasons in lacking(result)
-    ]
+    lines = _friction_lines(result.problem.arm.element_names, result.elements)
     if followed := ", ".join(result.robot.followed):
         lines.append(f"not identified, along their recorded motion: {followed}")
     if unknown := ", ".join(result.undetermined):
@@ -246,33 +244,56 @@ def bodies_warnings(result: ExcitationIdentification) -> list[str]:
 _REPORTED = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1")
 
 
-def friction_columns(estimates: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
-    """Return estimates of an element in the order of tables; both signs as one where they are equal."""
-    found = {}
+def friction_rows(
+    names: Sequence[str], elements: Sequence[IdentifiedElement]
+) -> dict[str, dict[str, ParameterEstimate]]:
+    """Return the estimates of each element of which something is identified, in the order of tables."""
+    rows = {name: _by_column(identified) for name, identified in zip(names, elements, strict=True)}
+    return {name: row for name, row in rows.items() if any(estimate.identifiable for estimate in row.values())}
+
+
+def friction_columns(rows: Mapping[str, Mapping[str, ParameterEstimate]]) -> list[str]:
+    """Return the parameters that are identified of any element."""
+    known = {column for row in rows.values() for column, estimate in row.items() if estimate.identifiable}
+    return [column for name in _REPORTED for column in (name, f"{name}+", f"{name}-") if column in known]
+
+
+def true_value(element: FrictionElement, column: str) -> float:
+    """Return the value of an element that stands in a column of the table."""
+    name = column.replace("+", "_positive").replace("-", "_negative")
+    values = element.parameters
+    return values[name] if name in values else values[f"{name}_positive"]
+
+
+def _by_column(identified: IdentifiedElement) -> dict[str, ParameterEstimate]:
+    """Return estimates by the names of columns; both signs as one where they are equal."""
+    estimates = identified.estimates
+    columns = {}
     for name in _REPORTED:
         if name in estimates:
-            found[name] = estimates[name]
+            columns[name] = estimates[name]
         elif f"{name}_positive" in estimates:
-            positive = estimates[f"{name}_{'positive'}"]
-            negative = estimates[f"{name}_{'negative'}"]
+            positive = estimates[f"{name}_positive"]
+            negative = estimates[f"{name}_negative"]
             unknown = not positive.identifiable and not negative.identifiable and positive.reason == negative.reason
-            both = {name: positive} if unknown or positive == negative else {f"{name}+": positive, f"{name}-": negative}
-            found |= both
-    return found
+            if unknown or positive == negative:
+                columns[name] = positive
+            else:
+                columns |= {f"{name}+": positive, f"{name}-": negative}
+    return columns
 
 
-def lacking(result: ExcitationIdentification) -> list[tuple[str, str, tuple[str, ...]]]:
+def lacking(names: Sequence[str], elements: Sequence[IdentifiedElement]) -> list[tuple[str, str, tuple[str, ...]]]:
     """Return unidentified parameters with their elements and reasons, grouped by elements."""
-    names = result.problem.arm.element_names
     reasons: dict[str, tuple[tuple[str, str], ...]] = {}  # by parameter: elements with the reasons
-    for element, one in zip(names, result.elements, strict=True):
-        for name, estimate in friction_columns(one.estimates).items():
+    for element, identified in zip(names, elements, strict=True):
+        for name, estimate in _by_column(identified).items():
             if not estimate.identifiable:
                 reasons[name] = (*reasons.get(name, ()), (element, estimate.reason))
-    found = []
+    groups = []
     for parameters, of in together(reasons.items()):
         whose = "all elements" if len(of) == len(names) else ", ".join(element for element, _ in of)
         pairs = together(of)
-        texts = (reason if len(pairs) == 1 else f"{elements}: {reason}" for elements, reason in pairs)
-        found.append((parameters, whose, tuple(texts)))
-    return found
+        texts = [reason if len(pairs) == 1 else f"{some}: {reason}" for some, reason in pairs]
+        groups.append((parameters, whose, tuple(texts)))
+    return groups

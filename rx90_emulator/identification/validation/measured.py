@@ -131,6 +131,11 @@ class MeasuredComparison:
     tolerances: MeasuredTolerances
 
     @property
+    def compared_share(self) -> Array:
+        """Return the share of the time in which a joint's torque is compared, shape (n,)."""
+        return np.asarray(self.torque.compared.mean(axis=0))
+
+    @property
     def position_rms(self) -> Array:
         """Return the RMS position difference, rad, shape (n,)."""
         return np.asarray(np.sqrt(np.mean((self.simulated_position - self.position) ** 2, axis=0)))

@@ -117,10 +117,10 @@ class Validation:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Return, in words, what assumed bristles miss at reversals."""
-        share = self.torque.at_reversals.total_share
-        if not (self.assumed_bristles and math.isfinite(share)):
+        if not self.assumed_bristles:
             return ()
-        return (f"at reversals, where the assumed c0 and c1 act, {share:.2%}",)
+        share = self.torque.at_reversals.total_share
+        return (f"at reversals, where the assumed c0 and c1 act, {share:.2%}",) if math.isfinite(share) else ()
 
     @property
     def passed(self) -> bool:

@@ -266,12 +266,12 @@ def test_a_folder_of_excitation_runs_is_identified_as_such(
 def test_a_planned_run_tells_the_inertias_that_the_engine_has(
     plan: tuple[Experiment, ...], tx40: Setup, tmp_path: Path
 ) -> None:
-    """The wrist's rotors to 1 %, Coulomb friction to 3 % of what the engine read."""
+    """The wrist's rotors and Coulomb friction to 3 % of what the engine read, from 9 s of motion."""
     bag = tmp_path / "run"
     run_on_engine(tx40, plan[0], bag)
     result = identify_excitation([bag], RobotOptions(robot="tx40"))
     base = {parameter.name: parameter.estimate.value for parameter in result.base}
     for k in (4, 5, 6):
-        assert base[f"Ia_{k}"] == pytest.approx(tx40.drives.rotor_inertia[k - 1], rel=1e-2)
+        assert base[f"Ia_{k}"] == pytest.approx(tx40.drives.rotor_inertia[k - 1], rel=3e-2)
     for identified, law in zip(result.elements, tx40.friction.elements, strict=True):
         assert identified.element.tau_c.positive == pytest.approx(law.tau_c.positive, rel=3e-2)

@@ -102,12 +102,12 @@ def test_the_engines_own_run_is_met_and_wrong_friction_shows_with_its_size(measu
         assert path.words in rx.measured_summary(result)
     wrong = rx.compare_measured(measured.bag, scaled(measured, 1.3))
     assert not wrong.passed
-    assert wrong.total_share > wrong.tolerances.total_torque
+    assert wrong.torque.total_share > wrong.tolerances.total_torque
     states = measured.run.series["joint_states"]
-    speed = np.interp(wrong.time, states.time, np.asarray(states.velocity)[:, 0])
+    speed = np.interp(wrong.torque.time, states.time, np.asarray(states.velocity)[:, 0])
     fast = np.abs(speed) > 0.15
     more = 0.3 * measured.setup.friction.elements[0].steady_torque(speed[fast])
-    found = (wrong.simulated_torque - wrong.torque)[fast, 0]
+    found = (wrong.torque.predicted - wrong.torque.recorded)[fast, 0]
     np.testing.assert_allclose(found, more, atol=0.05 * np.abs(more).max())
 
 
@@ -120,7 +120,7 @@ def test_the_measured_path_does_without_set_points(measured: Measured, rate: int
     # No set-point, those on the way to the begin of the path included, is beyond a limit.
     assert not any("needs the" in remark for remark in good.remarks)
     assert good.passed
-    assert good.total_share < 0.05
+    assert good.torque.total_share < 0.05
     if rate == 1000:
         assert not rx.compare_measured(bag, scaled(measured, 1.3)).passed
 
@@ -130,7 +130,7 @@ def test_torques_are_compared_below_their_smoothing(measured: Measured) -> None:
     torque, low_pass = np.asarray(measured.joints(4000).effort), butter(2, 20.0, fs=4000, output="sos")
     smooth = measured.compare("smooth", measured.joints(4000, effort=sosfiltfilt(low_pass, torque, axis=0)))
     assert smooth.bandwidths.torque < 20.0
-    assert smooth.total_share < 0.04  # up to 100 Hz it is 0.06
+    assert smooth.torque.total_share < 0.04  # up to 100 Hz it is 0.06
 
 
 def test_a_delay_and_a_gap_are_found(measured: Measured) -> None:
@@ -138,7 +138,7 @@ def test_a_delay_and_a_gap_are_found(measured: Measured) -> None:
     states, reference = measured.joints(), measured.run.series["rx90_controller/reference"]
     late = measured.compare("late", replace(states, stamp_ns=states.stamp_ns + 8_000_000), reference)
     assert late.lag == pytest.approx(-8e-3, abs=5e-5)
-    assert late.total_share < 0.01
+    assert late.torque.total_share < 0.01
     kept = np.r_[0:500, 700 : len(states.stamp_ns)]
     parts = {name: np.asarray(getattr(states, name))[kept] for name in ("stamp_ns", "position", "velocity", "effort")}
     result = measured.compare("gap", replace(states, **parts))
@@ -149,15 +149,15 @@ def test_a_delay_and_a_gap_are_found(measured: Measured) -> None:
 def test_what_is_beyond_the_band_or_at_rest_does_not_count(measured: Measured) -> None:
     """20 Nm of ripple at 400 Hz and 5 Nm on the joint at rest leave the figures; 5 Nm on a moving joint do not."""
     clean = measured.compare("clean", measured.joints(), bandwidth=60.0)
-    assert np.isnan(clean.torque_rms[STILL])
+    assert np.isnan(clean.torque.rms[STILL])
     time, effort = measured.joints().time, np.array(measured.joints().effort)
     rippled = effort + 20.0 * np.sin(2.0 * np.pi * 400.0 * time)[:, None]
     rippled[:, STILL] += 5.0
     noisy = measured.compare("ripple", measured.joints(effort=rippled), bandwidth=60.0)
-    np.testing.assert_allclose(noisy.torque_rms[MOVE], clean.torque_rms[MOVE], atol=0.05)
+    np.testing.assert_allclose(noisy.torque.rms[MOVE], clean.torque.rms[MOVE], atol=0.05)
     pushed = measured.joints(effort=effort + 5.0 * (np.arange(6) == 0))
     wrong = measured.compare("pushed", pushed, bandwidth=60.0)
-    assert wrong.torque_rms[0] == pytest.approx(5.0, rel=0.1)
+    assert wrong.torque.rms[0] == pytest.approx(5.0, rel=0.1)
 
 
 def test_a_path_beyond_the_limits_is_named(measured: Measured) -> None:
@@ -188,7 +188,7 @@ def test_set_points_of_another_rate_and_zero_are_followed(measured: Measured) ->
     bag = measured.write("sparse", shifted[0], sparse)
     result = rx.compare_measured(bag, measured.setup, rx.MeasuredLayout(zero=zero))
     assert result.setpoints.startswith("rx90_controller/reference")
-    assert result.total_share < 0.01
+    assert result.torque.total_share < 0.01
     assert result.passed
     for name in ("torque", "total_torque", "position"):  # each tolerance counts by itself
         assert not replace(result, tolerances=replace(result.tolerances, **{name: 1e-9})).passed
