@@ -12,7 +12,6 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_emulator.cli.options import (
     POSITIVE,
-    STORAGE,
     add_node_arguments,
     add_robot_arguments,
     check_apart,
@@ -73,7 +72,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_node_arguments(nodes, _TIMEOUT)
     parser.add_argument("--check", action="store_true", help="read and check the files, run nothing")
     parser.add_argument("--output", type=new_folder, help="bag folder to write; must not exist")
-    parser.add_argument("--storage", choices=("mcap", "sqlite3"), help=f"of the bag ({STORAGE})")
     parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of the bag")
     parser.add_argument("--report", type=new_file, metavar="FILE", help="page to write (.html); must not exist")
     parser.add_argument("--plot", type=new_file, metavar="FILE", help="picture of the tool's path to write")
@@ -82,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(options: argparse.Namespace) -> None:
     """Run the program, show what it did, write what was asked for."""
-    check_needs(options, ("storage", "slow_only"), ("output",))
+    check_needs(options, ("slow_only",), ("output",))
     check_needs(options, ("node", "timeout"), ("nodes",))
     for name in ("output", "report", "plot"):
         check_apart(options, (name,), "nodes", "a recorder beside the nodes, rx90_bag record")
@@ -144,7 +142,7 @@ def _write(run: ProgramRun, options: argparse.Namespace) -> None:
     from rx90_emulator.vplus.report import draw, page
 
     if options.output is not None and run.result is not None:
-        write_bag(run.result, options.output, options.storage or STORAGE)
+        write_bag(run.result, options.output)
         print(one_line(f"bag: {options.output}"))
     if options.report is not None:
         write_text(options.report, page(run, plain(options.file)))
