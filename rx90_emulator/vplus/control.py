@@ -8,7 +8,7 @@ from rx90_emulator.vplus.errors import VplusError
 from rx90_emulator.vplus.operators import operate, real, text_of
 from rx90_emulator.vplus.program import Step
 from rx90_emulator.vplus.registry import CONTROL, Waits, function, functions, instruction, instructions
-from rx90_emulator.vplus.syntax import Argument, Expression, Format, Function, Line, Number, Reference, plain_name
+from rx90_emulator.vplus.syntax import Argument, Expression, Format, Function, Line, Number, Reference, Text, plain_name
 from rx90_emulator.vplus.task import Frame, Task
 from rx90_emulator.vplus.values import FALSE, TRUE, Table
 
@@ -140,6 +140,14 @@ def call_by_string(task: Task, _: Frame, step: Step) -> None:
     task.call(plain_name(text_of(task.value(name))), arguments)
 
 
+def call_by_text(task: Task, _: Frame, step: Step) -> None:
+    """Call the program that a text in quotes names."""
+    assert step.instruction is not None
+    name, arguments = step.instruction.arguments
+    assert isinstance(name, Text)
+    task.call(plain_name(name.value), arguments or ())  # type: ignore[arg-type]  # a row of arguments, as the grammar has it
+
+
 def come_back(task: Task, _frame: Frame, _step: Step) -> None:
     """Go back to the program that called this one."""
     task.frames.pop()
@@ -167,6 +175,7 @@ CONTROL.update(
         "NEXT": next_turn,
         "CALL": call,
         "CALLS": call_by_string,
+        "CALLS TEXT": call_by_text,
         "RETURN": come_back,
     }
 )

@@ -64,6 +64,14 @@ def store_here(task: Task, line: Line) -> None:
     task.cell_of(target).store(target.name, value)
 
 
+@instruction("JHERE", 1, 6)
+def store_joints(task: Task, line: Line) -> None:
+    """Store the measured joint values in variables."""
+    for argument, value in zip(line.arguments, task.cell.arm.joints(task.cell.drive.position()), strict=False):
+        target = task.variable(argument)
+        task.cell_of(target).store(target.name, value)
+
+
 @instruction("DECOMPOSE", 1)
 def decompose(task: Task, line: Line) -> None:
     """Store the six numbers of a location in an array, from an index on."""

@@ -147,6 +147,15 @@ def drive(task: Task, line: Line) -> Waits:
     return issue(task, "DRIVE", end, None, Speed(percent, percent))
 
 
+@instruction("JMOVE", 1, 6)
+def move_joints(task: Task, line: Line) -> Waits:
+    """Move to joint values; those that are left out stay."""
+    values = list(task.cell.arm.joints(task.cell.queue.destination))
+    for place, argument in enumerate(line.arguments):
+        values[place] = task.real(argument, values[place])
+    return issue(task, "JMOVE", task.cell.arm.angles(Joints(values)), None)
+
+
 @instruction("ALIGN")
 def align(task: Task, _: Line) -> Waits:
     """Turn the tool along the nearest axis of the world, on the spot."""

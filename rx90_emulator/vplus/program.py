@@ -205,6 +205,7 @@ class _Reader:
                 self.declare(instruction)
             except SyntaxError as error:
                 self.fault(line, f"{quoted(code[:60])}: {error}")
+                instruction = _opening(code)
         program.steps.append(Step(line, instruction))
 
     def declare(self, instruction: Line) -> None:
@@ -293,6 +294,13 @@ def _check_count(name: str, given: int, arity: Arity) -> None:
     if not least <= given <= most:
         accepted = str(least) if least == most else f"{least} to {most}"
         raise SyntaxError(f"{name} has {given} arguments; accepted: {accepted}")
+
+
+def _opening(code: str) -> Line | None:
+    """Return a line in place of a faulty one that opens a block: its END is no fault."""
+    words = code.upper().split()
+    word = "IF THEN" if words[0] == "IF" and words[-1] == "THEN" else words[0]
+    return Line(word) if word in _OPENED else None
 
 
 def _resolve(program: Program) -> Iterator[tuple[int, str]]:

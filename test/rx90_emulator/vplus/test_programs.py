@@ -125,6 +125,8 @@ def test_the_seam_is_straight_and_as_accurate_as_the_same_line(shipped: Setup) -
         ("TYPE INRANGE(TRANS(500,0,0,0,180)), INRANGE(#PPOINT(0,90)), CONFIG()", " 0 2 0"),
         ("TYPE DEFINED(x)\nx = 1\nTYPE DEFINED(x)", " 0| -1"),
         ("ATTACH ()\nACCEL (1) 50\nDETACH (0)\nTYPE ACCEL(1), ACCEL(2)", " 50 100"),
+        ('.PROGRAM p()\nx = 1\nCALLS "q"(x)\nTYPE x\n.END\n.PROGRAM q(a)\na = 2\n.END', " 2"),
+        ("JMOVE 5, -80\nBREAK\nJHERE a, b, c\nTYPE INT(a+0.5), INT(b-0.5), INT(c+0.5)", " 5 -80 90"),
         ("SIGNAL 1, -2, 3\nTYPE SIG(1,-2), SIG(2), BITS(1,3)", " -1 0 5"),
         ("very.long.name.one = 1\nvery.long.name.two = 2\nTYPE very.long.name.one", " 2"),
     ],
@@ -149,6 +151,7 @@ def test_a_reading_changes_how_and_binds_and_is_warned_of(shipped: Setup) -> Non
     [
         ("IF x THEN", ["2: IF without END"]),
         ("END\nNEXT\nGOTO 7", ["2: END without IF or FOR", "3: NEXT 1 within 0 loops", "4: there is no label 7"]),
+        ("IF foo(1) THEN\nEND\nEND", ["2: 'IF foo(1) THEN'", "4: END without"]),
         ("10 x = 1\n10 x = 2", ["3: label 10 stands twice"]),
         ("x = SIN()\nMOVE\ny = foo(1)", ["SIN has 0 arguments", "MOVE has 0 arguments", "*Undefined program"]),
         ("VPICTURE\nALTER 1\nNONSENSE 3", ["vision is not emulated", "ALTER needs", "*Unknown instruction*"]),
