@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ def table_text(run: ProgramRun) -> str:
     lines = [f"{'line':<20} {'motion':<8} {'begin s':>8} {'end s':>8} {'taken s':>8} {'alone s':>8} {'error mm':>9}"]
     lines += [
         f"{row.where:<20} {row.kind:<8} {row.begin:8.3f} {row.end:8.3f} {row.end - row.begin:8.3f} {row.asked:8.3f} "
-        f"{row.error:9.4f}"
+        f"{'-' if math.isnan(row.error) else f'{row.error:.4f}':>9}"
         for row in run.table()
     ]
     return "\n".join(lines)

@@ -124,6 +124,7 @@ def test_the_seam_is_straight_and_as_accurate_as_the_same_line(shipped: Setup) -
         ("SET p = TRANS(0,0,0,10,-20,30)\nDECOMPOSE d[0] = p\nTYPE /F6.1, d[3], d[4], d[5]", "-170.0  20.0-150.0"),
         ("TYPE INRANGE(TRANS(500,0,0,0,180)), INRANGE(#PPOINT(0,90)), CONFIG()", " 0 2 0"),
         ("TYPE DEFINED(x)\nx = 1\nTYPE DEFINED(x)", " 0| -1"),
+        ("ATTACH ()\nACCEL (1) 50\nDETACH (0)\nTYPE ACCEL(1), ACCEL(2)", " 50 100"),
         ("SIGNAL 1, -2, 3\nTYPE SIG(1,-2), SIG(2), BITS(1,3)", " -1 0 5"),
         ("very.long.name.one = 1\nvery.long.name.two = 2\nTYPE very.long.name.one", " 2"),
     ],
@@ -305,6 +306,8 @@ def test_mutated_programs_end_in_time_without_a_traceback(shipped: Setup) -> Non
     rng = np.random.default_rng(7)
     sources = [file.read_text(encoding="latin-1") for file in sorted(CASES.glob("*.v2"))]
     pool = [line for source in sources for line in source.splitlines()]
+    pool += ["ATTACH ()", "ACCEL (1) 50, 50", "DETACH (lun)", "a[,2] = b[]", "REACT 1001, c06.bump", "GOTO 10", "10 ;"]
+    pool += ["NEXT", "EXIT", "x = NOT x AND 1", "TYPE $s, #p, a[1]", "UNTIL x", "DO", "ANY", "MOVE HERE:p:DEST"]
     signs = list("()[],;:=+-*/$#\"'^.0123456789ABCxyz \x00\x0c\x1a\xff")
     options = Options(idle=0.2, longest=0.3)
     ends = {"ran": 0, "stopped": 0, "refused": 0}
