@@ -15,6 +15,8 @@ EXECUTABLES = (
     "rx90_line",
     "rx90_path",
     "rx90_run",
+    "rx90_program",
+    "rx90_monitor",
     "rx90_bag",
     "rx90_compare_measured",
     "rx90_own_controller",
@@ -66,7 +68,7 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.10,<3.14",
     packages=find_packages(include=["rx90_*", "friction_bench*"]),
-    package_data={"": ["py.typed", "templates/*"]},
+    package_data={"": ["py.typed", "templates/*", "*.lark"]},
     data_files=data_files(),
     zip_safe=False,
     install_requires=[
@@ -86,6 +88,7 @@ setup(
         "tqdm>=4.66,<5",
         "pyserial>=3.5,<4",
         "shtab>=1.13,<2",
+        "lark-parser>=0.12,<0.13",
     ],
     extras_require={
         "ros": [

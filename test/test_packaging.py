@@ -36,8 +36,8 @@ RESOLVED_ON_NOBLE = """
     lifecycle_msgs pinocchio rclpy rcl_interfaces robot_state_publisher rosgraph_msgs rviz2 sensor_msgs std_msgs
     std_srvs trajectory_msgs
     type_description_interfaces
-    python3-hypothesis python3-jinja2 python3-matplotlib python3-numpy python3-pytest python3-scipy python3-serial
-    python3-tqdm python3-yaml tf2_msgs xacro
+    python3-hypothesis python3-jinja2 python3-lark-parser python3-matplotlib python3-numpy python3-pytest
+    python3-scipy python3-serial python3-tqdm python3-yaml tf2_msgs xacro
 """
 
 

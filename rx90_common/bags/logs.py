@@ -1,22 +1,19 @@
 """Read logs in columns, CSV, Parquet and NPZ, with a signal map that describes the columns; make bags of them.
 
-For text files encoding, header, delimiter and decimal sign are detected unless they are given. Lines are checked
-one by one, for comments and torn rows; times stay text until they are whole nanoseconds. Memory: the text of the
-columns that are mapped, 8 bytes for each number, and as many again for the series.
+A text file is split line by line, for comments and torn rows; its times stay text until they are whole nanoseconds.
 """
 
 from __future__ import annotations
 
 import csv
-import io
 import math
+import re
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal, DecimalException
-from itertools import islice
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -31,18 +28,17 @@ from rx90_common.bags.limits import DamagedError, check_whole, library_errors, l
 from rx90_common.bags.mapping import ARRAYS, DELIMITERS, SECONDS, LogMapping, mapping_of
 from rx90_common.bags.topics import absolute
 from rx90_common.bags.writing import write_joint_states
-from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 
-_BLOCK: Final = 8192  # rows that are read at once
+_BLOCK: Final = 8192  # lines that are split at once
 _LAST_NS: Final = 2**31 * NANOSECONDS  # stamps of ROS end there
 _LARGEST: Final = 1e9  # rad, rad/s, Nm or A: beyond any joint, while a damaged number may be as large
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
-_LONGEST = 1 << 20  # characters of a line; a file that is no text may have no end of line at all
-_COMMENTS = ("#", "%", "//")
+_COMMENTS = ("#", "%")
 _LOOKED_AT = 200  # lines, by which delimiter and decimal sign are found out
+_DECIMAL_COMMA = re.compile(r'(^|;)[\s"]*[+-]?\d*,\d+[\s"]*(;|$)')
 _NOT_FINITE = {"nan", "inf", "infinity"}
 _NUMBER_BYTES = 8
 
@@ -69,9 +65,12 @@ class ReadLog:
     def text(self) -> str:
         """Return it as lines for the terminal."""
         lines = [f"{plain(self.path)}: {self.dialect}"]
-        lines += [f"{plain(series.topic)}: {counted(len(series.names), 'joint')}, "
-                  f"{len(series.stamp_ns)} of {counted(self.rows, 'row')}" for series in self.series]  # fmt: skip
-        return "\n".join([*lines, *([f"left out: {_corrupt_text(self.corrupt)}"] if self.corrupt else [])])
+        for series in self.series:
+            read = f"{len(series.stamp_ns)} of {counted(self.rows, 'row')}"
+            lines.append(f"{plain(series.topic)}: {counted(len(series.names), 'joint')}, {read}")
+        if self.corrupt:
+            lines.append(f"left out: {_corrupt_text(self.corrupt)}")
+        return "\n".join(lines)
 
 
 def _corrupt_text(corrupt: Mapping[int, str]) -> str:
@@ -79,28 +78,17 @@ def _corrupt_text(corrupt: Mapping[int, str]) -> str:
     return f"{counted(len(corrupt), 'corrupt row')}, line {listed(sorted(corrupt))} (line {line}: {corrupt[line]})"
 
 
-class _Rows(NamedTuple):
-    """The rows of a log: numbers of their lines, columns by place, and what is wrong with torn rows, by row.
+class _Table(NamedTuple):
+    """The columns of a log that are mapped, arrow's of texts or NumPy's of numbers.
 
-    Columns are arrow's of texts or NumPy's of numbers.
+    `dialect` says how it was read, `lines` are the numbers of the rows' lines, `faults` what is wrong with torn rows.
     """
 
-    lines: Int64Array
-    columns: Mapping[int, Any]
-    torn: dict[int, str]
-
-
-class _Source(NamedTuple):
-    """A log that is open: names and number of its columns, how it is read, its decimal sign, and what reads its rows.
-
-    `rows` returns the columns at these places.
-    """
-
-    names: Sequence[str]
-    width: int
     dialect: str
     decimal: str
-    rows: Callable[[Sequence[int]], _Rows]
+    lines: Int64Array
+    columns: Mapping[int | str, Any]
+    faults: dict[int, str]
 
 
 def read_log(path: Path, mapping: LogMapping | None = None, *, skip_corrupt: bool = False) -> ReadLog:
@@ -112,36 +100,21 @@ def read_log(path: Path, mapping: LogMapping | None = None, *, skip_corrupt: boo
         skip_corrupt: whether damaged rows are skipped; otherwise they are refused.
     """
     mapping = mapping_of(path, mapping)
-    source = _open_arrays(path) if path.suffix.lower() in ARRAYS else _open_text(path, mapping)
-    used = [field.columns for topic in mapping.by_topic.values() for field in topic.fields.values()]
-    places = {column: _place_of(column, path, source) for columns in used for column in columns}
-    time = None if mapping.time is None else _place_of(mapping.time.column, path, source)
-    lines, columns, faults = source.rows([*{*places.values(), *([] if time is None else [time])}])
+    table = _array_table(path, mapping) if path.suffix.lower() in ARRAYS else _text_table(path, mapping)
+    faults = table.faults
     arrays: dict[str, dict[str, Any]] = {topic: {} for topic in mapping.by_topic}
     for topic, mapped in mapping.by_topic.items():
         for name, field in mapped.fields.items():
-            texts = [columns[places[column]] for column in field.columns]
-            values = np.column_stack([_numbers(text, source.decimal) for text in texts])
-            arrays[topic][name] = values = values * np.array(field.factors)  # a factor of 1 changes no bit
-            for row, column in np.argwhere(~(np.abs(values) <= _LARGEST)).tolist():  # a NaN, too
-                if not mapping.exact or _is_no_number(texts[column][row], values[row, column]):
-                    faults.setdefault(row, f"column {plain(field.columns[column])} is {_cell(texts[column][row])}")
-    if mapping.time is None or time is None:
-        stamps: Int64Array = np.rint(np.arange(len(lines)) * (NANOSECONDS / (mapping.rate or 1.0))).astype(np.int64)
-    else:
-        stamps = _stamps_ns(columns[time], source.decimal, int(SECONDS[mapping.time.unit] * NANOSECONDS))
-        for row in np.flatnonzero(stamps < 0).tolist():
-            accepted = f"0 to {_LAST_NS // NANOSECONDS} s, or ISO 8601"
-            faults.setdefault(row, f"time {_cell(columns[time][row])}; accepted: {accepted}")
-    rows = np.setdiff1d(np.arange(len(lines)), list(faults))
-    if mapping.exact:
-        rows = rows[np.argsort(stamps[rows], kind="stable")]
-    elif time is not None:
-        increasing = rows[_increasing(stamps[rows])]
-        for row in np.setdiff1d(rows, increasing).tolist():
-            faults[row] = f"time {_cell(columns[time][row])} does not lie between those around it"
-        rows = increasing
-    corrupt = {int(lines[row]): fault for row, fault in faults.items()}
+            numbers = [_numbers(table.columns[column], table.decimal) for column in field.columns]
+            values = np.column_stack(numbers) * np.array(field.factors)  # a factor of 1 changes no bit
+            arrays[topic][name] = values
+            for row, k in np.argwhere(~(np.abs(values) <= _LARGEST)).tolist():  # a NaN, too
+                column = field.columns[k]
+                cell = table.columns[column][row]
+                if not mapping.exact or _is_no_number(cell, values[row, k]):
+                    faults.setdefault(row, f"column {plain(column)} is {_cell(cell)}")
+    rows, stamps = _rows_in_time(table, mapping)
+    corrupt = {int(table.lines[row]): fault for row, fault in faults.items()}
     if corrupt and not (skip_corrupt and len(rows)):
         none = "" if len(rows) else "every row is corrupt: "
         accepted = "columns as in the signal map, or rx90_bag import --skip-corrupt, to leave out some rows"
@@ -151,12 +124,33 @@ def read_log(path: Path, mapping: LogMapping | None = None, *, skip_corrupt: boo
         unit = mapped.effort_unit(topic)
         fields = {name: values[rows] for name, values in arrays[topic].items()}
         series.append(JointSeries(absolute(topic), mapped.names or (), stamps[rows], **fields, effort_unit=unit))
-    return ReadLog(path, source.dialect, tuple(series), len(lines), corrupt)
+    return ReadLog(path, table.dialect, tuple(series), len(table.lines), corrupt)
 
 
-def _is_no_number(text: Any, value: float) -> bool:
+def _rows_in_time(table: _Table, mapping: LogMapping) -> tuple[NDArray[np.intp], Int64Array]:
+    """Return the rows without faults, in the order of time, and the times of all, ns; note the faults of times."""
+    faults = table.faults
+    count = len(table.lines)
+    if mapping.time is None:
+        stamps = np.rint(np.arange(count) * (NANOSECONDS / (mapping.rate or 1.0))).astype(np.int64)
+        return np.setdiff1d(np.arange(count), list(faults)), stamps
+    column = table.columns[mapping.time.column]
+    stamps = _stamps_ns(column, table.decimal, int(SECONDS[mapping.time.unit] * NANOSECONDS))
+    for row in np.flatnonzero(stamps < 0).tolist():
+        accepted = f"0 to {_LAST_NS // NANOSECONDS} s, or ISO 8601"
+        faults.setdefault(row, f"time {_cell(column[row])}; accepted: {accepted}")
+    rows = np.setdiff1d(np.arange(count), list(faults))
+    if mapping.exact:
+        return rows[np.argsort(stamps[rows], kind="stable")], stamps
+    increasing = rows[_increasing(stamps[rows])]
+    for row in np.setdiff1d(rows, increasing).tolist():
+        faults[row] = f"time {_cell(column[row])} does not lie between those around it"
+    return increasing, stamps
+
+
+def _is_no_number(cell: Any, value: float) -> bool:
     """Return whether what an exact log holds is no number, while the text for a NaN or an infinity is one."""
-    return not (np.isfinite(value) or str(text).strip("' ").lower().lstrip("+-") in _NOT_FINITE)
+    return not (np.isfinite(value) or str(cell).strip("' ").lower().lstrip("+-") in _NOT_FINITE)
 
 
 def _increasing(stamps: Int64Array) -> list[int]:
@@ -177,47 +171,52 @@ def _increasing(stamps: Int64Array) -> list[int]:
     return chosen[::-1]
 
 
-def _place_of(column: int | str, path: Path, source: _Source) -> int:
-    if isinstance(column, int):
-        if column > source.width:
-            raise BagError(f"{plain(path)}: no column {column}; accepted: 1 to {source.width}")
-        return column - 1
-    if source.names.count(column) != 1:
-        what = "more than one column" if column in source.names else "no column"
-        named = listed(source.names) or "no names"
-        raise BagError(f"{plain(path)}: {what} {quoted(column)}; there are {named}")
-    return source.names.index(column)
+def _places(path: Path, mapping: LogMapping, names: Sequence[str], width: int) -> dict[int | str, int]:
+    """Return the place of each column that is mapped."""
+    used = [
+        column for topic in mapping.by_topic.values() for field in topic.fields.values() for column in field.columns
+    ]
+    if mapping.time is not None:
+        used.append(mapping.time.column)
+    places: dict[int | str, int] = {}
+    for column in used:
+        if isinstance(column, int):
+            if column > width:
+                raise BagError(f"{plain(path)}: no column {column}; accepted: 1 to {width}")
+            places[column] = column - 1
+            continue
+        if names.count(column) != 1:
+            fault = "more than one column" if column in names else "no column"
+            raise BagError(f"{plain(path)}: {fault} {quoted(column)}; there are {listed(names) or 'no names'}")
+        places[column] = names.index(column)
+    return places
 
 
-def _open_arrays(path: Path) -> _Source:
-    """Open a log of arrays: columns of Parquet; of NPZ those of shape (n,), and each column of (n, k), as `q[0]`."""
-    kind = "Parquet" if path.suffix.lower() == ".parquet" else "NPZ"
-    arrays: dict[str, NDArray[Any]] = {}
+def _array_table(path: Path, mapping: LogMapping) -> _Table:
+    """Read a log of arrays: columns of Parquet; of NPZ those of shape (n,), and each column of (n, k), as `q[0]`."""
+    is_parquet = path.suffix.lower() == ".parquet"
     try:
         with library_errors():
-            if kind == "Parquet":
+            if is_parquet:
                 file = pq.ParquetFile(path, page_checksum_verification=True)
                 names = [field.name for field in file.schema_arrow if _is_mapped(field.type)]
             else:
                 arrays = _npz_columns(path)
                 names = list(arrays)
+            places = _places(path, mapping, names, len(names))
+            if is_parquet:
+                arrays = _parquet_columns(path, file, {names[place] for place in places.values()})
     except DamagedError as error:
-        raise BagError(f"{plain(path)}: is no {kind} file, or damaged ({error})") from error
-
-    def rows(places: Sequence[int]) -> _Rows:
-        used = [names[place] for place in places]
-        try:
-            with library_errors():
-                columns = _parquet_columns(path, file, used) if kind == "Parquet" else [arrays[name] for name in used]
-        except DamagedError as error:
-            raise BagError(f"{plain(path)}: is no {kind} file, or damaged ({error})") from error
-        counts = {len(column) for column in columns}
-        if len(counts) != 1 or 0 in counts:
-            each = ", ".join(f"{plain(name)} {len(column)}" for name, column in zip(used, columns, strict=True))
-            raise BagError(f"{plain(path)}: rows: {each}; accepted: columns of as many rows each, one or more")
-        return _Rows(np.arange(1, counts.pop() + 1), dict(zip(places, columns, strict=True)), {})
-
-    return _Source(names, len(names), f"{counted(len(names), 'column')} {listed(names)}", ".", rows)
+        raise BagError(
+            f"{plain(path)}: is no {'Parquet' if is_parquet else 'NPZ'} file, or damaged ({error})"
+        ) from error
+    columns = {column: arrays[names[place]] for column, place in places.items()}
+    counts = {len(values) for values in columns.values()}
+    if len(counts) != 1 or 0 in counts:
+        lengths = ", ".join(f"{plain(column)} {len(values)}" for column, values in columns.items())
+        raise BagError(f"{plain(path)}: rows: {lengths}; accepted: columns of as many rows each, one or more")
+    dialect = f"{counted(len(names), 'column')} {listed(names)}"
+    return _Table(dialect, ".", np.arange(1, counts.pop() + 1), columns, {})
 
 
 def _npz_columns(path: Path) -> dict[str, NDArray[Any]]:
@@ -234,132 +233,123 @@ def _is_mapped(kind: pa.DataType) -> bool:
     return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_timestamp(kind))
 
 
-def _parquet_columns(path: Path, file: pq.ParquetFile, names: Sequence[str]) -> list[NDArray[Any]]:
+def _parquet_columns(path: Path, file: pq.ParquetFile, names: set[str]) -> dict[str, NDArray[Any]]:
     """Return these columns of a Parquet file: others may be of texts of any length."""
     groups = [file.metadata.row_group(k) for k in range(file.metadata.num_row_groups)]
     parts = [group.column(k) for group in groups for k in range(group.num_columns)]
     pages = sum(part.total_uncompressed_size for part in parts if part.path_in_schema in names)
     check_whole(path, "arrays", max(_NUMBER_BYTES * file.metadata.num_rows * len(names), pages))
-    columns = [file.read([name])[name] for name in names]
+    columns = {name: file.read([name])[name] for name in names}
     stamp = pa.timestamp("ns")
-    return [(part.cast(stamp) if pa.types.is_timestamp(part.type) else part).to_numpy() for part in columns]
+    return {
+        name: (part.cast(stamp) if pa.types.is_timestamp(part.type) else part).to_numpy()
+        for name, part in columns.items()
+    }
 
 
-def _open_text(path: Path, mapping: LogMapping) -> _Source:
+def _text_table(path: Path, mapping: LogMapping) -> _Table:
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise BagError(f"{plain(path)}: cannot be read ({error.strerror})") from error
+    # Bytes of a damaged log that are no text make a corrupt row, not an unreadable file.
+    text = raw.decode("utf-16" if raw.startswith(_UTF16) else "utf-8-sig", errors="replace")
     comments: list[str] = []
-    lines = _lines_of(path, None if mapping.exact else comments)
-    beginning = [*islice(lines, _BLOCK)]
-    delimiter, decimal = _dialect([line for _, line in beginning[:_LOOKED_AT]], mapping)
-    split = [_fields_of(line, delimiter) for _, line in beginning]
+    lines: list[str] = []
+    numbers: list[int] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.lstrip().startswith(_COMMENTS):
+            comments.append(line.lstrip("#% "))
+        elif line.strip():
+            lines.append(line)
+            numbers.append(number)
+    delimiter, decimal = _dialect(lines[:_LOOKED_AT], mapping)
+    beginning = [_split(line, delimiter) for line in lines[:_BLOCK]]
     head = mapping.header
     if head is None:  # the lines before the first one that holds a number
-        numeric = (k for k, row in enumerate(split) if any(not math.isnan(_number(text, decimal)) for text in row))
-        head = next(numeric, len(split))
-    widths = Counter(map(len, split[head:]))
+        numeric = (k for k, row in enumerate(beginning) if any(not math.isnan(_number(cell, decimal)) for cell in row))
+        head = next(numeric, len(beginning))
+    widths = Counter(map(len, beginning[head:]))
     if not widths:
         raise BagError(f"{plain(path)}: holds no row of numbers; accepted: one or more behind the header")
     width = widths.most_common(1)[0][0]
-    wider = [len(_fields_of(line, delimiter, width + 1)) > width for _, line in beginning[head:]]
-    if all(wider) and any(len(names) == width + 1 for names in split[:head]):  # the last column is empty, but named
-        width += 1
-    # NumPy and Matlab write the names into a comment.
-    texts = split[:head] + [_fields_of(line.lstrip("#%/ "), delimiter) for line in comments]
-    header = next(([name.strip() for name in names] for names in texts if len(names) == width), [])
-
-    def rows(places: Sequence[int]) -> _Rows:
-        numbers: list[int] = []
-        torn: dict[int, str] = {}
-        parts: dict[int, list[pa.Array]] = {place: [] for place in places}
-        block = beginning[head:]
-        while block:
-            split = [_fields_of(line, delimiter, width) for _, line in block]
-            for row, fields in enumerate(split):
-                if len(fields) != width:
-                    torn[len(numbers) + row] = f"{counted(len(fields), 'field')}, others have {width}"
-                    split[row] = [""] * width
-            numbers += [number for number, _ in block]
-            for place, part in parts.items():
-                part.append(pa.array([fields[place] for fields in split], pa.string()))
-            block = [*islice(lines, _BLOCK)]
-        columns = {place: pa.chunked_array(part) for place, part in parts.items()}
-        return _Rows(np.array(numbers, dtype=np.int64), columns, torn)
-
-    named = f"header {listed(header)}" if header else "no header"
-    dialect = f"{counted(width, 'column')}, delimiter {delimiter!r}, decimal {decimal!r}, {named}"
-    return _Source(header, width, dialect, decimal, rows)
+    # NumPy and Matlab write the names into a comment; rows may end in a delimiter more than their header.
+    named = [*beginning[:head], *(_split(line, delimiter) for line in comments[:_LOOKED_AT])]
+    header = next((names for count in (width, width - 1) for names in named if len(names) == count), [])
+    places = _places(path, mapping, header, width)
+    faults: dict[int, str] = {}
+    parts: dict[int | str, list[pa.Array]] = {column: [] for column in places}
+    for begin in range(head, len(lines), _BLOCK):
+        rows = [_split(line, delimiter) for line in lines[begin : begin + _BLOCK]]
+        for k, row in enumerate(rows):
+            if len(row) != width:
+                faults[begin - head + k] = f"{counted(len(row), 'field')}, others have {width}"
+                rows[k] = [""] * width
+        for column, place in places.items():
+            parts[column].append(pa.array([row[place] for row in rows], pa.string()))
+    columns = {column: pa.chunked_array(part) for column, part in parts.items()}
+    names = f"header {listed(header)}" if header else "no header"
+    dialect = f"{counted(width, 'column')}, delimiter {delimiter!r}, decimal {decimal!r}, {names}"
+    return _Table(dialect, decimal, np.array(numbers[head:], dtype=np.int64), columns, faults)
 
 
-def _lines_of(path: Path, comments: list[str] | None) -> Iterator[tuple[int, str]]:
-    """Yield lines with their numbers, from 1 on; without blank ones and comments, the first of which go into the list.
+def _dialect(lines: Sequence[str], mapping: LogMapping) -> tuple[str, str]:
+    """Return the delimiter, the first one that most lines have, and the decimal sign, a comma only beside ;."""
+    if mapping.delimiter is None:
+        delimiter = max(DELIMITERS.values(), key=lambda sign: sum(sign in line for line in lines))
+    else:
+        delimiter = DELIMITERS[mapping.delimiter]
+    has_commas = delimiter == ";" and any(map(_DECIMAL_COMMA.search, lines))
+    return delimiter, mapping.decimal or ("," if has_commas else ".")
 
-    Bytes of a damaged log that are no text make a corrupt row, not an unreadable file. Without a list all lines are
-    rows.
-    """
+
+def _split(line: str, delimiter: str) -> list[str]:
+    if delimiter == " ":
+        line = " ".join(line.split())
     try:
-        with path.open("rb") as raw:
-            encoding = "utf-16" if raw.peek(2)[:2] in _UTF16 else "utf-8-sig"
-            file = io.TextIOWrapper(raw, encoding=encoding, errors="replace")
-            number = 0
-            while text := file.readline(_LONGEST):
-                number += 1
-                if len(text) == _LONGEST and not text.endswith("\n"):
-                    where = f"{plain(path)}:{number}"
-                    raise BagError(f"{where}: more than {_LONGEST} characters in a line; accepted: text in lines")
-                if comments is not None and text.lstrip().startswith(_COMMENTS):
-                    comments += [text.strip()][: _LOOKED_AT - len(comments)]
-                elif comments is None or text.strip():
-                    yield number, text.rstrip("\r\n")
-    except (OSError, UnicodeError) as error:  # also a mark of UTF-16 with nothing behind it
-        raise BagError(f"{plain(path)}: cannot be read ({plain(error)})") from error
-
-
-def _fields_of(line: str, delimiter: str, width: int = 0) -> list[str]:
-    """Return the fields of a line; behind a delimiter at its end there is none, but where it makes the width full."""
-    sign = DELIMITERS[delimiter]
-    if sign is None:
-        return line.replace('"', " ").split()
-    line = line.strip(" \r\n")
-    try:
-        fields = next(csv.reader([line], delimiter=sign)) if '"' in line else line.split(sign)
-    except csv.Error:  # a quotation mark that damage or a slip has put there
+        if '"' in line:
+            cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+        else:
+            cells = line.split(delimiter)
+    except csv.Error:  # what damage has put there
         return [line]
-    return fields[:-1] if 1 < len(fields) != width and not fields[-1].strip() else fields
+    return [cell.strip() for cell in cells]
 
 
-def _numbers(column: Any, decimal: str) -> Array:
+def _numbers(column: Any, decimal: str) -> NDArray[np.float64]:
     """Return the numbers of a column of texts, NaN where there is none, or of an array."""
     if isinstance(column, np.ndarray):
         return column.astype(np.float64)
     if decimal == ".":
         with suppress(pa.ArrowInvalid):  # of one text; and of a plus sign
-            return np.asarray(pc.cast(pc.utf8_trim_whitespace(column), pa.float64()).to_numpy())
-    return np.array([_number(text, decimal) for text in column.to_pylist()])
+            return np.asarray(pc.cast(column, pa.float64()).to_numpy())
+    return np.array([_number(cell, decimal) for cell in column.to_pylist()])
 
 
-def _number(text: str, decimal: str) -> float:
-    """Return the number that a field holds; NaN if it holds none."""
+def _number(cell: str, decimal: str) -> float:
+    """Return the number that a cell holds; NaN if it holds none."""
     try:
-        return float(_with_point(text, decimal))
+        return float(_with_point(cell, decimal))
     except ValueError:
         return math.nan
 
 
-def _with_point(text: str, decimal: str) -> str:
+def _with_point(cell: str, decimal: str) -> str:
     """Return the text of a number with a decimal point; nothing for text that only Python accepts as a number."""
-    if "_" in text or (decimal == "," and "." in text):
+    if "_" in cell or (decimal == "," and "." in cell):
         return ""
-    return text.strip().replace(",", ".") if decimal == "," else text.strip()
+    return cell.replace(decimal, ".")
 
 
 def _stamps_ns(column: Any, decimal: str, unit_ns: int) -> Int64Array:
     """Return times in ns, exactly if they are texts or whole numbers; -1 for times that are no valid stamps."""
     if not isinstance(column, np.ndarray):
         stamps = []
-        for text in column.to_pylist():
+        for cell in column.to_pylist():
             try:  # floating point spoils ns of the wall clock
-                stamp = round(Decimal(_with_point(text, decimal)) * unit_ns)
+                stamp = round(Decimal(_with_point(cell, decimal)) * unit_ns)
             except (DecimalException, OverflowError, ValueError):
-                stamp = _iso_ns(text.strip())
+                stamp = _iso_ns(cell)
             stamps.append(stamp if 0 <= stamp < _LAST_NS else -1)
         return np.array(stamps, dtype=np.int64)
     if column.dtype.kind == "M":  # it has a unit of its own
@@ -380,31 +370,15 @@ def _iso_ns(text: str) -> int:
     return -1
 
 
-def _cell(value: Any) -> str:
-    if not isinstance(value, pa.StringScalar):
-        return str(value)
-    text = str(value)
+def _cell(cell: Any) -> str:
+    if not isinstance(cell, pa.StringScalar):
+        return str(cell)
+    text = str(cell)
     return quoted(text.replace('"', " "), 30) if text.strip() else "empty"
 
 
-def _dialect(lines: Sequence[str], mapping: LogMapping) -> tuple[str, str]:
-    """Return delimiter and decimal sign by which most fields are numbers and fewest others are not."""
-
-    def score(pair: tuple[str, str]) -> float:
-        total = 0.0
-        for line in lines:
-            texts = [text for text in _fields_of(line, pair[0]) if text.strip()]
-            numbers = sum(not math.isnan(_number(text, pair[1])) for text in texts)
-            total += 2.0 * numbers - len(texts) if numbers else -1.0  # a header tells nothing
-        return total
-
-    delimiters = DELIMITERS if mapping.delimiter is None else (mapping.delimiter,)
-    decimals = (".", ",") if mapping.decimal is None else (mapping.decimal,)
-    return max(((delimiter, decimal) for decimal in decimals for delimiter in delimiters), key=score)
-
-
 def import_logs(
-    logs: Sequence[tuple[Path, LogMapping | None]], bag: Path, *, skip_corrupt: bool = False, storage: str = "mcap"
+    logs: Sequence[tuple[Path, LogMapping | None]], bag: Path, *, skip_corrupt: bool = False
 ) -> list[ReadLog]:
     """Write a bag with the joint states of logs in columns.
 
@@ -412,11 +386,10 @@ def import_logs(
         logs: files with their mappings; None for the file beside one.
         bag: folder to make; must not exist.
         skip_corrupt: whether damaged rows are skipped; otherwise they are refused.
-        storage: "mcap" or "sqlite3".
 
     Raises:
         BagWriteError: if the bag cannot be written.
     """
     read = [read_log(path, mapping, skip_corrupt=skip_corrupt) for path, mapping in logs]
-    write_joint_states(bag, [series for log in read for series in log.series], storage=storage)
+    write_joint_states(bag, [series for log in read for series in log.series])
     return read

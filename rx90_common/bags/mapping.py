@@ -44,7 +44,8 @@ _SCALES: Final[Mapping[str, float]] = {
     "Nm": 1.0, "mNm": 1e-3, "A": 1.0, "mA": 1e-3, "rad/s^2": 1.0,
 }  # fmt: skip
 """What a unit is in rad, rad/s, Nm, A and rad/s^2."""
-DELIMITERS: Final = {",": ",", ";": ";", "|": "|", "tab": "\t", "space": None}
+DELIMITERS: Final = {";": ";", "tab": "\t", ",": ",", "space": " "}
+"""Of columns by their names in signal maps; of those that are in as many lines, the first one is taken."""
 ARRAYS: Final = (".parquet", ".npz")
 """Suffixes of logs of arrays."""
 TABLES: Final = (".csv", ".tsv", ".txt", ".dat", *ARRAYS)
@@ -202,7 +203,7 @@ class SignalMapFile(MessageColumns):
         Field(description="Topics of joint states, by name, of a table that holds several."),
     ] = None
     delimiter: Annotated[
-        Literal[",", ";", "|", "tab", "space"] | None, Field(description="Between columns; found out if left out.")
+        Literal[",", ";", "tab", "space"] | None, Field(description="Between columns; found out if left out.")
     ] = None
     decimal: Annotated[Literal[".", ","] | None, Field(description="Decimal sign; found out if left out.")] = None
     header: Annotated[int | None, Field(ge=0, le=1000, description="Lines of header; found out if left out.")] = None

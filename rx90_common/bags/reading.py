@@ -38,33 +38,29 @@ FILE = "metadata.yaml"
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
-class _TopicMetadata(Model):
+class _Known(Model):
+    """The part of rosbag2's metadata that is used."""
+
     model_config = ConfigDict(extra="ignore")
 
+
+class _TopicMetadata(_Known):
     name: str
     type: str
 
 
-class _TopicCount(Model):
-    model_config = ConfigDict(extra="ignore")
-
+class _TopicCount(_Known):
     topic_metadata: _TopicMetadata
     message_count: Annotated[int, Field(ge=0)]
 
 
-class _Information(Model):
-    model_config = ConfigDict(extra="ignore")
-
+class _Information(_Known):
     topics_with_message_count: Annotated[tuple[_TopicCount, ...], Field(strict=False)]
     relative_file_paths: Names
     custom_data: dict[str, Any] | None = None
 
 
-class _Metadata(Model):
-    """The part of rosbag2's metadata that is used."""
-
-    model_config = ConfigDict(extra="ignore")
-
+class _Metadata(_Known):
     rosbag2_bagfile_information: _Information
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from typing import Final, NamedTuple
+from typing import Final
 
 from rx90_common.bags.topics import FIELDS, absolute
 from rx90_common.base.errors import BagError
@@ -14,23 +14,10 @@ ANY: Final = "*"
 GRAMMAR: Final = "[TOPIC:[JOINT:]]FIELD=VALUE"
 
 
-class ToleranceRule(NamedTuple):
-    """One tolerance in rad, rad/s or Nm, for a field of one or any topic and one or any joint (None)."""
-
-    topic: str | None
-    joint: str | None
-    field: str
-    value: float
-
-    def fits(self, topic: str, joint: str, field: str) -> bool:
-        """Return whether it holds for a field of a joint of a topic."""
-        return self.field == field and self.topic in (None, topic) and self.joint in (None, joint)
-
-
 class Tolerances:
-    """A list of rules, of the form `[TOPIC:[JOINT:]]FIELD=VALUE`, TOPIC being * for any.
+    """Tolerances in rad, rad/s or Nm, of the form `[TOPIC:[JOINT:]]FIELD=VALUE`, TOPIC being * for any.
 
-    The most specific rule that fits decides, and among equals the last. From most to least specific: topic and joint,
+    The most specific one that fits decides, and among equals the last. From most to least specific: topic and joint,
     topic, joint of any topic, field alone.
 
     Raises:
@@ -38,40 +25,40 @@ class Tolerances:
     """
 
     def __init__(self, *texts: str) -> None:
-        rules = [_parsed(text) for text in texts]
-        self._rules = sorted(rules, key=lambda rule: (rule.topic is not None, rule.joint is not None))
+        self._values: dict[tuple[str | None, str | None, str], float] = {}
+        for text in texts:
+            key, _, value = text.rpartition("=")
+            *place, field = key.split(":")
+            try:
+                number = float(value)
+            except ValueError:
+                number = math.nan
+            if field not in FIELDS or len(place) > 2 or not all(place) or not 0.0 <= number < math.inf:
+                accepted = f"{GRAMMAR}, e.g. joint_states:position=1e-6, VALUE >= 0"
+                raise BagError(f"tolerance {quoted(text)}; accepted: {accepted}")
+            topic = absolute(place[0]) if place and place[0] != ANY else None
+            self._values[topic, place[1] if len(place) > 1 else None, field] = number
 
     def of(self, topic: str, joint: str, field: str) -> float:
-        """Return the tolerance for a value, 0 where no rule fits."""
-        return next((rule.value for rule in reversed(self._rules) if rule.fits(topic, joint, field)), 0.0)
+        """Return the tolerance for a value, 0 where none fits."""
+        for key in ((topic, joint, field), (topic, None, field), (None, joint, field), (None, None, field)):
+            if key in self._values:
+                return self._values[key]
+        return 0.0
 
     def check(self, topics: Collection[str], joints: Mapping[str, Collection[str]]) -> None:
-        """Refuse rules that fit nothing, as they are misspelt.
+        """Refuse tolerances that fit nothing, as they are misspelt.
 
         Args:
             topics: the topics of both bags.
             joints: the joints of each topic that is compared.
 
         Raises:
-            BagError: if a rule names a topic of neither bag, or a joint that no compared topic has.
+            BagError: if one names a topic of neither bag, or a joint that no compared topic has.
         """
-        for rule in self._rules:
-            if rule.topic not in (None, *topics):
-                raise BagError(f"tolerance for {rule.topic}, which is in neither bag; topics: {listed(sorted(topics))}")
-            known = {name for topic, names in joints.items() if rule.topic in (None, topic) for name in names}
-            if rule.joint is not None and rule.topic in (None, *joints) and rule.joint not in known:
-                there = listed(sorted(known))
-                raise BagError(f"tolerance for {rule.joint}, which no compared topic has; joints: {there}")
-
-
-def _parsed(text: str) -> ToleranceRule:
-    key, _, value = text.rpartition("=")
-    *place, field = key.split(":")
-    try:
-        number = float(value)
-    except ValueError:
-        number = math.nan
-    if field not in FIELDS or len(place) > 2 or not all(place) or not 0.0 <= number < math.inf:
-        raise BagError(f"tolerance {quoted(text)}; accepted: {GRAMMAR}, e.g. joint_states:position=1e-6, VALUE >= 0")
-    topic = absolute(place[0]) if place and place[0] != ANY else None
-    return ToleranceRule(topic, place[1] if len(place) > 1 else None, field, number)
+        for topic, joint, _ in self._values:
+            if topic not in (None, *topics):
+                raise BagError(f"tolerance for {topic}, which is in neither bag; topics: {listed(sorted(topics))}")
+            known = {name for compared, names in joints.items() if topic in (None, compared) for name in names}
+            if joint is not None and topic in (None, *joints) and joint not in known:
+                raise BagError(f"tolerance for {joint}, which no compared topic has; joints: {listed(sorted(known))}")

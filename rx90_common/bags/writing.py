@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -22,7 +21,6 @@ import numpy as np
 from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -37,12 +35,10 @@ from rx90_common.bags.topics import (
     absolute,
 )
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_bag_name
-from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.process.files import hidden_folder
-
-STORAGES: Final = ("mcap", "sqlite3")
 
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _MESSAGES_AT_ONCE = 10_000  # in memory while arrays are written
@@ -125,21 +121,8 @@ class _McapBatches(McapWriter):
             stream.write(crc.to_bytes(4, "little"))
 
 
-class _SqliteBatches(Sqlite3Writer):
-    """rosbags' SQLite writer; messages come by `write_many` alone."""
-
-    def write_many(self, channel: Int64Array, log_ns: Int64Array, messages: list[bytes]) -> None:
-        """Write messages, in this order, of the topics with these numbers, int64 (n,)."""
-        rows = zip(channel.tolist(), log_ns.tolist(), messages, strict=True)
-        self.cursor.executemany("INSERT INTO messages (topic_id, timestamp, data) VALUES(?, ?, ?)", rows)
-
-    def checkpoint(self) -> None:
-        """Write pending data to the file."""
-        self.conn.commit()
-
-
 class _BatchWriter(Writer):
-    STORAGE_PLUGINS = {StoragePlugin.MCAP: _McapBatches, StoragePlugin.SQLITE3: _SqliteBatches}  # noqa: RUF012 - as in rosbags
+    STORAGE_PLUGINS = {StoragePlugin.MCAP: _McapBatches}  # noqa: RUF012 - as in rosbags
 
 
 @cache
@@ -171,19 +154,16 @@ class BagWriter:
 
     Args:
         path: folder to make; must not exist.
-        storage: "mcap" or "sqlite3".
         named: final name of a bag that is renamed when it is complete; an incomplete one is removed.
 
     Raises:
         BagWriteError: if the disk is full.
     """
 
-    def __init__(self, path: Path | str, storage: str = "mcap", *, named: Path | None = None) -> None:
+    def __init__(self, path: Path | str, *, named: Path | None = None) -> None:
         self.path = Path(path)
         self._named = named or self.path
         self._stays = named is None
-        if storage not in STORAGES:
-            raise BagError(f"storage is {quoted(storage)}; accepted: {', '.join(STORAGES)}")
         check_bag_name(self.path)
         self._second = 0  # of the newest log time
         self._opened = False
@@ -192,7 +172,7 @@ class BagWriter:
         self._above = [folder for folder in self.path.parents if not folder.exists()]  # made with it
         with self._failures():
             self._writer = _BatchWriter(
-                self.path, version=_BatchWriter.VERSION_LATEST, storage_plugin=StoragePlugin[storage.upper()]
+                self.path, version=_BatchWriter.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP
             )
             self._writer.open()
         self._opened = True
@@ -292,8 +272,8 @@ class BagWriter:
         with self._failures():
             try:
                 self._writer.close()
-            except (WriterError, OSError, sqlite3.Error):
-                with suppress(OSError, sqlite3.Error):
+            except (WriterError, OSError):
+                with suppress(OSError):
                     self._writer.abort()
                 raise
 
@@ -303,14 +283,11 @@ class BagWriter:
             yield
         except WriterError as error:
             raise BagError(plain(error, 1000)) from error
-        except (OSError, sqlite3.Error) as error:
-            reason = error.strerror if isinstance(error, OSError) else str(error)
+        except OSError as error:
             # What is refused before anything is written is the user's to mend: another folder, another name.
-            failed = self._opened or getattr(error, "errno", None) in DISK_ERRORS
-            half = ""
-            if self._opened and self._stays:
-                half = "; what was written before stays"
-            text = f"{plain(self._named)}: cannot be written ({reason}){half}"
+            failed = self._opened or error.errno in DISK_ERRORS
+            half = "; what was written before stays" if self._opened and self._stays else ""
+            text = f"{plain(self._named)}: cannot be written ({error.strerror}){half}"
             raise (BagWriteError if failed else BagError)(text) from error
 
 
@@ -410,7 +387,6 @@ def write_joint_states(
     path: Path | str,
     series: Sequence[JointSeries],
     *,
-    storage: str = "mcap",
     messages: Sequence[RawMessage] = (),
 ) -> None:
     """Write a bag as if nodes had published these series and the recorder had recorded them.
@@ -424,7 +400,6 @@ def write_joint_states(
     Args:
         path: folder to make; must not exist.
         series: one per topic.
-        storage: "mcap" or "sqlite3".
         messages: further messages of the bag.
 
     Raises:
@@ -437,7 +412,7 @@ def write_joint_states(
     if len(set(topics)) != len(topics):
         raise BagError(f"{path}: topics {', '.join(topics)}; accepted: each topic once")
     check_bag_name(path)
-    with named_at_the_end(path) as folder, BagWriter(folder / path.name, storage, named=path) as bag:
+    with named_at_the_end(path) as folder, BagWriter(folder / path.name, named=path) as bag:
         numbers = [bag.add_topic(topic, JOINT_STATE, [offered_qos()]).id for topic in topics]
         for part in series:
             bag.say_unit(part.topic, part.effort_unit)

@@ -28,6 +28,7 @@ _NAMED_ALIKE = (
 SOURCES = {name: name for name in _NAMED_ALIKE} | {
     "backports": "rosbags",  # backports.zstd
     "jinja2": "Jinja2",
+    "lark": "lark-parser",
     "llvmlite": "numba",
     "lz4": "rosbags",
     "markdown_it": "markdown-it-py",

@@ -20,6 +20,7 @@ from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction.element import ALPHA_BOUNDS
 from rx90_common.kernels.elementary import exponential_less_one_of, powers
+from rx90_controller.law.full_speeds import FullSpeeds
 from rx90_controller.law.model import FRICTION, INVERSE_DYNAMICS, ModelFiles, model_dtype
 from rx90_controller.trajectory import JointLimits
 
@@ -186,6 +187,7 @@ class CS7BParameters(FileModel):
     supervision: Supervision
     trajectory: TrajectoryLimits
     model: ModelFiles | None = None
+    vplus: FullSpeeds | None = None
 
     @model_validator(mode="after")
     def _check_counts(self) -> CS7BParameters:

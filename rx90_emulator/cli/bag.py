@@ -17,7 +17,6 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.ros_start import prepare
 from rx90_common.process.interrupts import stop_request
 from rx90_emulator.cli.options import (
-    STORAGE,
     add_robot_arguments,
     add_verbs,
     check_apart,
@@ -34,7 +33,6 @@ _MAX_STAMP = 4_294_967_296  # s: stamps count so far, and two of them do not ove
 _KINDS = ("csv", "parquet", "npz")
 # What several verbs have in common.
 _BAG: dict[str, Any] = {"metavar": "BAG", "help": "bag: folder, .mcap, .db3 or ROS 1 .bag file"}
-_STORAGE: dict[str, Any] = {"choices": ("mcap", "sqlite3"), "default": STORAGE, "help": "storage (default: mcap)"}
 _TOPIC: dict[str, Any] = {"nargs": "+", "dest": "topics", "metavar": "TOPIC"}
 _NOTHING_WRITTEN = "nothing was written"
 _TIP_FILES = ("urdf", "tool", "drives")  # files of a robot that say where a bag's tip was
@@ -77,7 +75,6 @@ def _add_record(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", type=new_folder, required=True, metavar="FOLDER", help="bag to make; must not exist"
     )
-    parser.add_argument("-s", "--storage", **_STORAGE)
 
 
 def _record(args: argparse.Namespace) -> int:
@@ -91,7 +88,7 @@ def _record(args: argparse.Namespace) -> int:
     from rx90_common.bags.recorder.recording import Recorder
 
     recorder = Recorder(args.topics or SUITE_TOPICS, args.ros_args)
-    counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)
+    counts = recorder.run(lambda: BagWriter(args.output), stop)
     return _report(recorder, counts, args.output, requested=bool(args.topics))
 
 
@@ -289,7 +286,6 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     _add_signals(parser)
     parser.add_argument("--skip-corrupt", action="store_true",
                         help="leave out damaged rows and say which; otherwise they are refused")  # fmt: skip
-    parser.add_argument("-s", "--storage", **_STORAGE)
 
 
 def _import(args: argparse.Namespace) -> None:
@@ -304,7 +300,7 @@ def _import(args: argparse.Namespace) -> None:
     if not logs or (folder and args.signals):
         raise ConfigError(f"{plain(args.log)}: accepted: a folder with CSV files, each with its signal map, or a log")
     mapping = _signals(args)
-    done = import_logs([(log, mapping) for log in logs], args.bag, skip_corrupt=args.skip_corrupt, storage=args.storage)
+    done = import_logs([(log, mapping) for log in logs], args.bag, skip_corrupt=args.skip_corrupt)
     print("\n".join([*(log.text for log in done), f"bag: {plain(args.bag)}"]))
 
 

@@ -12,7 +12,6 @@ from rx90_common.description.robot_files import MODEL_FILES, NO_TOOL
 from rx90_emulator.cli.options import (
     FINITE,
     POSITIVE,
-    STORAGE,
     add_node_arguments,
     add_robot_arguments,
     check_apart,
@@ -67,7 +66,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     run.add_argument(
         "--output", type=new_folder, required=True, metavar="FOLDER", help="folder for the bags; must not exist"
     )
-    run.add_argument("--storage", choices=("mcap", "sqlite3"), help=f"with --engine: of the bags ({STORAGE})")
     add_node_arguments(run, _TIMEOUT)
 
 
@@ -112,7 +110,6 @@ def main(options: argparse.Namespace) -> None:
     from rx90_emulator.loop.setup import Setup
 
     if options.verb == "run":
-        check_needs(options, ("storage",), ("engine",))
         check_needs(options, ("node", "timeout"), ("nodes",))
     else:
         check_needs(options, ("rate",), ("output",))
@@ -142,7 +139,7 @@ def main(options: argparse.Namespace) -> None:
             print(one_line(f"motions: {options.output}, from home and back; bring the arm there first"))
         return
     if options.engine:
-        series.record_on_engine(setup, plan, options.output, options.storage or STORAGE)
+        series.record_on_engine(setup, plan, options.output)
     else:
         series.record_on_nodes(setup, plan, options.output, node_of(options), options.timeout or _TIMEOUT)
     print(one_line(f"bags: {options.output}"))

@@ -35,8 +35,6 @@ _NEGATIVE = re.compile(r"-((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf|infinity|nan)$", re
 _BAR = "{desc}: {percentage:3.0f} % |{bar}| [{elapsed}<{remaining}]"
 CONTROLLER = "rx90_controller"
 """Name of the controller node, unless another one is given."""
-STORAGE = "mcap"
-"""Storage format of bags, unless another one is asked for."""
 
 
 class CommandParser(argparse.ArgumentParser):

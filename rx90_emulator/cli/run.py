@@ -16,7 +16,6 @@ from rx90_common.base.quoting import counted, one_line
 from rx90_common.base.rates import Rates
 from rx90_emulator.cli.options import (
     FINITE,
-    STORAGE,
     add_robot_arguments,
     check_apart,
     check_needs,
@@ -45,7 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--start-time", type=FINITE, help="start of the task or trajectory, s (0)")
     parser.add_argument("--output", type=new_folder, help="bag folder to write; must not exist")
     parser.add_argument("--arrays", type=new_file, help="NumPy file to write (.npz), names with units; must not exist")
-    parser.add_argument("--storage", choices=("mcap", "sqlite3"), help=f"of the bag ({STORAGE})")
     parser.add_argument("--decimation", type=whole_number, help="write every n-th message of the 1 kHz topics (1)")
     parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of bag and arrays")
     forward = parser.add_mutually_exclusive_group()
@@ -82,7 +80,7 @@ def main(options: argparse.Namespace) -> None:
     if result.saturated.any():
         print(f"motors at their limit, ticks: {result.saturated.tolist()}")
     if options.output is not None:
-        write_bag(result, options.output, options.storage or STORAGE, options.decimation or 1)
+        write_bag(result, options.output, options.decimation or 1)
         print(one_line(f"bag: {options.output}"))
     if options.arrays is not None:
         save_arrays(result, options.arrays)
@@ -93,7 +91,7 @@ def _check(options: argparse.Namespace) -> None:
     """Refuse what can be seen to be wrong before anything is read."""
     if options.decimation is not None and options.decimation < 1:
         raise ConfigError(f"--decimation is {options.decimation}; accepted: a whole number >= 1")
-    check_needs(options, ("storage", "decimation"), ("output",))
+    check_needs(options, ("decimation",), ("output",))
     check_needs(options, ("slow_only",), ("output", "arrays"))
     check_apart(options, ("start_time",), "from_bag", "the times in the bag")
     check_needs(options, ("initial_position",), ("trajectory", "from_bag"))

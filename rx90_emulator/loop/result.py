@@ -159,13 +159,12 @@ def _stamps(rows: Array, period_ns: int) -> NDArray[np.int64]:
     return np.arange(len(rows), dtype=np.int64) * period_ns
 
 
-def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimation: int = 1) -> None:
+def write_bag(run: RunResult, path: Path | str, decimation: int = 1) -> None:
     """Write a run to a new bag folder, as if the nodes had been recorded.
 
     Args:
         run: the run.
         path: folder to make; must not exist.
-        storage: "mcap" or "sqlite3".
         decimation: keep every n-th message of all topics but those on base ticks.
 
     Raises:
@@ -190,7 +189,7 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
         raise ConfigError(f"decimation is {decimation}; accepted: a whole number >= 1")
     kept = slice(None, None, decimation)
     series = [one if topic in _NOT_DECIMATED else one.take(kept) for topic, one in run.series.items()]
-    write_joint_states(path, series, storage=storage, messages=others)
+    write_joint_states(path, series, messages=others)
 
 
 def save_arrays(run: RunResult, file: Path | str) -> None:

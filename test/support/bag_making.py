@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -15,7 +16,6 @@ from rx90_common.bags.writing import BagWriter
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 NAMES = ("joint_1", "joint_2", "joint_3")
-STORAGES = ("mcap", "sqlite3")
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 
@@ -46,6 +46,18 @@ def write_ros2(path: Path, messages: list[tuple[str, int, Any]], storage: str = 
             raw = message if isinstance(message, bytes) else ROS2.serialize_cdr(message, JOINT_STATE)
             writer.write(connections[topic], log_ns, raw)
     return path
+
+
+def as_sqlite(bag: Path) -> Path:
+    """Write the messages of a bag into another one beside it, with sqlite3 storage."""
+    made = bag.with_name(f"{bag.name}_sqlite")
+    with AnyReader([bag]) as reader, Writer(made, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        numbers = {}
+        for connection in reader.connections:
+            numbers[connection.id] = writer.add_connection(connection.topic, connection.msgtype, typestore=ROS2)
+        for connection, log_ns, data in reader.messages():
+            writer.write(numbers[connection.id], log_ns, data)
+    return made
 
 
 def write_one(bag: BagWriter, connection: Any, log_ns: int, cdr: bytes) -> None:

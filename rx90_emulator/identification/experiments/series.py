@@ -81,7 +81,7 @@ def plan_with_progress(arm: PlannedArm, options: ExcitationOptions) -> tuple[tup
 _SETTLING_S = 0.2  # s, after the end
 
 
-def run_on_engine(setup: Setup, experiment: Experiment, bag: Path, storage: str = "mcap") -> None:
+def run_on_engine(setup: Setup, experiment: Experiment, bag: Path) -> None:
     """Simulate one experiment and write its bag.
 
     Raises:
@@ -93,10 +93,10 @@ def run_on_engine(setup: Setup, experiment: Experiment, bag: Path, storage: str 
     )
     series = [one for one in result.series.values() if one.topic in map(absolute, topics)]
     description = string_message("/robot_description", setup.robot.urdf)
-    write_joint_states(bag, series, storage=storage, messages=[description])
+    write_joint_states(bag, series, messages=[description])
 
 
-def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | str, storage: str = "mcap") -> None:
+def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | str) -> None:
     """Run experiments in the closed loop without ROS, each into a bag of a new folder.
 
     Raises:
@@ -105,7 +105,7 @@ def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | st
     # An interrupt ends the bar's line.
     with _new_folder(Path(folder)) as new, tqdm(plan, desc="engine", unit="experiment", disable=None) as bar:
         for number, experiment in enumerate(bar):
-            run_on_engine(setup, experiment, new / experiment.name, storage)
+            run_on_engine(setup, experiment, new / experiment.name)
             if not number:
                 write_emulated(new, setup.friction)
             write_index(new, plan[: number + 1])

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_making import NAMES, ROS1, joint_state, series, write_ros1, write_ros2
+from bag_making import NAMES, ROS1, as_sqlite, joint_state, series, write_ros1, write_ros2
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -176,7 +176,8 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert a.position is not None
     off = changed(a, 5, 1, a.position[5, 1] + 1e-3)
     write_joint_states(folder / "a", [a])
-    write_joint_states(folder / "same", [a.select(NAMES[::-1])], storage="sqlite3")
+    write_joint_states(folder / "other", [a.select(NAMES[::-1])])
+    as_sqlite(folder / "other").rename(folder / "same")
     write_joint_states(folder / "off", [off])
     write_joint_states(folder / "more", [a, series(topic="motor_states")])
     return folder

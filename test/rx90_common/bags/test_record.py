@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_making import STORAGES, write_one
+from bag_making import write_one
 from processes import wait_until
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -157,11 +157,11 @@ class Suite:
         assert not acknowledged or all(one.wait_for_all_acked(Duration(seconds=TIMEOUT_S)) for one in each)
 
 
-def record_suite(start: Start, ros_domain: int, folder: Path, storage: str) -> Path:
+def record_suite(start: Start, ros_domain: int, folder: Path) -> Path:
     """Record a run of the suite with the default topics; return the bag."""
     with own_node("suite", ros_domain) as node:
         suite = Suite(node)
-        recorder = record(start, folder / "bag", "--storage", storage, ready=len(SUITE_TOPICS))
+        recorder = record(start, folder / "bag", ready=len(SUITE_TOPICS))
         suite.publish(TICKS, 4000, SUITE_TOPICS)
         code, out, err = recorder.finish(signal.SIGINT)
     assert code == 0
@@ -174,11 +174,10 @@ def record_suite(start: Start, ros_domain: int, folder: Path, storage: str) -> P
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("storage", STORAGES)
-def test_recording_is_complete_and_repeatable(tmp_path: Path, start: Start, ros_domain: int, storage: str) -> None:
+def test_recording_is_complete_and_repeatable(tmp_path: Path, start: Start, ros_domain: int) -> None:
     """At 12,000 messages per second all are in the bag at their stamp, once, on a busy machine in an equal file."""
     prepare()
-    bag = record_suite(start, ros_domain, tmp_path / "quiet", storage)
+    bag = record_suite(start, ros_domain, tmp_path / "quiet")
     counts: Counter[str] = Counter()
     with AnyReader([bag]) as reader:
         for connection, log_ns, data in reader.messages():
@@ -200,11 +199,10 @@ def test_recording_is_complete_and_repeatable(tmp_path: Path, start: Start, ros_
     assert motors.position is not None
     np.testing.assert_array_equal(motors.stamp_ns, np.arange(TICKS) * 250_000)
     np.testing.assert_array_equal(motors.position[1210], np.sin(np.arange(6) + 0.001 * 1210))
-    if storage == "mcap":  # equal messages in equal order give equal files with either storage: test_writing.py
-        start("-c", "while True: pass")
-        again = record_suite(start, ros_domain, tmp_path / "busy", storage)
-        for file in bag.iterdir():
-            assert (again / file.name).read_bytes() == file.read_bytes()
+    start("-c", "while True: pass")
+    again = record_suite(start, ros_domain, tmp_path / "busy")
+    for file in bag.iterdir():
+        assert (again / file.name).read_bytes() == file.read_bytes()
 
 
 @pytest.mark.ros
@@ -293,10 +291,8 @@ def test_topics_that_are_only_listened_to(tmp_path: Path, start: Start, node: No
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize(("moment", "storage"), [("handler", "mcap"), ("folder", "sqlite3")])
-def test_signal_while_starting(
-    tmp_path: Path, start: Start, storage: str, moment: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("moment", ["handler", "folder"])
+def test_signal_while_starting(tmp_path: Path, start: Start, moment: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A signal early in the start leaves a valid bag, too; that it is empty is a line and exit code 1."""
 
     def has_handler() -> bool:
@@ -306,11 +302,10 @@ def test_signal_while_starting(
 
     if moment == "handler":  # in the midst of the slow imports
         monkeypatch.setattr(subprocess, "Popen", COLD)
-    recorder = record(start, tmp_path / "bag", "joint_states", "-s", storage)
+    recorder = record(start, tmp_path / "bag", "joint_states")
     wait_until(has_handler if moment == "handler" else (tmp_path / "bag").exists, f"the {moment}")
     recorder.child.send_signal(signal.SIGINT)
     assert recorder.finish(signal.SIGINT)[::2] == (1, "nothing recorded: no message came on /joint_states\n")
-    assert [file.suffix for file in (tmp_path / "bag").glob("bag.*")] == [{"mcap": ".mcap", "sqlite3": ".db3"}[storage]]
     with AnyReader([tmp_path / "bag"]) as reader:
         assert reader.message_count == 0
 
@@ -457,19 +452,18 @@ def test_types_of_others_are_recorded(
     assert run("rx90_bag", ["compare", str(tmp_path / "bag"), str(tmp_path / "bag")]) == 0
 
 
-@pytest.mark.parametrize("storage", STORAGES)
-def test_a_definition_goes_into_its_bag_alone(tmp_path: Path, storage: str) -> None:
+def test_a_definition_goes_into_its_bag_alone(tmp_path: Path) -> None:
     """A type with arrays of every kind is read back; another bag without its definition still refuses the type."""
     inner = "my_msgs/Inner[] inner\n" + "=" * 80 + "\nMSG: my_msgs/Inner\nbool flag\n"
     text, odd = f"float64[2] pair\nstring<=3[] words\nint8[<=4] few\n{inner}", "my_msgs/msg/Odd"
     cdr = b"\x00\x01\x00\x00" + bytes(16 + 8) + (1).to_bytes(4, "little") + b"\x01"
-    with BagWriter(tmp_path / "bag", storage) as bag:
+    with BagWriter(tmp_path / "bag") as bag:
         write_one(bag, bag.add_topic("odd", odd, [offered_qos()], text), 5, cdr)
     with AnyReader([tmp_path / "bag"]) as reader:
         ((connection, log_ns, data),) = reader.messages()
         message: Any = reader.deserialize(data, connection.msgtype)
     assert (log_ns, message.pair.tolist(), message.words, message.inner[0].flag) == (5, [0.0, 0.0], [], True)
-    with BagWriter(tmp_path / "other", storage) as bag, pytest.raises(BagError, match="my_msgs/msg/Odd"):
+    with BagWriter(tmp_path / "other") as bag, pytest.raises(BagError, match="my_msgs/msg/Odd"):
         bag.add_topic("odd", odd)
 
 
@@ -485,15 +479,14 @@ def test_a_type_that_is_not_there_leaves_no_bag(tmp_path: Path, node: Node, monk
     assert not (tmp_path / "new").exists()
 
 
-@pytest.mark.parametrize("storage", STORAGES)
-def test_only_an_error_before_the_first_message_leaves_no_bag(tmp_path: Path, storage: str) -> None:
+def test_only_an_error_before_the_first_message_leaves_no_bag(tmp_path: Path) -> None:
     """What was written stays, and so does an empty bag that ends as it should; what else lies beside it stays, too."""
     (tmp_path / "mine").write_text("")
-    with BagWriter(tmp_path / "empty", storage):
+    with BagWriter(tmp_path / "empty"):
         pass
 
     def refused(count: int) -> None:
-        with BagWriter(tmp_path / f"bag_{count}", storage) as bag:
+        with BagWriter(tmp_path / f"bag_{count}") as bag:
             topic = bag.add_topic("a", "std_msgs/msg/Empty")
             for _ in range(count):
                 write_one(bag, topic, 5, bytes(4))

@@ -248,8 +248,8 @@ OFFERED = {
     "friction_bench ": {"selftest"},
     "friction_bench --ros-": {"--ros-args"},
     "friction_bench selftest --po": {"--port"},
-    "rx90_bag record --stor": {"--storage"},
-    "rx90_bag record --storage ": {"mcap", "sqlite3"},
+    "rx90_bag export --for": {"--format"},
+    "rx90_bag export --format ": {"csv", "npz"},
     "rx90_bag record motor_s": {"motor_states"},
     "rx90_run --robot r": {"rx90b", "robots"},
     "rx90_run --task m": {"my_task.yaml"},
@@ -260,7 +260,7 @@ OFFERED = {
     **{f"{name} --": {"--help"} for name in EXECUTABLES},
 }
 """What completion offers at least behind some words, in a folder with `robots` and `my_task.yaml`."""
-IN_FISH = {words: OFFERED[words] for words in ("rx90_bag ", "rx90_bag record --storage ", "rx90_sweep run sweep/p")}
+IN_FISH = {words: OFFERED[words] for words in ("rx90_bag ", "rx90_bag export --format ", "rx90_sweep run sweep/p")}
 IN_FISH |= {"rx90_run --robot ": {"rx90b", "tx40"}, "rx90_config check m": {"my_task.yaml"}}
 
 

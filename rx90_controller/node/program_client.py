@@ -1,0 +1,86 @@
+"""What a program needs of running nodes: set-points one by one, the measured position, signals on topics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from time import monotonic
+
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Int32MultiArray
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ExchangeError
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.exchange.client_node import ClientNode
+from rx90_common.exchange.endpoints import LATCHED_QOS, ros_time
+from rx90_controller.node.trajectory_client import NewestPositions, TrajectoryClient
+
+OUTPUTS = "outputs"
+INPUTS = "inputs"
+
+
+class ProgramClient:
+    """Sends set-points to a controller, on the simulated time of its arm.
+
+    Args:
+        client: the node to do it with, in whose private name the topics of signals are.
+        controller: name of the controller node.
+        names: of the joints.
+
+    Attributes:
+        start: measured joint angles in the beginning, rad, shape (n,).
+    """
+
+    def __init__(self, client: ClientNode, controller: str, names: Sequence[str]) -> None:
+        self._client = client
+        self._names = list(names)
+        trajectories = TrajectoryClient(client, controller)
+        trajectories.wait_for_controller()
+        self._targets = client.node.create_publisher(JointState, f"{controller}/joint_setpoints", 10)
+        self._client.wait(lambda: self._targets.get_subscription_count() > 0, "a controller that takes set-points")
+        namespace = trajectories.topic.rsplit("/", 2)[0]
+        self._arm = NewestPositions(client, f"{namespace}/joint_states", names)
+        self.start = trajectories.joint_positions(names)
+        self._client.wait(lambda: self._arm.position is not None, "the arm")
+        self._began: float | None = None
+
+    def position(self) -> Array:
+        """Return the newest measured joint angles, rad, shape (n,)."""
+        assert self._arm.position is not None
+        return self._arm.position
+
+    def send(self, time: float, position: Array, velocity: Array) -> None:
+        """Send a set-point for a simulated time from the first one on, s, and let the arm come to that time.
+
+        Raises:
+            ExchangeError: if its time stands still.
+        """
+        if self._began is None:
+            before = self._arm.count
+            self._client.wait(lambda: self._arm.count > before + 1, "the arm's time")
+            self._began = self._arm.time
+        stamp = self._began + time
+        message = JointState(name=self._names, position=position.tolist(), velocity=velocity.tolist())
+        message.header.stamp = ros_time(round(stamp * NANOSECONDS))
+        self._targets.publish(message)
+        latest = monotonic() + self._client.timeout
+        while self._arm.time < stamp:
+            self._client.spin()
+            if monotonic() > latest:
+                raise ExchangeError(f"the arm's time stands still at {self._arm.time:.3f} s; accepted: while it runs")
+
+    def signals(self, receive: Callable[[set[int]], None]) -> Callable[[set[int]], None]:
+        """Return what publishes the outputs that are on; `receive` gets the inputs that are on."""
+        publisher = self._client.node.create_publisher(Int32MultiArray, f"~/{OUTPUTS}", LATCHED_QOS)
+
+        def take(message: Int32MultiArray) -> None:
+            receive(set(message.data))
+
+        self._client.node.create_subscription(Int32MultiArray, f"~/{INPUTS}", take, LATCHED_QOS)
+        return partial(_publish, publisher)
+
+
+def _publish(publisher: Publisher, signals: set[int]) -> None:
+    publisher.publish(Int32MultiArray(data=sorted(signals)))

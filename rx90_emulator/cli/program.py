@@ -1,0 +1,189 @@
+"""Run a program of V+ on the emulated arm: its motions with their path error, signals, text, and the bag."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import one_line, plain, quoted
+from rx90_emulator.cli.options import (
+    POSITIVE,
+    add_node_arguments,
+    add_robot_arguments,
+    check_apart,
+    check_needs,
+    check_picture,
+    new_file,
+    new_folder,
+    node_of,
+    number,
+    whole_number,
+)
+
+if TYPE_CHECKING:
+    from rx90_emulator.loop.setup import Setup
+    from rx90_emulator.vplus.program import Memory
+    from rx90_emulator.vplus.readings import Readings
+    from rx90_emulator.vplus.run import Options, ProgramRun
+    from rx90_emulator.vplus.signals import Change
+
+_EPILOG = """\
+FILE is a file of V+ (.v2, .pg, with data sections or .lc beside it), or a folder of them. The arm begins at READY.
+Inputs change at the times of --inputs: a YAML such as {1001: 1.0, 1002: [2.0, 3.5]}, on and off in turns, s.
+docs/reference/vplus.md says what of the language is there, and which readings are assumed.
+"""
+_PERCENT = number("a percentage above 0, up to 100", lambda value: 0.0 < value <= 100.0)
+_TIMEOUT = 30.0
+_PERIODS = (1, 2, 4, 8, 16)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.epilog = _EPILOG
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.set_defaults(interrupted="only what is named above was written", ros_args=[])
+    parser.add_argument("file", metavar="FILE", type=Path, help="file or folder of programs")
+    parser.add_argument("name", metavar="NAME", nargs="?", default="", help="program (the first one)")
+    parser.add_argument("arguments", metavar="ARG", nargs="*", help="its arguments: numbers, other words are strings")
+    parser.add_argument("--inputs", type=Path, metavar="FILE", help="YAML of times at which inputs change")
+    parser.add_argument("--monitor-speed", type=_PERCENT, default=100.0, metavar="PERCENT", help="(%(default)g)")
+    parser.add_argument(
+        "--planning",
+        type=whole_number,
+        choices=_PERIODS,
+        default=16,
+        help="ms from one planned set-point to the next (16)",
+    )
+    parser.add_argument(
+        "--idle", type=POSITIVE, default=60.0, metavar="S", help="longest time without a motion, s (60)"
+    )
+    parser.add_argument("--longest", type=POSITIVE, default=300.0, metavar="S", help="longest run, s (300)")
+    parser.add_argument(
+        "--reading", action="append", default=[], metavar="NAME=VALUE", help="another reading of an uncertain part"
+    )
+    nodes = parser.add_argument_group("running nodes")
+    nodes.add_argument(
+        "--nodes", action="store_true", help="run on rx90_sim and rx90_controller, from where the arm is"
+    )
+    add_node_arguments(nodes, _TIMEOUT)
+    parser.add_argument("--check", action="store_true", help="read and check the files, run nothing")
+    parser.add_argument("--output", type=new_folder, help="bag folder to write; must not exist")
+    parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of the bag")
+    parser.add_argument("--report", type=new_file, metavar="FILE", help="page to write (.html); must not exist")
+    parser.add_argument("--plot", type=new_file, metavar="FILE", help="picture of the tool's path to write")
+    add_robot_arguments(parser)
+
+
+def main(options: argparse.Namespace) -> None:
+    """Run the program, show what it did, write what was asked for."""
+    check_needs(options, ("slow_only",), ("output",))
+    check_needs(options, ("node", "timeout"), ("nodes",))
+    for name in ("output", "report", "plot"):
+        check_apart(options, (name,), "nodes", "a recorder beside the nodes, rx90_bag record")
+    if options.plot is not None:
+        check_picture(options.plot)
+    # Here, because --help must not wait for them.
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_emulator.loop.setup import Setup
+    from rx90_emulator.vplus.errors import LoadError
+    from rx90_emulator.vplus.run import Options, load_programs, run_program
+    from rx90_emulator.vplus.signals import load_inputs
+
+    inputs = load_inputs(options.inputs) if options.inputs is not None else []
+    try:
+        memory = load_programs(options.file)
+    except LoadError as error:
+        for fault in error.faults[1:]:
+            print(one_line(fault))
+        raise
+    if options.check:
+        print(f"{len(memory.programs)} programs without faults: {', '.join(memory.programs)}")
+        return
+    setup = Setup.load(RobotFiles.of_options(options))
+    chosen = Options(
+        monitor_speed=options.monitor_speed,
+        period=options.planning * 1e-3,
+        idle=options.idle,
+        longest=options.longest,
+        readings=_readings(options.reading),
+        record_fast=options.output is not None and not options.slow_only,
+    )
+    began = time.perf_counter()
+    arguments = tuple(options.arguments)
+    if options.nodes:
+        run = _on_nodes(options, setup, memory, inputs, chosen)
+    else:
+        run = run_program(setup, memory, options.name, arguments=arguments, inputs=inputs, options=chosen, show=_show)
+    _tell(run, time.perf_counter() - began)
+    _write(run, options)
+    if run.error is not None:
+        raise run.error
+
+
+def _tell(run: ProgramRun, taken: float) -> None:
+    """Show what a run did."""
+    from rx90_emulator.vplus.report import table_text
+
+    for change in run.changes:
+        print(f"{change.time:9.3f} s  signal {change.signal} {'on' if change.on else 'off'}")
+    if run.motions:
+        print(table_text(run))
+    print(f"{len(run.motions)} motions, cycle time {run.time:.3f} s, in {taken:.2f} s")
+
+
+def _write(run: ProgramRun, options: argparse.Namespace) -> None:
+    """Write what was asked for."""
+    from rx90_common.process.files import write_text
+    from rx90_emulator.loop.result import write_bag
+    from rx90_emulator.vplus.report import draw, page
+
+    if options.output is not None and run.result is not None:
+        write_bag(run.result, options.output)
+        print(one_line(f"bag: {options.output}"))
+    if options.report is not None:
+        write_text(options.report, page(run, plain(options.file)))
+        print(one_line(f"report: {options.report}"))
+    if options.plot is not None:
+        draw(run, options.plot)
+        print(one_line(f"picture: {options.plot}"))
+
+
+def _on_nodes(
+    options: argparse.Namespace, setup: Setup, memory: Memory, inputs: list[Change], chosen: Options
+) -> ProgramRun:
+    from rx90_common.exchange.ros_start import prepare
+
+    prepare()
+    from rx90_common.exchange.client_node import client_node
+    from rx90_controller.node.program_client import ProgramClient
+    from rx90_emulator.vplus.nodes import cell_on_nodes
+    from rx90_emulator.vplus.run import run_in
+
+    with client_node("rx90_program", options.timeout or _TIMEOUT, print, options.ros_args) as client:
+        nodes = ProgramClient(client, node_of(options), setup.robot.joint_names)
+        cell = cell_on_nodes(setup, nodes, inputs, chosen.period)
+        return run_in(cell, memory, options.name, options.arguments, chosen, _show)
+
+
+def _show(text: str, time: float, ends: bool) -> None:
+    print(f"{time:9.3f} s  {text}" if ends else text, flush=True)
+
+
+def _readings(words: list[str]) -> Readings:
+    """Return the readings, with those that were given."""
+    from rx90_emulator.vplus.readings import Readings
+
+    given = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not equals or name not in Readings.model_fields:
+            raise ConfigError(f"--reading {quoted(word)}; accepted: NAME=VALUE, of {', '.join(Readings.model_fields)}")
+        try:
+            given[name] = json.loads(value)
+        except ValueError:
+            raise ConfigError(f"--reading {quoted(word)}; accepted: true, false or a number behind the =") from None
+    return Readings().replaced(**given)

@@ -1,0 +1,130 @@
+"""The monitor of V+ as programs talk to it: what comes back for each line, and a client on a TCP port."""
+
+from __future__ import annotations
+
+import re
+import socket
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from queue import Queue
+
+import pytest
+
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.vplus.arm import ProgrammedArm
+from rx90_emulator.vplus.cell import Cell, Engine
+from rx90_emulator.vplus.monitor import Monitor
+from rx90_emulator.vplus.motion import MotionQueue
+from rx90_emulator.vplus.serving import Lines, serve
+
+Talk = Callable[..., str]
+
+
+@pytest.fixture
+def talk(shipped: Setup, tmp_path: Path) -> Talk:
+    """Return what types a line, lets beats pass until the monitor takes the next one, and returns what was shown."""
+    arm = ProgrammedArm(shipped)
+    cell = Cell(arm, Engine(shipped, arm.ready, keep=False), MotionQueue(arm, arm.ready))
+    shown: list[str] = []
+    monitor = Monitor(cell, tmp_path, shown.append)
+    lines = Lines(monitor, shown.append)
+
+    def type_line(line: str, beats: int = 0) -> str:
+        shown.clear()
+        lines.take(line.encode() + b"\r\n")
+        for _ in range(beats):
+            monitor.beat()
+        while monitor.is_busy:
+            monitor.beat()
+        return "".join(shown)
+
+    return type_line
+
+
+NUMBER = r"\s+-?\d+\.\d{3}"
+
+
+@pytest.mark.parametrize(
+    ("lines", "shown"),
+    [
+        (["where"], r"where\r\n +X .* Hand\r\n( +-?\d+\.\d{3}){7}\r\n +J1 .*\r\n( +-?\d+\.\d{3}){6}\r\n\."),
+        (["speed 30.00"], r"speed 30.00\r\n\."),
+        (["en po"], r"en po\r\n\r\n\."),
+        (["LISTL hand.tool"], r"LISTL hand.tool\r\n +X/J1 .*\r\n\."),
+        (
+            ["do set hand.tool = trans(1, 2, 3)", "listl hand.tool"],
+            r".*\r\n.*\r\nhand.tool +1.000 +2.000 +3.000.*\r\n\.",
+        ),
+        (["do set #o = #PPOINT(0,-90,90)", "listl #o"], r".*\r\n.*\r\n#o +0.000 +-90.000 +90.000 .*\r\n\."),
+        (["HERE o"], rf"HERE o\r\n.*\r\n({NUMBER}){{6}}\r\nChange\? "),
+        (["HERE o", "1,,3", ""], r"\r\n\."),
+        (["HERE o", "1,,3", "", "listl o"], r".*\r\n.*\r\no +1.000 +-?0.000 +3.000 .*\r\n\."),
+        (["do x = 4", "listr x"], r"listr x\r\nx = 4\r\n\."),
+        (['do $s = "a"', "lists"], r'lists\r\n\$s = "a"\r\n\.'),
+        (["nonsense"], r"nonsense\r\n\*Unknown command\*\r\n\."),
+        (["do x = y"], r"do x = y\r\n\*Undefined value\* y\r\n\."),
+        (["do move trans(5000)"], r".*\r\n\*Location out of range\*\r\n\."),
+        (["do if x then"], r".*\r\n\*Illegal monitor command\*\r\n\."),
+        (["exec nobody"], r".*\r\n\*Undefined program or variable name\* nobody\r\n\."),
+        (["abort"], r"abort\r\n\."),
+        (["status"], r"status\r\nTask 0  idle\r\n\."),
+        (["load ../x"], r".*\r\n\*Illegal file name\*.*\r\n\."),
+        (["", "tool null"], r"tool null\r\n\."),
+    ],
+)
+def test_each_line_is_answered_as_on_the_cabinet(talk: Talk, lines: list[str], shown: str) -> None:
+    """Echo, lines, the dot; errors begin with an asterisk; questions wait behind their mark."""
+    for line in lines:
+        answer = talk(line)
+    assert re.fullmatch(shown, answer), answer
+
+
+def test_a_program_is_edited_run_stored_and_loaded(talk: Talk) -> None:
+    """EDIT asks line by line; a program runs behind the prompt, and is aborted; its text comes back from a file."""
+    assert talk("EDIT p(x)").endswith("    1 ? ")
+    assert talk("TYPE x").endswith("    2 ? ")
+    talk("DRIVE 1, 10, 50")
+    assert talk("E").endswith("E\r\n.")
+    assert talk("exec p(7)") == "exec p(7)\r\n."
+    assert " 7\r\n" in talk("status", 5)
+    assert talk("exec p").endswith("*Program task already active*\r\n.")
+    assert "Program completed\r\n." in talk("", 100)
+    assert re.search(r"\r\n +10\.00\d ", talk("where", 20))
+    assert talk("store a") == "store a\r\n."
+    assert talk("delete p").endswith("(Y/N)? ")
+    assert talk("Y").endswith(".")
+    assert talk("listp") == "listp\r\n."
+    assert ".PROGRAM p\r\n" in talk("load a")
+    assert "DRIVE 1, 10, 50\r\n" in talk("listp p")
+    assert talk("exec p(1)", 3).endswith(" 1\r\n")
+    assert talk("abort").endswith("(Y/N)? ")
+    assert talk("Y").endswith(".")
+    assert "idle" in talk("status")
+    talk("EDIT q")
+    talk("NONSENSE")
+    assert "*Unknown instruction*" in talk("E")
+
+
+def test_a_client_talks_over_tcp(shipped: Setup, tmp_path: Path) -> None:
+    """A relative motion along the tool is done while the client asks where the arm is."""
+    names: Queue[str] = Queue()
+    threading.Thread(target=serve, args=(shipped, tmp_path, 0, names.put), daemon=True).start()
+    port = int(names.get(timeout=60).rpartition(":")[2])
+    with socket.create_connection(("127.0.0.1", port), timeout=30) as line:
+        stream = line.makefile("rwb", buffering=0)
+
+        def command(text: str) -> list[str]:
+            stream.write(text.encode() + b"\r")
+            lines = [stream.readline().decode().strip()]
+            while stream.read(1) != b".":
+                lines.append(stream.readline().decode().strip())
+            return lines
+
+        assert stream.read(1) == b"."
+        command("do move #ppoint(0,-90,180,0,90,0)")
+        command("do break")
+        command("do moves here:trans(0,0,-40)")
+        command("do break")
+        place = [float(number) for number in command("where")[2].split()]
+        assert place[:3] == pytest.approx([450, 0, 405], abs=0.1)
