@@ -102,7 +102,8 @@ class Bandwidths(NamedTuple):
         """Return these with a positions' bandwidth of at most `highest`, Hz, which `of` names."""
         if self.position <= highest:
             return self
-        return Bandwidths(highest, highest / POSITION_OVER_TORQUE, f"{self.reason}; no more than {of}")
+        torque = min(self.torque, highest / POSITION_OVER_TORQUE)
+        return Bandwidths(highest, torque, f"{self.reason}; no more than {of}")
 
 
 def moving_joints(records: Sequence[JointRecord]) -> Mask:

@@ -110,7 +110,7 @@ class MeasuredComparison:
         lag: delay of the simulated against the measured motion, s; the series are shifted by it.
         bandwidths: of the set-points, and of torques and positions here.
         setpoints: source of the set-points, in words.
-        paths: path errors along the set-points, measured and simulated.
+        paths: path errors along the set-points below the compared band, measured and simulated.
         saturated: share of the time in which each motor was at its limit in the simulation, shape (n,).
         remarks: further notes, a sentence each.
         tolerances: limits for agreement.
@@ -204,7 +204,10 @@ def compare_measured(
     what = _bag_layout(path, setup, layout)
     progress(path.name)
     record = read_record(path, what)
-    pieces = filter_record(record, _bandwidths(record, setup, bandwidth))
+    pieces = filter_record(
+        record,
+        _bandwidths(record, setup, bandwidth, has_setpoints=absolute(REFERENCE) in topic_names(path, what.mapping)),
+    )
     run = max(pieces, key=lambda piece: len(piece.time))
     # A joint counts as moving if every motor and friction element that it turns is moving.
     matrix = setup.drives.turning.element_matrix
@@ -256,9 +259,15 @@ def compare_measured(
     )
 
 
-def _bandwidths(record: JointRecord, setup: Setup, bandwidth: float | None) -> Bandwidths:
+def _bandwidths(record: JointRecord, setup: Setup, bandwidth: float | None, *, has_setpoints: bool) -> Bandwidths:
     """Return the bandwidths by the data, or by the user, as far as the position loop's rate allows."""
     highest = _MAX_BANDWIDTH_SHARE * setup.rates.position_hz
+    if bandwidth is None and has_setpoints:
+        rate = 1.0 / float(np.median(np.diff(record.time)))
+        position = min(highest, _MAX_BANDWIDTH_SHARE * rate)
+        return Bandwidths(
+            position, position / 3.0, "the set-points are in the bag, so no noise of positions is in them"
+        )
     if bandwidth is None:
         return Bandwidths.of([record]).at_most(highest, f"{_MAX_BANDWIDTH_SHARE:g} of the position loop's rate")
     if not 0.0 < bandwidth <= highest:

@@ -84,7 +84,7 @@ def scaled(measured: Measured, factor: float) -> rx.Setup:
 
 def test_the_engines_own_run_is_met_and_wrong_friction_shows_with_its_size(measured: Measured) -> None:
     """Along recorded set-points the same robot gives the bag's torques to 0.2 % and its positions to 5 urad."""
-    result = rx.compare_measured(measured.bag, measured.setup)
+    result = rx.compare_measured(measured.bag, measured.setup, bandwidth=120.0)
     assert result.setpoints == "rx90_controller/reference in the bag"
     assert result.passed
     assert result.torque.total_share < 2e-3
