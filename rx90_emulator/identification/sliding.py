@@ -13,7 +13,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.estimation.choose import choose
 from rx90_common.estimation.deviations import Deviations, deviations
-from rx90_common.estimation.elements import SteadyRows, fit_laws, places
+from rx90_common.estimation.elements import SteadyRows, fit_laws, fitted_values, places
 from rx90_common.estimation.fit import Fit
 from rx90_common.estimation.law import Law, Part
 from rx90_emulator.identification.arm import RigidArm
@@ -179,7 +179,10 @@ def identify_sliding(
     rows = sweep_rows(blocks, arm, known)
     parts = None if model is None else model_parts(model, SLIDING_PARTS)
     shared = [int(e) >= len(arm.names) for e in known]
-    laws, result = _chosen(rows, shared) if parts is None else _given(rows, shared, parts)
+    many = min(min(_speeds(blocks.velocity[blocks.sliding[:, e], e])) for e in known) > MIN_SPEEDS
+    laws, result = _chosen(rows, shared, curved=many) if parts is None else _given(rows, shared, parts)
+    if not many:  # of few rows, those that lie far out are needed to tell the parameters apart
+        result = fit_laws(rows.friction, laws, result.weight, fitted_values(laws, result.x))
     spread = deviations(result)
     sources = tuple(record.bag for record in records)
     estimates = [ElementEstimate.unknown(name, SLIDING, lacking.get(name, ""), sources) for name in names]
@@ -233,14 +236,15 @@ def _speeds(velocity: Array) -> tuple[int, int]:
     return counts[0], counts[1]
 
 
-def _chosen(rows: SweepRows, shared: Sequence[bool]) -> tuple[list[Law], Fit]:
-    """Return the laws that the rows support, by held-out speeds, and their fit."""
+def _chosen(rows: SweepRows, shared: Sequence[bool], *, curved: bool) -> tuple[list[Law], Fit]:
+    """Return the laws that the rows support, by held-out plateaus, and their fit; with exponents if `curved`."""
     plain = [Law(signed=True, balanced=balanced) for balanced in shared]
     rising = choose(rows.friction, [Part.STRIBECK], plain)
     # With a rise its exponent is free, so that its uncertainty counts in the other parameters.
     laws = [_shaped(law) for law in rising.laws]
-    curved = choose(rows.friction, [Part.EXPONENT], laws)
-    return list(curved.laws), curved.fit
+    parts = [Part.EXPONENT] if curved else []
+    chosen = choose(rows.friction, parts, laws)
+    return list(chosen.laws), chosen.fit
 
 
 def _given(rows: SweepRows, shared: Sequence[bool], parts: Sequence[str]) -> tuple[list[Law], Fit]:

@@ -183,9 +183,9 @@ def test_a_viscous_exponent_is_found_where_there_is_one(
     assert read.identification is not None
     assert read.identification["parameters"][f"joint_{joint + 1}"]["alpha"]["provenance"] == "identified"
     head, *lines = identification_summary(result).splitlines()
-    assert head.split()[8] == "alpha"
+    assert "alpha" in head.split()
     row = next(line for line in lines if line.startswith(f"joint_{joint + 1} "))
-    assert f"{' +- '.join(found['alpha'].texts()):>22}" in row
+    assert " +- ".join(found["alpha"].texts()) in row
 
 
 def test_speeds_close_to_each_other_count(sweeps: Any, arm: RigidArm) -> None:
