@@ -144,13 +144,14 @@ def test_times_of_iso_8601_are_exact(tmp_path: Path, zone: str, between: str) ->
     ("log", "stamps", "positions"),
     [
         ("t;q\n0;0,000000\n1;0,001000\n", [0, 10**9], [0.0, 1e-3]),
+        ("t,q\n0,0.5,\n1,0.25,\n", [0, 10**9], [0.5, 0.25]),
         ("t;q\n2024-05-01 12:00:00,000;0,0\n2024-05-01 12:00:00,100;0,25\n", [MAY, MAY + 10**8], [0.0, 0.25]),
     ],
 )
 def test_named_columns_of_usual_programs_are_read(
     tmp_path: Path, log: str, stamps: list[int], positions: list[float]
 ) -> None:
-    """Whole numbers beside decimals; times with a blank and a decimal comma."""
+    """Whole numbers beside decimals; rows that end in a delimiter; times with a blank and a decimal comma."""
     found = imported(tmp_path, NAMED, log)
     assert found.stamp_ns.tolist() == stamps
     assert found.position[:, 0].tolist() == positions  # type: ignore[index]
