@@ -35,6 +35,7 @@ MIN_SPEEDS = 5
 """Least number of speeds in each direction: four determine the seven parameters of an element, and one more leaves a
 degree of freedom."""
 _SAME_SPEED_RATIO = 1.1  # of speeds, up to which they count as one
+_MOST_DIFFERENCE = 0.1  # deviation of the difference of two Coulomb torques, over their sum, that tells both
 _MAX_RELATIVE_SD = 0.3  # relative standard deviation up to which a parameter is identifiable
 _STRIBECK = ("tau_s_positive", "tau_s_negative", "omega_s", "delta")
 _BANDS = 6  # of speed, of equal logarithmic width, by which residuals are reported
@@ -184,6 +185,11 @@ def identify_sliding(
     if not many:  # of few rows, those that lie far out are needed to tell the parameters apart
         result = fit_laws(rows.friction, laws, result.weight, fitted_values(laws, result.x))
     spread = deviations(result)
+    untold = [_untold(law, result.x[place], spread, place) for law, place in zip(laws, places(laws), strict=True)]
+    if any(untold):
+        laws = [replace(law, balanced=law.balanced or alone) for law, alone in zip(laws, untold, strict=True)]
+        result = fit_laws(rows.friction, laws, result.weight)
+        spread = deviations(result)
     sources = tuple(record.bag for record in records)
     estimates = [ElementEstimate.unknown(name, SLIDING, lacking.get(name, ""), sources) for name in names]
     curves: list[CurvePoints | None] = [None] * len(names)
@@ -252,6 +258,16 @@ def _given(rows: SweepRows, shared: Sequence[bool], parts: Sequence[str]) -> tup
     chosen = frozenset(part for part in (Part.STRIBECK, Part.EXPONENT) if part.value in parts)
     laws = [_shaped(Law(chosen, signed=True, balanced=balanced)) for balanced in shared]
     return laws, fit_laws(rows.friction, laws)
+
+
+def _untold(law: Law, x: Array, spread: Deviations, place: slice) -> bool:
+    """Return whether the poses do not tell the difference of an element's two Coulomb torques from a weight."""
+    if law.balanced:
+        return False
+    sides = [law.names.index(name) for name in ("tau_c_positive", "tau_c_negative")]
+    covariance = spread.covariance[place, place][np.ix_(sides, sides)]
+    variance = covariance[0, 0] - 2.0 * covariance[0, 1] + covariance[1, 1]
+    return math.sqrt(max(variance, 0.0)) > _MOST_DIFFERENCE * float(x[sides].sum())
 
 
 def _shaped(law: Law) -> Law:

@@ -136,7 +136,9 @@ CALLS = {
     "rx90_identify": (["bag", "--output", "out.yaml"], "yaml"),
     "rx90_line": (["--from-file", "robots/rx90b/task.yaml"], "yaml"),
     "rx90_own_controller": (["--engine"], "pinocchio"),
+    "rx90_monitor": ([], "lark"),
     "rx90_path": (["paths/circle.yaml"], "numba"),
+    "rx90_program": (["a.v2"], "lark"),
     "rx90_run": ([], "pinocchio"),
     "rx90_sweep": (["info", "out.parquet"], "pyarrow"),
     "rx90_view": (["--port", "0", "--no-browser"], "viser"),
@@ -187,6 +189,8 @@ for program, words, package, broken in json.load(sys.stdin):
 def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
     """Without a package each executable, a node too, ends with 3 and a line: package, distribution, how to get it."""
     assert set(CALLS) == set(EXECUTABLES)
+    program_of_vplus = tmp_path / "a.v2"
+    program_of_vplus.write_text(".PROGRAM a()\n.END\n", encoding="utf-8")
     cases = [(name, words, package, False) for name, (words, package) in CALLS.items()]
     cases += [("rx90_sim", [], "numba", broken) for broken in (False, True)]
     cases += [("rx90_sweep", ["info", "x"], "pyarrow", True)]
@@ -204,7 +208,7 @@ def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
             where = "a sourced ROS 2 Jazzy" if is_ros(package) else SOURCES[package]
             assert where in errors.removeprefix(start), errors
         assert errors.startswith(start), errors
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == [program_of_vplus]
 
 
 def test_each_source_is_a_distribution_of_the_set_up() -> None:
