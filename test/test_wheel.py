@@ -77,7 +77,7 @@ def test_the_wheel_is_whole_and_works_without_the_source_tree(wheel: Path, tmp_p
     wanted = {
         str(path.relative_to(ROOT))
         for path in modules
-        if path.suffix in {".py", ".j2"} or path.name == "py.typed" or path.parent.name == "templates"
+        if path.suffix in {".py", ".j2", ".lark"} or path.name == "py.typed" or path.parent.name == "templates"
     }
     for folder in DATA:
         files = (path for path in (ROOT / folder).rglob("*") if path.is_file() and "__pycache__" not in path.parts)
