@@ -12,17 +12,24 @@ makes them the errors of the fit to all other blocks (CR3, the jackknife: Bell a
 place (CR2) is unbiased for white noise, but its intervals of 95 % hold 90 to 93 % of values that few blocks determine,
 such as the viscous torque. The loss of a row that lies far out grows linearly, so it has no part in T^T T. Few blocks
 leave the covariance itself uncertain: deviations are widened from a normal distribution's 95 % quantile to Student's.
+
+A part of a law that was left out is not known to be absent: what it would explain stands in the other parameters. So
+their deviations are those of the law with all parts that were tried, linearised at the chosen values.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm, t
 
 from rx90_common.base.arrays import Array, Mask
+from rx90_common.estimation.elements import FrictionRows, fitted_values
 from rx90_common.estimation.fit import Fit
+from rx90_common.estimation.law import Law, Part
 
 LEVEL = 0.95
 """Of the intervals that `deviation` times the normal quantile, 1.96, gives."""
@@ -32,6 +39,11 @@ RANK = 1e-12
 """Eigenvalue of the scaled information over the largest, below which a direction is not determined."""
 MOST_UNDETERMINED = 1e-6
 """Squared share of undetermined directions in a parameter, above which it is not determined."""
+
+USUAL_RISE = 0.5
+"""Deviation of a rise that was left out, over tau_c: published static torques are one to two times Coulomb's."""
+USUAL_EXPONENT = 0.5
+"""Deviation of log alpha where it was left out: published exponents lie between 0.5 and 1.5."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +97,40 @@ def deviations(result: Fit) -> Deviations:
     covariance[~determined] = 0.0
     covariance[:, ~determined] = 0.0
     return Deviations(covariance, determined, blocks)
+
+
+def law_deviations(rows: FrictionRows, laws: Sequence[Law], result: Fit, tried: Iterable[Part]) -> Deviations:
+    """Return the deviations of a fit's parameters, with the doubt about parts that were tried and left out.
+
+    Those parts are added where they change nothing: a rise of 0 at the middle of the speeds, exponents of 1. A bristle
+    that was left out has no such place. A torque that ends at its bound 0 is not determined, but might be some: it has
+    a covariance here.
+
+    Args:
+        rows: the equations.
+        laws: the chosen ones, with one tau_c for both directions.
+        result: their fit.
+        tried: parts.
+    """
+    richest = [replace(law, parts=law.parts | (frozenset(tried) - {Part.BRISTLE})) for law in laws]
+    values = []
+    chosen = []
+    spread = []
+    for law, element, known in zip(richest, rows.elements, fitted_values(laws, result.x), strict=True):
+        middle = np.mean(law.bounds(element.speeds), axis=0)
+        usual = {"rise": USUAL_RISE * known["tau_c"] or math.inf, "alpha": USUAL_EXPONENT}
+        for name, half in zip(law.names, middle.tolist(), strict=True):
+            values.append(known.get(name, half if name == "omega_s" else 0.0))
+            chosen.append(name in known)
+            spread.append(math.inf if name in known else usual.get(name, math.inf))
+    x = np.array(values)
+    problem = replace(rows.problem(richest, x), spread=np.array(spread))
+    slopes = problem.model(x)[1]
+    whole = deviations(replace(result, problem=problem, x=x, slopes=slopes, at_bound=np.zeros(len(x), dtype=np.bool_)))
+    places = np.flatnonzero(chosen + [True] * len(result.linear))
+    determined = whole.determined[places]
+    determined[: len(result.x)] &= ~result.at_bound
+    return Deviations(whole.covariance[np.ix_(places, places)], determined, whole.blocks[places])
 
 
 def student_factor(freedom: float) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.estimation.choose import Choice, Trial, choose, without_bound_parts
-from rx90_common.estimation.deviations import deviations
+from rx90_common.estimation.deviations import law_deviations
 from rx90_common.estimation.elements import fit_laws, places
 from rx90_common.estimation.fit import Fit
 from rx90_common.estimation.law import Law, Part
@@ -161,12 +161,13 @@ def fit_arm(
     """
     rows = problem.friction_rows()
     if fixed:
+        tried = parts
         laws = [Law(frozenset(parts))] * len(rows.elements)
         chosen = without_bound_parts(rows, Choice(tuple(laws), fit_laws(rows, laws), ()))
     else:
-        enough = len(problem) >= ROWS_PER_PARAMETER * problem.parameters
-        chosen = choose(rows, parts if enough else (), [Law()] * len(rows.elements), progress)
-    known = deviations(chosen.fit)
+        tried = parts if len(problem) >= ROWS_PER_PARAMETER * problem.parameters else ()
+        chosen = choose(rows, tried, [Law()] * len(rows.elements), progress)
+    known = law_deviations(rows, chosen.laws, chosen.fit, tried)
     return FittedArm(
         arm=problem.arm,
         laws=chosen.laws,

@@ -14,7 +14,7 @@ from scipy.stats import t
 
 from rx90_common.base.arrays import Array
 from rx90_common.estimation.choose import choose, held_out_squares
-from rx90_common.estimation.deviations import deviations
+from rx90_common.estimation.deviations import deviations, law_deviations
 from rx90_common.estimation.elements import FrictionRows, SteadyRows, fit_laws
 from rx90_common.estimation.fit import Problem, fit
 from rx90_common.estimation.law import Law, Part, Speeds
@@ -138,6 +138,20 @@ def test_intervals_hold_the_truth() -> None:
         size = dict(zip(values, np.sqrt(np.diag(covariance)), strict=True))
         inside += [abs(values[name] - truth.parameters[name]) < 1.96 * size[name] for name in names]
     assert 0.92 < np.mean(inside) < 0.98
+
+
+def test_intervals_know_of_parts_that_were_left_out() -> None:
+    """An exponent of 0.98 that the law lacks is in tau_c and c2: their intervals hold only if they allow for one."""
+    truth = element(tau_s=5.0, alpha=0.98)
+    inside = []
+    for seed in range(60):
+        rows = sweeps([truth], seed)
+        result = fit_laws(rows, [Law()])
+        known = deviations(result), law_deviations(rows, [Law()], result, [Part.STRIBECK, Part.EXPONENT])
+        inside.append([np.abs(result.x - [5.0, 3.0]) < 1.96 * one.deviation[:2] for one in known])
+    without, share = np.mean(inside, axis=(0, 2))
+    assert without < 0.8
+    assert share > 0.92
 
 
 def test_curve_is_the_elements_and_its_slopes_are_differences() -> None:

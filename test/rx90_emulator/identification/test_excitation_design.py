@@ -266,14 +266,16 @@ def test_a_folder_of_excitation_runs_is_identified_as_such(
 def test_a_planned_run_tells_the_inertias_that_the_engine_has(
     plan: tuple[Experiment, ...], tx40: Setup, tmp_path: Path
 ) -> None:
-    """The wrist's rotors are the engine's to three deviations, which are small; Coulomb friction to 3 %."""
+    """The wrist's rotors to 0.4 %, Coulomb friction to 0.5 % of what the engine read.
+
+    A torque counted half a tick late makes these rotors 0.4 to 0.6 % too small. Without noise a wide band is best: in
+    that of the motion, 9 s tell them to a few percent.
+    """
     bag = tmp_path / "run"
     run_on_engine(tx40, plan[0], bag)
-    result = identify_excitation([bag], RobotOptions(robot="tx40"))
-    base = {parameter.name: parameter.estimate for parameter in result.base}
+    result = identify_excitation([bag], RobotOptions(robot="tx40"), model=["coulomb-viscous"], bandwidth=150.0)
+    base = {parameter.name: parameter.estimate.value for parameter in result.base}
     for k in (4, 5, 6):
-        rotor = base[f"Ia_{k}"]
-        assert abs(rotor.value - tx40.drives.rotor_inertia[k - 1]) < 3.0 * rotor.deviation
-        assert rotor.deviation < 0.1 * rotor.value
-    for identified, law in zip(result.elements[:4], tx40.friction.elements[:4], strict=True):
-        assert identified.element.tau_c.positive == pytest.approx(law.tau_c.positive, rel=3e-2)
+        assert base[f"Ia_{k}"] == pytest.approx(tx40.drives.rotor_inertia[k - 1], rel=4e-3)
+    for identified, law in zip(result.elements, tx40.friction.elements, strict=True):
+        assert identified.element.tau_c.positive == pytest.approx(law.tau_c.positive, rel=5e-3)
