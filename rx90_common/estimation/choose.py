@@ -32,7 +32,7 @@ MOST_FOLDS = 20
 
 _OWN: dict[Part, tuple[str, ...]] = {
     Part.STRIBECK: ("rise", "omega_s", "tau_c"),
-    Part.STRIBECK_EXPONENT: ("delta",),
+    Part.STRIBECK_EXPONENT: ("delta", "tau_c"),
     Part.EXPONENT: ("alpha", "c2", "tau_c"),
     Part.BRISTLE: ("stiffness",),
 }
@@ -112,12 +112,18 @@ def choose(
             trial = _trial(rows, number, part, simpler_error, error)
             trial = replace(trial, bound=_at_bound(chosen[number], part, best, place))
             trials.append(trial)
-            kept.append(chosen[number] if trial.kept else candidates[number])
+            kept.append(chosen[number] if trial.kept else _simpler(chosen[number], candidates[number], trial))
         if kept != chosen:
             best = fit_laws(rows, kept, weight, _known(chosen, kept, best))
             chosen = kept
     best = fit_laws(rows, chosen, known=fitted_values(chosen, best.x))
     return without_bound_parts(rows, Choice(tuple(chosen), best, tuple(trials)))
+
+
+def _simpler(law: Law, without: Law, trial: Trial) -> Law:
+    """Return the law of an element that does not keep a part: of a rise that helps, its exponent goes first."""
+    exponent = trial.part is Part.STRIBECK and Part.STRIBECK_EXPONENT in law.parts
+    return _without(law, Part.STRIBECK_EXPONENT) if exponent and trial.gain > trial.deviation else without
 
 
 def without_bound_parts(rows: FrictionRows, choice: Choice) -> Choice:
