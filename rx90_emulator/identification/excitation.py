@@ -109,7 +109,8 @@ def identify_excitation(
     fitted = fit_arm(problem, parts, progress, fixed=model is not None)
     progress("consistent inertias")
     consistency = make_consistent(problem, fitted, source, robot)
-    bodies = moved_bodies(source.arm, written_arm(problem, consistency))
+    arm = written_arm(problem, consistency)
+    bodies = moved_bodies(source.arm, arm)
     result = ExcitationIdentification(
         robot=source,
         options=robot,
@@ -125,23 +126,28 @@ def identify_excitation(
         notes=tuple(notes),
         bags=tuple((use, record.bag) for use, some in records.items() for record in some),
     )
+    if not records["validation"]:
+        return result
     simplest = simplest_fit(problem)
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
-        checks.append(_validation(result, simplest, record, tolerances))
+        checks.append(_validation(result, arm, simplest, record, tolerances))
     return replace(result, validations=tuple(checks))
 
 
 def _validation(
-    result: ExcitationIdentification, simplest: FittedArm, record: JointRecord, tolerances: ExcitationTolerances
+    result: ExcitationIdentification,
+    arm: RigidArm,
+    simplest: FittedArm,
+    record: JointRecord,
+    tolerances: ExcitationTolerances,
 ) -> TorqueValidation:
     """Return the verdict of a run that the identification did not use."""
     problem = result.problem
     bandwidths = validation_bandwidths(record, problem.runs[0].bandwidths)
     other = problem.other(filtered_runs(record, result.robot, bandwidths))
     elements = [identified.element for identified in result.elements]
-    arm = written_arm(problem, result.consistency)
 
     def torques(predicted: Array) -> RunTorques:
         return run_torques(other, predicted)[0]
@@ -252,7 +258,7 @@ def excitation_problem(
     Args:
         bags: bags or tables.
         robot: that the bags come from; by default this project's.
-        bandwidths: of the filters; by default those of the runs' spectra. Those of `identify_excitation` are
+        bandwidths: of the filters; by default twenty times the motion's. Those of `identify_excitation` are
             `result.problem.runs[0].bandwidths`.
 
     Raises:
