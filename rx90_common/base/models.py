@@ -378,9 +378,11 @@ def fault_lines(model: type[BaseModel], error: ValidationError, where: str = "",
             continue  # of several kinds of value, another one is meant
         if fault["type"] in _MISSING and place in meant:
             continue  # one mistake would be told twice
-        line = _line(schema, fault, place, where, content)
         misspelt = _misspelt_tag(fault, place, where, schema, content)
-        lines.insert(0 if misspelt else len(lines), misspelt or line)
+        if misspelt:
+            lines.insert(0, misspelt)
+        else:
+            lines.append(_line(schema, fault, place, where, content))
     lines = list(dict.fromkeys(lines))  # two kinds of a union, or both signs, say the same
     if len(told) < len(every):
         lines.append(f"{where}{': ' if where else ''}{len(every) - len(told):,} more faults, which are not told")

@@ -37,7 +37,6 @@ degree of freedom."""
 _SAME_SPEED_RATIO = 1.1  # of speeds, up to which they count as one
 _MOST_DIFFERENCE = 0.1  # deviation of the difference of two Coulomb torques, over their sum, that tells both
 _MAX_RELATIVE_SD = 0.3  # relative standard deviation up to which a parameter is identifiable
-_STRIBECK = ("tau_s_positive", "tau_s_negative", "omega_s", "delta")
 _BANDS = 6  # of speed, of equal logarithmic width, by which residuals are reported
 _LINE_POINTS = 100
 _DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"
