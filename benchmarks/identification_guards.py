@@ -400,8 +400,11 @@ def _read(arm: Recording, folder: Path, name: str, signals: str = "signals.yaml"
     one = next(iter(stated["topics"].values())) if "topics" in stated else stated
     table = np.genfromtxt(folder / f"{name}.csv", delimiter=",", names=True)
 
+    names = one.get("names", stated.get("names"))
+    places = [names.index(joint) for joint in arm.joints if joint in names] or [*range(len(names))]
+
     def columns(key: str) -> Array:
-        return np.column_stack([table[column] for column in one[key]["columns"]])
+        return np.column_stack([table[one[key]["columns"][place]] for place in places])
 
     position = columns("position") * (math.pi / 180.0 if one["position"]["unit"] == "deg" else 1.0)
     constant = np.asarray(stated.get("torque_constant", 1.0), dtype=float)

@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     bags.add_argument("--no-rotors", action="store_true", help="with --excitation and --urdf: leave the inertias of "
                       "rotors out, for torques of sensors between gear and link")  # fmt: skip
     bags.add_argument("--bandwidth", type=POSITIVE, metavar="HZ", help="with --excitation: of the low-pass of the "
-                      "positions, a third of it for torques (twenty times the band of the motion)")  # fmt: skip
+                      "positions, a third of it for torques (the widest with clean accelerations)")  # fmt: skip
     bags.add_argument("--friction", metavar="FILE", help="a given friction file, or a shipped one "
                       "(robots/tx40/friction.yaml): it is "
                       "held against the --validation bags, and nothing is identified")  # fmt: skip

@@ -16,6 +16,7 @@ from rx90_emulator.identification.options import ExcitationTolerances, RobotOpti
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.robot import RecordedRobot
 from rx90_emulator.identification.rows.excitation import ExcitationProblem
+from rx90_emulator.identification.rows.filtering import Bandwidths
 from rx90_emulator.identification.sanity import MovedBodies
 from rx90_emulator.identification.validation.verdict import Criterion, RunTorques, torque_criteria
 
@@ -125,6 +126,7 @@ class ExcitationIdentification:
         elements: of the friction, to simulate with, and the estimates of their parameters.
         base: linear parameters beside friction.
         consistency: possible inertias near these.
+        compared: bandwidths in which torques are compared: the motion's, whatever those of the fit are.
         torques: recorded and predicted, of each run that was used.
         validations: the same for runs that were not used, with a verdict.
         bags: the bags by use: excitation, validation.
@@ -140,6 +142,7 @@ class ExcitationIdentification:
     elements: tuple[IdentifiedElement, ...]
     base: tuple[BaseParameter, ...]
     consistency: Consistency
+    compared: Bandwidths
     torques: tuple[RunTorques, ...]
     validations: tuple[TorqueValidation, ...]
     bags: tuple[tuple[str, BagSource], ...]

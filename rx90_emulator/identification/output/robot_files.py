@@ -243,7 +243,7 @@ def robot_texts(
                 joints=_joints(result),
                 warnings=notes,
                 speeds=dict(zip(elements, result.fitted.speeds, strict=True)),
-                bandwidths=result.problem.runs[0].bandwidths,
+                bandwidths=result.compared,
                 unit=result.unit,
             ),
         ),
