@@ -183,7 +183,7 @@ def _path_errors(args: argparse.Namespace) -> list[str]:
     """Return a line for each bag: its path errors, by the set-points in it."""
     from rx90_common.description.robot import load_robot
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.identification.validation.recorded_path import recorded_accuracy
+    from rx90_emulator.measured_runs.recorded_path import recorded_accuracy
 
     files = RobotFiles.of_options(args)
     lines = []

@@ -28,9 +28,9 @@ from rx90_emulator.identification.options import (
     MODEL_PARTS,
     RECORDED,
     MeasuredLayout,
-    MeasuredTolerances,
     RobotOptions,
 )
+from rx90_emulator.measured_runs.options import MeasuredTolerances
 
 _USAGE = """\
 rx90_identify FOLDER --output FILE [options]          (FOLDER of excitation runs: --output FOLDER)
@@ -214,7 +214,7 @@ def compare_measured(options: argparse.Namespace) -> int:
     """A measured bag against the closed loop without ROS along the same set-points: torques, positions, a verdict."""
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.identification.job import run_comparison
+    from rx90_emulator.measured_runs.output import run_comparison
 
     layout = MeasuredLayout(
         topic=options.topic,

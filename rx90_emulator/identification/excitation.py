@@ -102,7 +102,7 @@ def identify_excitation(
         raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
     check_given_once(by_use)
     parts = _requested_parts(bristles=bristles, model=model)
-    _check_robot(robot, rotors=rotors)
+    _check_rotors(robot, rotors=rotors)
     source = RecordedRobot.load(robot, everything, massless=True, follow=True)
     records = read_records(by_use, source, progress, currents=True)
     progress("filters and equations")
@@ -203,12 +203,8 @@ def _requested_parts(*, bristles: bool, model: Sequence[str] | None) -> tuple[Pa
     return tuple(part for part in Part if part.value in names)
 
 
-def _check_robot(robot: RobotOptions, *, rotors: bool) -> None:
-    """Refuse late torques, and a model without rotors if the drives' torques accelerate them."""
-    if robot.torque_delay:
-        raise IdentificationError(
-            f"torque_delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
-        )
+def _check_rotors(robot: RobotOptions, *, rotors: bool) -> None:
+    """Refuse a model without rotors if the drives' torques accelerate them."""
     if not rotors and (robot.urdf is None or robot.rotor_inertia is not None):
         given = "without --urdf" if robot.urdf is None else "with --rotor-inertia"
         raise IdentificationError(f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears")

@@ -326,7 +326,7 @@ def mistake_alarms(
         if any(mistake.swapped):
             accepted.append("names or columns of these two in the other order")
         if mistake.delay:
-            accepted.append("stamps of the time when the torques acted")
+            accepted.append(f"torque_delay: {options.torque_delay - mistake.delay:.3g} in the signal map")
     if any(mistake.motion < 0.0 for mistake in mistakes):
         accepted.append(_option("gear", gear))
     if any(mistake.motion * mistake.effort < 0.0 for mistake in mistakes):
@@ -424,7 +424,8 @@ def body_alarms(bodies: Sequence[MovedBodies]) -> tuple[str, ...]:
             ]
             return (
                 f"the bodies of the result are not the described ones: {', '.join(masses)}; accepted: gears, units and "
-                "torque constants with which they agree, or a description of this arm",
+                "torque constants with which they agree, a description of this arm, or, where all joints carry the "
+                "same mass more, the payload in the description",
             )
     return ()
 

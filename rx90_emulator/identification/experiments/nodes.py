@@ -169,16 +169,11 @@ class FollowedTrajectory:
     """
 
     def __init__(self, points: TrajectoryPoints, before: Array, timeout: float) -> None:
+        self._points = points
         self._before = before
-        self._end = points.position[-1]
         self._timeout = timeout
-        leaves = int(np.argmax((np.abs(points.position - before) > _AT_REST).any(axis=1)))
-        self._rest = float(points.times[max(leaves - 1, 0)])
-        self._duration = float(points.times[-1])
-        self._began: float | None = None
-        self._last_time = -math.inf
-        self._last_advance = 0.0
-        self._due = (0.0, 0.0)
+        self._newest = (-math.inf, 0.0)  # time, and when it came by the wall clock
+        self._due = (math.inf, math.inf)  # of both clocks: without a pace, seconds pass while a message is on its way
         self.elapsed = 0.0
         self.end = math.inf
         self.done = False
@@ -194,20 +189,21 @@ class FollowedTrajectory:
         Raises:
             ExchangeError: if time stands still, or the trajectory does not begin or end.
         """
-        if self._last_time == -math.inf:
-            self._due = now + _PATIENCE, clock + _PATIENCE
-        if now > self._last_time:
-            self._last_time = now
-            self._last_advance = clock
-        elif clock - self._last_advance > self._timeout:
+        time_before, came = self._newest
+        if time_before == -math.inf:
+            self._due = (now + _PATIENCE, clock + _PATIENCE)
+        if now > time_before:
+            self._newest = (now, clock)
+        elif clock - came > self._timeout:
             raise ExchangeError(f"the controller's time stood still at {now:.3f} s for {self._timeout:g} s")
-        if self._began is None and np.abs(position - self._before).max() > _AT_REST:
-            self._began = now - self._rest
-            self.end = self._began + self._duration
-            self._due = self.end + _PATIENCE, clock + self._duration + _PATIENCE
-        if self._began is not None:
-            self.elapsed = min(max(0.0, now - self._began), self._duration)
-            self.done = now > self.end + POLL and bool(np.abs(position - self._end).max() <= _AT_REST)
-        # Both clocks: without a pace, seconds of simulated time pass while a message is on its way.
+        duration = float(self._points.times[-1])
+        if self.end == math.inf and np.abs(position - self._before).max() > _AT_REST:
+            leaves = int(np.argmax((np.abs(self._points.position - self._before) > _AT_REST).any(axis=1)))
+            self.end = now - float(self._points.times[max(leaves - 1, 0)]) + duration
+            self._due = (self.end + _PATIENCE, clock + duration + _PATIENCE)
+        if self.end < math.inf:
+            self.elapsed = min(max(0.0, now - self.end + duration), duration)
+            arrived = np.abs(position - self._points.position[-1]).max() <= _AT_REST
+            self.done = bool(now > self.end + POLL and arrived)
         if not self.done and now > self._due[0] and clock > self._due[1]:
             raise ExchangeError("the controller did not run the trajectory to its end; it says why on its terminal")

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from types import MappingProxyType
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -109,6 +110,11 @@ class PlanOptions:
             raise IdentificationError(f"{self.speeds} speeds; accepted: {_MIN_SPEEDS} to {_MAX_SPEEDS}")
 
 
+_QUICK: Mapping[str, Any] = MappingProxyType(
+    {"speeds": 8, "travel": 0.016, "presliding_cycles": (2e-3,), "tone_amplitudes": (4e-5,), "burst": 3.0}
+)
+
+
 def plan_experiments(
     setup: Setup, groups: Sequence[str] = (), *, quick: bool = False, speeds: int | None = None
 ) -> tuple[Experiment, ...]:
@@ -124,15 +130,13 @@ def plan_experiments(
         IdentificationError: for an unknown group or a number of speeds that is not acceptable.
         ConfigError: if the robot has no poses.
     """
-    options = PlanOptions(poses=poses_of(setup), groups=tuple(groups))
+    poses = poses_of(setup)
+    options = dict(_QUICK) if quick else {}
     if quick:
-        pose = options.poses.replaced(sweeps={"positions": options.poses.sweeps.positions[:1]})
-        options = replace(
-            options, poses=pose, speeds=8, travel=0.016, presliding_cycles=(2e-3,), tone_amplitudes=(4e-5,), burst=3.0
-        )
+        poses = poses.replaced(sweeps={"positions": poses.sweeps.positions[:1]})
     if speeds is not None:
-        options = replace(options, speeds=speeds)
-    return make_plan(setup.robot, setup.drives, options)
+        options["speeds"] = speeds
+    return make_plan(setup.robot, setup.drives, PlanOptions(poses=poses, groups=tuple(groups), **options))
 
 
 def directions(names: Sequence[str], turning: Coupling) -> dict[str, Array]:
@@ -233,33 +237,31 @@ def _sweeps(
     The error by ripple that is synchronous with the sampling differs between speeds, not between poses, and changes its
     sign with the direction.
     """
-    motion = Motion(options.poses.home.position)
-    poses = options.poses.sweeps.positions
-
-    def sweep(motion: Motion, speed: float) -> Motion:
-        held = float(np.clip(options.travel / abs(speed), _MIN_HOLD_S, _MAX_HOLD_S))
-        motion.sweep(direction, speed, held, _ACCELERATION)
-        return motion
-
-    def travel(speed: float) -> Array:
-        return sweep(Motion(np.zeros(direction.size)), speed).pose
-
     fastest = _HIGHEST_SHARE * float(robot.max_velocity[direction != 0.0].min())
     low = robot.lower + _LIMIT_MARGIN
     high = robot.upper - _LIMIT_MARGIN
-    while np.any(np.abs(travel(fastest)) > robot.upper - robot.lower - 2.0 * _LIMIT_MARGIN):
+    while np.any(np.abs(_sweep(Motion(np.zeros(direction.size)), direction, fastest, options)) > high - low):
         fastest *= 0.98
     speeds = sweep_speeds(direction, _LOWEST_SPEED, fastest, 2 * options.speeds, drives)
     there_and_back = speeds.reshape(-1, 2) * (1.0, -1.0)
+    motion = Motion(options.poses.home.position)
+    poses = options.poses.sweeps.positions
     for number, pose in enumerate(poses):
         for speed in there_and_back[number :: len(poses)].ravel().tolist():
             # The travel is centred on the pose; near a limit it moves away from it.
-            way = travel(speed)
+            way = _sweep(Motion(np.zeros(direction.size)), direction, speed, options)
             start = np.clip(np.asarray(pose) - way / 2.0, low + np.maximum(0.0, -way), high - np.maximum(0.0, way))
             _approach(robot, motion, start)
             motion.rest(0.1)
-            sweep(motion, speed)
+            _sweep(motion, direction, speed, options)
     return _experiment(robot, f"sliding_{name}", Kind.SLIDING, motion, len(speeds), options.poses.home.position)
+
+
+def _sweep(motion: Motion, direction: Array, speed: float, options: PlanOptions) -> Array:
+    """Add a sweep to a motion and return its end, rad, shape (n,)."""
+    held = float(np.clip(options.travel / abs(speed), _MIN_HOLD_S, _MAX_HOLD_S))
+    motion.sweep(direction, speed, held, _ACCELERATION)
+    return motion.pose
 
 
 def _oscillations(robot: RobotModel, options: PlanOptions, name: str, direction: Array) -> Experiment:

@@ -93,11 +93,8 @@ def elements_text(names: Sequence[str], elements: Sequence[IdentifiedElement], f
     written = {}
     parameters = {}
     for name, identified in zip(names, elements, strict=True):
-        notes = [facts.notes[name]] if name in facts.notes else []
-        if identified.given_bristles:
-            notes.append(f"bristles: as its c0 those of {facts.fallback}, assumed")
         element = _rounded(name, identified)
-        written[name] = element.replaced(note="; ".join(notes) or None)
+        written[name] = element.replaced(note=facts.notes.get(name))
         parameters[name] = _provenance(identified, element, labels, date, facts.fallback)
     unit = {} if facts.unit == "Nm" else {"unit": facts.unit}
     identification = {"date": date, "bags": bags, **unit, **facts.about, "parameters": parameters}
@@ -139,13 +136,10 @@ def _provenance(
     fallback: str | None,
 ) -> dict[str, Any]:
     """Return value, deviation, bags and origin of each parameter of an element."""
-    values = element.parameters | {
-        f"{name}.{key}": value for name, part in element.parts.items() for key, value in part.numbers().items()
-    }
     parameters = {}
-    for name in dict.fromkeys((*PARAMETERS, *identified.estimates)):
+    for name in PARAMETERS:
         estimate = identified.estimates.get(name, _NOT_FITTED)
-        content: dict[str, Any] = {"provenance": "assumed", "value": values.get(name, 0.0)}
+        content: dict[str, Any] = {"provenance": "assumed", "value": element.parameters[name]}
         if not estimate.identifiable:
             taken = None if estimate.reason == NOT_IN_MODEL else fallback
             content |= {"identifiable": False, "reason": estimate.reason, "taken_from": taken}

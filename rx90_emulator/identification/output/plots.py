@@ -1,4 +1,4 @@
-"""Plots of the pages of identifications, checks and measured runs. Torques have the unit that is given."""
+"""Plots of the pages of identifications and checks. Torques have the unit that is given."""
 
 from __future__ import annotations
 
@@ -13,20 +13,19 @@ from rx90_common.base.arrays import Array
 from rx90_common.report.charts import chart, over_one_x
 from rx90_common.report.style import COLOURS, GREY, INK
 from rx90_emulator.identification.estimates import FrictionCurve
-from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import TorquePrediction
 
-_DRAWN_S = 60.0  # s of a run in a plot: more could not be resolved
+DRAWN_S = 60.0  # s of a run in a plot: more could not be resolved
 _RECORDED: Final = COLOURS[5]
 _PREDICTED: Final = COLOURS[1]
-_DIFFERENCE: Final = COLOURS[6]
+DIFFERENCE: Final = COLOURS[6]
 _SPEED = "velocity of the element, rad/s"
 _INTERVAL = 1.96  # standard deviations, 95 %
-_DRAWN_SHARE = 20  # one of so many parts of a micro-oscillation is drawn: more loops would cover each other
+DRAWN_SHARE = 20  # one of so many parts of a micro-oscillation is drawn: more loops would cover each other
 
 
-def _compared(shown: figure, time: Array, recorded: tuple[str, Array], predicted: tuple[str, Array]) -> None:
+def compared(shown: figure, time: Array, recorded: tuple[str, Array], predicted: tuple[str, Array]) -> None:
     """Draw a recorded and a predicted quantity with their names."""
     shown.line(time, recorded[1], name=recorded[0], color=_RECORDED, line_width=2.4)
     shown.line(time, predicted[1], name=predicted[0], color=_PREDICTED, line_width=1.1)
@@ -35,12 +34,12 @@ def _compared(shown: figure, time: Array, recorded: tuple[str, Array], predicted
 def torques(torque: TorquePrediction, names: Sequence[str], unit: str, predicted: str = "predicted") -> list[figure]:
     """Show the first minute of measured and predicted torques, and their difference where a joint moves."""
     time = torque.time - torque.time[0]
-    rows = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
+    rows = slice(0, int(np.searchsorted(time, DRAWN_S, side="right")))
     figures = []
     for k, name in enumerate(names):
         shown = chart(name, "", unit, height=120)
-        _compared(shown, time[rows], ("measured", torque.recorded[rows, k]), (predicted, torque.predicted[rows, k]))
-        shown.line(time[rows], torque.difference[rows, k], name="difference", color=_DIFFERENCE)
+        compared(shown, time[rows], ("measured", torque.recorded[rows, k]), (predicted, torque.predicted[rows, k]))
+        shown.line(time[rows], torque.difference[rows, k], name="difference", color=DIFFERENCE)
         figures.append(shown)
     over_one_x(figures, "time, s")
     return figures
@@ -53,23 +52,6 @@ def tips(check: Validation) -> list[figure]:
     shown = chart("tips", "time, s", "distance, µm", height=120)
     shown.line(check.tip_time, check.tip_distance * 1e6, color=COLOURS[0])
     return [shown]
-
-
-def measured_positions(result: MeasuredComparison) -> list[figure]:
-    """Show measured and simulated positions, each beside their difference."""
-    time = result.torque.time - result.torque.time[0]
-    rows = slice(0, int(np.searchsorted(time, _DRAWN_S, side="right")))
-    figures = []
-    for k, name in enumerate(result.names):
-        measured = result.position[rows, k]
-        simulated = result.simulated_position[rows, k]
-        positions = chart(name, "", "rad", height=120)
-        _compared(positions, time[rows], ("measured", measured), ("simulated", simulated))
-        difference = chart(name, "", "mrad", height=120)
-        difference.line(time[rows], 1e3 * (simulated - measured), name="simulated - measured", color=_DIFFERENCE)
-        figures += [positions, difference]
-    over_one_x(figures, "time since the comparison began, s", across=2)
-    return figures
 
 
 def friction_curve(name: str, curve: FrictionCurve, unit: str) -> list[figure]:
@@ -117,8 +99,8 @@ def friction_curve(name: str, curve: FrictionCurve, unit: str) -> list[figure]:
 def presliding_loop(name: str, position: Array, torques: Mapping[str, Array]) -> figure:
     """Show torques against position in the middle of a micro-motion: measured and simulated."""
     count = len(position)
-    part = slice((_DRAWN_SHARE - 1) * count // (2 * _DRAWN_SHARE), (_DRAWN_SHARE + 1) * count // (2 * _DRAWN_SHARE))
+    part = slice((DRAWN_SHARE - 1) * count // (2 * DRAWN_SHARE), (DRAWN_SHARE + 1) * count // (2 * DRAWN_SHARE))
     shown = chart(name, "position, µrad", "friction torque, Nm", height=260)
     measured, simulated = torques
-    _compared(shown, position[part] * 1e6, (measured, torques[measured][part]), (simulated, torques[simulated][part]))
+    compared(shown, position[part] * 1e6, (measured, torques[measured][part]), (simulated, torques[simulated][part]))
     return shown

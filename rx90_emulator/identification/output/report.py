@@ -1,4 +1,4 @@
-"""The pages of an identification, a check of a friction file and a measured run: one self-contained HTML file each.
+"""The pages of an identification and of a check of a friction file: one self-contained HTML file each.
 
 Tables and sentences are in the templates, which share `_macros.html.j2`.
 """
@@ -20,7 +20,6 @@ from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.output import plots, summary
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.result import ExcitationIdentification, FrictionIdentification, Identification
-from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 
 
@@ -49,22 +48,6 @@ def check_page(checks: Sequence[Validation], friction_file: str) -> str:
     """
     unit = checks[0].unit
     return _render("friction_check.html.j2", unit=unit, checks=_checks(checks), friction_file=friction_file)
-
-
-def measured_page(result: MeasuredComparison, files: tuple[str, ...]) -> str:
-    """Return the text of the page on a measured run.
-
-    Args:
-        result: of the comparison.
-        files: that the robot was read from.
-    """
-    return _render(
-        "measured.html.j2",
-        result=result,
-        files=files,
-        torques=plots.torques(result.torque, result.names, "Nm", "simulated"),
-        positions=plots.measured_positions(result),
-    )
 
 
 def identification_page(result: Identification, date: datetime, files: Sequence[str]) -> str:

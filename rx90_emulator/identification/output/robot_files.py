@@ -24,11 +24,10 @@ from rx90_common.base.quoting import listed, plain
 from rx90_common.base.share import versions
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import load_drives
+from rx90_common.description.joint_model import all_joints
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_common.friction import FrictionElement
-from rx90_common.friction.element import ALPHA_BOUNDS
-from rx90_emulator.identification.arm import RigidArm, all_joints
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import central
 from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate, digits
 from rx90_emulator.identification.fitted import ASSUMED
@@ -120,18 +119,6 @@ _CONTROLLER_HEAD = """\
 # The controller, with the identified friction in its feed-forward; everything else is as it was before.
 # Joint-side units, one value per motor (docs/explanation/closed_loop.md).
 """
-_SECOND_SPEED_SHARE = 0.25
-"""Of the nominal speed: where the compensation by one viscous part equals the sum of several a second time."""
-
-
-def viscous_sum(elements: Sequence[FrictionElement], speed: float) -> tuple[float, float]:
-    """Return c2 and alpha of one viscous part that equals the sum of several at the speed and at a share of it."""
-    if len({one.alpha for one in elements}) == 1:
-        return sum(one.c2 for one in elements), elements[0].alpha
-    fast = sum(one.c2 * speed**one.alpha for one in elements)
-    slow = sum(one.c2 * (_SECOND_SPEED_SHARE * speed) ** one.alpha for one in elements)
-    alpha = float(np.clip(np.log(slow / fast) / np.log(_SECOND_SPEED_SHARE), *ALPHA_BOUNDS)) if slow > 0.0 else 1.0
-    return fast / speed**alpha, alpha
 
 
 class FolderBase(NamedTuple):
@@ -297,19 +284,20 @@ def _drive_values(result: ExcitationIdentification) -> dict[tuple[str, str], Ide
 def _compensation(found: Sequence[IdentifiedElement], names: Sequence[str], base: FolderBase) -> dict[str, Identified]:
     """Return the controller's compensation for the identified friction of the elements with these names."""
     joints = len(base.robot.joint_names)
-    # The friction that each motor works against, at speeds up to the nominal ones.
+    # The friction that each motor works against; several viscous parts are one of their sum at the nominal speed.
     against = [[identified.element] for identified in found[:joints]]
     for motor, identified in zip(base.turning.sums, found[joints:], strict=True):
         against[motor].append(identified.element)
-    viscous = [viscous_sum(some, top) for some, top in zip(against, base.robot.max_velocity.tolist(), strict=True)]
-    values = {
-        "coulomb_torque": [sum(0.5 * (one.tau_c.positive + one.tau_c.negative) for one in some) for some in against],
-        "viscous_friction": [c2 for c2, _ in viscous],
-        "viscous_exponent": [alpha for _, alpha in viscous],
-    }
+    coulomb = []
+    viscous = []
+    for elements, speed in zip(against, base.robot.max_velocity.tolist(), strict=True):
+        coulomb.append(sum(0.5 * (one.tau_c.positive + one.tau_c.negative) for one in elements))
+        viscous.append(sum(one.c2 * speed**one.alpha for one in elements) / speed ** elements[0].alpha)
+    exponent = [elements[0].alpha for elements in against]
     source = "the identified friction of each joint"
     if base.turning.sums:
         source += f", and of {listed(names[joints:])} at the motors that turn with several joints"
+    values = {"coulomb_torque": coulomb, "viscous_friction": viscous, "viscous_exponent": exponent}
     return {key: Identified([digits(one, 12) for one in some], "derived", source) for key, some in values.items()}
 
 

@@ -136,18 +136,15 @@ class MicroMotion:
         return float(np.max(0.5 * (high - low) / break_away))
 
 
-def find_micro_motions(
-    record: JointRecord, arm: RigidArm, groups: Sequence[JointGroup], torque_delay: float = 0.0
-) -> list[list[MicroMotion]]:
+def find_micro_motions(record: JointRecord, arm: RigidArm, groups: Sequence[JointGroup]) -> list[list[MicroMotion]]:
     """Return the micro-oscillations of each group of joints that its own motors make, or an empty list.
 
     Args:
         record: a bag's record; the torque of a sample acted until its stamp.
         arm: for weight and mass matrix; its joints are the record's.
         groups: of joints that share friction elements.
-        torque_delay: how much later than recorded the torque acted, s.
     """
-    step, time, position, torque, known = _on_grid(record, torque_delay)
+    step, time, position, torque, known = _on_grid(record)
     # Central differences of fourth order; those of second order are 0.5 % low at 40 Hz and 0.5 ms.
     velocity = np.gradient(position, step, axis=0)
     velocity[2:-2] = (8.0 * (position[3:-1] - position[1:-3]) - (position[4:] - position[:-4])) / (12.0 * step)
@@ -328,7 +325,7 @@ class _Trace:
         return block_means(result, _BLOCK)
 
 
-def _on_grid(record: JointRecord, torque_delay: float) -> tuple[float, Array, Array, Array, Mask]:
+def _on_grid(record: JointRecord) -> tuple[float, Array, Array, Array, Mask]:
     """Return step, times, positions and torques on equal steps, and which are not affected by a gap."""
     step = record.period or np.inf
     if 1.0 / step < LOWEST_RATE:
@@ -347,14 +344,8 @@ def _on_grid(record: JointRecord, torque_delay: float) -> tuple[float, Array, Ar
     # Set-points are constant between updates, which makes images of an oscillation near multiples of their rate;
     # without the low-pass, coarser steps would alias them onto it.
     sections = butter(4, min(_LOW_PASS_HZ, 0.4 / step), fs=1.0 / step, output="sos")
-    position = np.asarray(
-        sosfiltfilt(sections, np.column_stack([np.interp(time, there, c) for c in record.position[rows].T]), axis=0)
-    )
-    torque = np.asarray(
-        sosfiltfilt(
-            sections, np.column_stack([np.interp(time - torque_delay, there, c) for c in record.torque[rows].T]), axis=0
-        )
-    )
+    even = np.column_stack([np.interp(time, there, column) for column in values[rows].T])
+    position, torque = np.hsplit(np.asarray(sosfiltfilt(sections, even, axis=0)), 2)
     # The torque is averaged over the simulation's steps; it acts until its stamp.
     factor = max(1, int(_MIN_STEP_S / step + 1e-6))
     chosen = slice(0, 1 + (len(time) - 1) // factor * factor, factor)

@@ -16,10 +16,10 @@ from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO, IdentificationErr
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.output.report import check_page
 from rx90_emulator.identification.output.summary import check_summary
-from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import TorquePrediction
 from rx90_emulator.loop.setup import Setup
+from rx90_emulator.measured_runs.compare import MeasuredComparison
 
 pytestmark = pytest.mark.slow
 
