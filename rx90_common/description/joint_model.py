@@ -18,6 +18,7 @@ import pinocchio as pin
 
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.urdf import read_urdf
 
 _MAX_MASS = 1e5  # kg
@@ -90,6 +91,18 @@ def all_joints(urdf: Path) -> tuple[str, ...]:
     return tuple(
         joint.get("name", "") for joint in _read_urdf(urdf)[1].findall("joint") if joint.get("type") != "fixed"
     )
+
+
+def robot_of_urdf(urdf: Path, joints: Sequence[str] | None = None, tool: Path | None = None) -> RobotModel:
+    """Read a serial arm from the URDF of any robot.
+
+    Args:
+        urdf: the robot's description.
+        joints: of interest, from base to tip; by default all that turn and mimic no other. The others are held at 0.
+        tool: a tool file; the link `tool0` carries it.
+    """
+    names = list(joint_model(urdf, joints).names)[1:]
+    return load_robot(urdf, tool, [name for name in all_joints(urdf) if name not in names], replaced=True)
 
 
 def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:

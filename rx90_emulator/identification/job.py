@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 
 from tqdm import tqdm
 
-from rx90_common.base.errors import IdentificationError, check_place, check_replaced, write_error
+from rx90_common.base.errors import IdentificationError, check_place, check_replaced
 from rx90_common.description.robot_files import FILES
-from rx90_common.process.files import write_all, write_text
+from rx90_common.process.files import made_folder, write_all, write_text
 from rx90_emulator.identification.identify import check_friction
 from rx90_emulator.identification.options import GivenTolerances, RobotOptions
 from rx90_emulator.identification.output.friction_file import friction_text
@@ -48,9 +48,6 @@ def check_targets(*files: Path | None, force: bool) -> None:
             kind = "a folder" if file.is_dir() else "no regular file"
             raise IdentificationError(f"{file} is {kind}; accepted: the name of a file")
         check_replaced(file, force=force, kind=IdentificationError)
-        folder = file.absolute().parent
-        if not folder.is_dir():
-            raise IdentificationError(f"{file}: the folder {folder} does not exist; accepted: a file in one that does")
 
 
 def identification_targets(output: Path, *, folder: bool, force: bool) -> None:
@@ -100,17 +97,8 @@ def write_identification(
     texts = {output / name: text for name, text in robot.items()}
     texts |= {output / REPORT: page, output / PARAMETERS: parameters_text(result, date)}
     identification_targets(output, folder=True, force=force)
-    new = not output.is_dir()
-    try:
-        output.mkdir(exist_ok=True)
+    with made_folder(output):
         write_all({file: text.encode() for file, text in texts.items()})
-    except BaseException as error:
-        if new:
-            with suppress(OSError):
-                output.rmdir()
-        if isinstance(error, OSError):
-            raise write_error(output, error) from error
-        raise
     return tuple(texts)
 
 

@@ -24,11 +24,11 @@ from scipy.optimize import minimize
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
+from rx90_common.description.workspace import Workspace
 from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.experiments.plan import Experiment, Kind
-from rx90_emulator.identification.experiments.workspace import Workspace
 from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 
 _VALIDATION_TEMPO = 0.75

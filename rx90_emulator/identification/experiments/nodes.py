@@ -17,16 +17,14 @@ from tqdm import tqdm
 
 from rx90_common.bags.reading import read_bag
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, ExchangeError
+from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.client_node import POLL, ClientNode, client_node, text_parameter
-from rx90_common.friction.friction_file import load_friction
+from rx90_common.exchange.client_node import POLL, ClientNode, client_node
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.node.trajectory_client import NewestPositions, TrajectoryClient
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.motion import Motion
-from rx90_emulator.identification.experiments.plan import TOPICS, Experiment, write_emulated, write_index
+from rx90_emulator.identification.experiments.plan import TOPICS, Experiment, write_index
 from rx90_emulator.loop.setup import Setup
 
 _ATTEMPTS = 3  # of an experiment whose recorder loses messages
@@ -79,26 +77,11 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
                     raise ExchangeError(f"{experiment.name}: {fault}")
                 bar.write(f"{experiment.name}: {fault}; again", file=sys.stderr)
                 shutil.rmtree(folder / experiment.name, ignore_errors=True)
-            if not number:
-                _keep_emulated_friction(client, folder, setup.friction.names)
             write_index(folder, plan[: number + 1])
 
 
 def _show(bar: Any, before: int, elapsed: float) -> None:
     bar.update(before + round(elapsed) - bar.n)
-
-
-def _keep_emulated_friction(client: ClientNode, folder: Path, elements: Sequence[str]) -> None:
-    """Write the friction of a simulation beside the bags; a real arm has none to write."""
-    robot = text_parameter(client, "rx90_sim", "robot")
-    if not robot:
-        return
-    given = text_parameter(client, "rx90_sim", "friction")
-    try:
-        files = RobotFiles.named(robot, friction=given or None)
-        write_emulated(folder, load_friction(files.friction, elements))
-    except ConfigError as error:  # its files are on another machine
-        client.say(f"the simulation's friction is not kept beside the bags: {error}")
 
 
 def _record(

@@ -19,7 +19,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.models import FileModel, Names, read_model
-from rx90_common.base.quoting import listed, plain, quoted
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import DriveParameters
@@ -216,11 +216,6 @@ def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions |
     plan = [_sweeps(robot, drives, options, name, vectors[name]) for name in groups]
     plan += [_oscillations(robot, options, name, vectors[name]) for name in groups if "together" not in name]
     plan.append(_validation(robot, options))
-    if len({experiment.name for experiment in plan}) < len(plan):
-        raise IdentificationError(
-            f"joints {listed(robot.joint_names)}: two would share a file; accepted: names that differ in more than "
-            "/ \\ and :"
-        )
     return tuple(plan)
 
 

@@ -20,18 +20,18 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.config import check_numbers, read_yaml, without_schema_line, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.models import FileModel
-from rx90_common.base.quoting import listed, plain
+from rx90_common.base.quoting import listed
 from rx90_common.base.share import versions
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import load_drives
 from rx90_common.description.joint_model import all_joints
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
+from rx90_emulator.configuration.assumed_files import assumed_files
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import central
 from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate, digits
 from rx90_emulator.identification.fitted import ASSUMED
-from rx90_emulator.identification.output.assumed_files import assumed_files
 from rx90_emulator.identification.output.friction_file import FileFacts, elements_text
 from rx90_emulator.identification.output.summary import bodies_warnings, in_currents
 from rx90_emulator.identification.records import in_unit
@@ -62,8 +62,6 @@ def marked(block: Mapping[str, Any], new: Mapping[str, Identified]) -> dict[str,
     return about | note | content
 
 
-_MAX_MASS = 1e5  # kg
-_MAX_LEVER = 100.0  # m from the link's frame to its centre of mass
 _MOMENTS = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 
 
@@ -84,7 +82,7 @@ def edited_urdf(urdf: str, bodies: Mapping[str, Array | None], held: Collection[
                 link.remove(inertial)
             pseudo = bodies[name]
             if pseudo is not None:
-                link.insert(0, _inertial(name, pseudo))
+                link.insert(0, _inertial(pseudo))
     for joint in root.findall("joint"):
         if joint.get("name") in held:
             joint.set("type", "fixed")
@@ -94,14 +92,9 @@ def edited_urdf(urdf: str, bodies: Mapping[str, Array | None], held: Collection[
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _inertial(link: str, pseudo: Array) -> ET.Element:
+def _inertial(pseudo: Array) -> ET.Element:
     """Return the element with all digits, so that loading it gives exactly the identified values."""
     mass, center, inertia = central(pseudo)
-    if not (np.isfinite(pseudo).all() and 0.0 < mass < _MAX_MASS and np.linalg.norm(center) < _MAX_LEVER):
-        raise IdentificationError(
-            f"link {plain(link)} would have a mass of {mass:.3g} kg at {np.linalg.norm(center):.3g} m; accepted: up to "
-            f"{_MAX_MASS:g} kg and {_MAX_LEVER:g} m"
-        )
     inertial = ET.Element("inertial")
     ET.SubElement(inertial, "origin", xyz=" ".join(map(repr, center.tolist())), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=repr(float(mass)))

@@ -16,10 +16,10 @@ from scipy.interpolate import BPoly
 
 from rx90_common.base.errors import DONE, REFUSED
 from rx90_common.base.share import config_path
+from rx90_common.description.joint_model import robot_of_urdf
+from rx90_common.description.wall import Wall
+from rx90_common.description.workspace import Workspace
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.experiments.arms import robot_of_urdf
-from rx90_emulator.identification.experiments.options import Wall
-from rx90_emulator.identification.experiments.workspace import Workspace
 from rx90_emulator.loop.setup import Setup
 
 pytestmark = pytest.mark.slow

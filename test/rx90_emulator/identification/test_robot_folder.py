@@ -282,6 +282,6 @@ def test_no_absurd_friction_is_written(source: BagSource, parameter: str, value:
     assert "tau_c: 1.0" in elements_text(["a"], [good])
     estimates = {**good.estimates, parameter: ParameterEstimate(value, deviation)}
     bad = replace(good, element=good.element.with_parameters({parameter: value}), estimates=estimates)
-    said = rf"^a: {parameter} came out as .*accepted: up to |a\.{parameter}\.deviation is 1e\+48, so the file is not"
+    said = rf"a\.{parameter}\.(value|deviation) is (1e\+48|nan)"
     with pytest.raises(Rx90Error, match=said):
         elements_text(["a"], [bad])

@@ -99,6 +99,7 @@ def test_a_delay_of_the_torques_is_measured(described: RigidArm, record: JointRe
     late = np.column_stack([np.interp(record.time - delay, record.time, column) for column in record.torque.T])
     text = said(described, replace(record, torque=late))
     assert abs(float(re.findall(r"^wrong delay of the torques by (-?\d+) ms: ", text)[0]) - 1e3 * delay) <= 10.0
+    assert abs(float(re.findall(r"torque_delay: (\S+) in the signal map", text)[0]) + delay) <= 0.01
 
 
 def test_forgotten_gears_are_named_and_nothing_else(described: RigidArm, record: JointRecord) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.robot import RobotModel, joint_of
-from rx90_emulator.identification.experiments.options import Wall
+from rx90_common.description.wall import Wall
 
 SELF_CLEARANCE = 0.005
 """Least distance between shapes of the arm, m."""
@@ -121,10 +121,11 @@ def _planes_and_point(walls: Sequence[Wall]) -> list[Any]:
     """Return Pinocchio's shapes of thick boxes behind the planes, and of a point."""
     shapes = []
     for wall in walls:
-        x, y, z = np.array(wall.normal) * (wall.distance - 0.5 * _THICKNESS)
+        centre = np.array(wall.normal) * (wall.distance - 0.5 * _THICKNESS)
+        place = " ".join(map(repr, centre.tolist()))
         pitch = math.acos(wall.normal[2])
         yaw = math.atan2(wall.normal[1], wall.normal[0])
-        shapes.append(_BOX.format(place=f"{x!r} {y!r} {z!r}", turn=f"0 {pitch!r} {yaw!r}", size=_THICKNESS))
+        shapes.append(_BOX.format(place=place, turn=f"0 {pitch!r} {yaw!r}", size=_THICKNESS))
     text = f'<robot name="around"><link name="around">{"".join(shapes)}{_POINT}</link></robot>'
     around = list(pin.buildGeomFromUrdfString(pin.buildModelFromXML(text), text, pin.COLLISION).geometryObjects)
     for wall, shape in zip(walls, around, strict=False):
