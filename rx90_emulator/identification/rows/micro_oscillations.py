@@ -66,13 +66,21 @@ def band_spectrum(torque: Array, step: float) -> tuple[Array, Array]:
         Real parts above imaginary parts, shape (r, k), scaled so that white noise keeps the standard deviation that
         it has in a single step; frequencies, Hz, shape (r,).
     """
-    count = next_fast_len(len(torque), real=True)
-    window = tukey(len(torque), _TAPER_SHARE)
-    frequency = rfftfreq(count, _BLOCK * step)
-    band = (frequency >= _BAND_HZ[0]) & (frequency <= _BAND_HZ[1])
-    parts = rfft((torque - torque.mean(axis=0)) * window[:, None], count, axis=0)[band]
+    window, frequency, band = _window(len(torque), step)
+    parts = rfft((torque - torque.mean(axis=0))[: len(window)] * window[:, None], axis=0)[band]
     parts = parts * np.sqrt(2.0 * _BLOCK / (window @ window))
     return np.concatenate([parts.real, parts.imag]), np.tile(frequency[band], 2)
+
+
+@lru_cache(maxsize=16)
+def _window(longest: int, step: float) -> tuple[Array, Array, Mask]:
+    """Return a window over block means, the frequencies of its transform, Hz, and which of them are in the band.
+
+    Its length is the largest one up to `longest` whose transform is fast (scipy.fft.prev_fast_len from SciPy 1.14 on).
+    """
+    length = next(n for n in range(longest, 0, -1) if next_fast_len(n, real=True) == n)
+    frequency = rfftfreq(length, _BLOCK * step)
+    return tukey(length, _TAPER_SHARE), frequency, (frequency >= _BAND_HZ[0]) & (frequency <= _BAND_HZ[1])
 
 
 @dataclass(frozen=True, eq=False)
