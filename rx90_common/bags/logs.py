@@ -155,7 +155,8 @@ def _stamps_ns(path: Path, mapping: LogMapping, columns: Mapping[int | str, Any]
     """Return the times in ns, exactly if they are texts or whole numbers."""
     time = mapping.time
     if time is None:
-        return np.rint(np.arange(count) * (NANOSECONDS / (mapping.rate or 1.0))).astype(np.int64)
+        stamps = np.rint(np.arange(count) * (NANOSECONDS / (mapping.rate or 1.0))).astype(np.int64)
+        return stamps
     stamps: Int64Array
     cells = columns[time.column]
     unit_ns = TIME_UNITS[time.unit]
