@@ -262,7 +262,7 @@ def test_a_listener_that_may_miss_messages_does_not_make_the_recorder_miss_them(
     node.create_subscription(JointState, "motor_states", lambda _: None, hasty)
     wait_until(lambda: bool(node.get_subscriptions_info_by_topic("/motor_states")), "the listener")
     streams = stream.Streams(node, ["motor_states"])
-    streams.discover(lambda _: None)
+    streams.discover()
     (recorded,) = streams
     assert recorded.qos.reliability is QosReliability.RELIABLE
 
