@@ -290,8 +290,7 @@ class RecordedRobot:
             setup = Setup.load(files)
             arm = RigidArm.from_setup(setup)
             _check_sizes(options, len(arm.names))
-            robot = cls(arm, setup, options, mapping=mapping)
-            return robot._with_fallback(options.fallback or files.text("friction"))
+            return _with_fallback(cls(arm, setup, options, mapping=mapping), options.fallback or files.text("friction"))
         urdf = Path(options.urdf)
         options = _of_joints(options)
         arm = RigidArm.from_urdf(urdf, options.joints, massless=massless)
@@ -303,17 +302,7 @@ class RecordedRobot:
         coupling = None if options.coupling is None else np.reshape(options.coupling, arm.coupling.shape)
         drives = (coupling, options.rotor_inertia, options.spring)
         arm = RigidArm.from_urdf(urdf, options.joints, *drives, massless=massless, followed=followed)
-        return cls(arm, None, options, mapping=mapping, held=held)._with_fallback(options.fallback or "none")
-
-    def _with_fallback(self, name: str) -> RecordedRobot:
-        if name == "none":
-            return self
-        path = resolve_config(name)
-        fallback = FrictionFile.read(path).select(self.arm.element_names, path)
-        named = dict(zip(self.arm.element_names, fallback, strict=True))
-        what = "an identification with it as --fallback"
-        refuse_parts(named, what, f"{name}: elements.")
-        return replace(self, fallback=fallback, fallback_name=name)
+        return _with_fallback(cls(arm, None, options, mapping=mapping, held=held), options.fallback or "none")
 
     @property
     def zero(self) -> Array | None:
@@ -348,3 +337,15 @@ class RecordedRobot:
         topics = (MOTOR_STATES, JOINT_STATES) if fast else (JOINT_STATES, MOTOR_STATES)
         topic = topic or recorded_topic(bag, topics, self.mapping)
         return arm_layout(topic, self.arm.names, self.options, lambda: setup.drives, self.mapping)
+
+
+def _with_fallback(robot: RecordedRobot, name: str) -> RecordedRobot:
+    """Return a robot with the elements of a friction file, or of none."""
+    if name == "none":
+        return robot
+    path = resolve_config(name)
+    elements = robot.arm.element_names
+    fallback = FrictionFile.read(path).select(elements, path)
+    named = dict(zip(elements, fallback, strict=True))
+    refuse_parts(named, "an identification with it as --fallback", f"{name}: elements.")
+    return replace(robot, fallback=fallback, fallback_name=name)
