@@ -85,7 +85,7 @@ def _columns(series: JointSeries) -> list[tuple[str, str, str]]:
 def _write_csv(path: Path, tables: Sequence[JointSeries]) -> None:
     """Write times in s with nine decimals, which are exact, and numbers with all digits needed to restore them.
 
-    A signal map is written beside it, with which `rx90_bag import` makes the bag again.
+    A signal map is written beside it, with which `rx90 bag import` makes the bag again.
     """
     (series,) = tables
     path.with_suffix(".yaml").write_text(exported_mapping(series), encoding="utf-8")

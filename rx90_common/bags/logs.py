@@ -117,7 +117,7 @@ def read_log(path: Path, mapping: LogMapping | None = None, *, skip_corrupt: boo
     corrupt = {int(table.lines[row]): fault for row, fault in faults.items()}
     if corrupt and not (skip_corrupt and len(rows)):
         none = "" if len(rows) else "every row is corrupt: "
-        accepted = "columns as in the signal map, or rx90_bag import --skip-corrupt, to leave out some rows"
+        accepted = "columns as in the signal map, or rx90 bag import --skip-corrupt, to leave out some rows"
         raise BagError(f"{plain(path)}: {none}{_corrupt_text(corrupt)}; accepted: {accepted}")
     series = []
     for topic, mapped in mapping.by_topic.items():

@@ -13,7 +13,7 @@ torque_constant: [0.1, 0.08]
 A bag needs no columns: `topic`, `names` and the keys of motors and joints. A table may contain several topics,
 as `topics: {NAME: {names: ..., position: ...}}`; without a name it is `joint_states`.
 
-Columns are numbers from 1 on, or names in the log's header. `exact: true`, as `rx90_bag export` writes it, takes
+Columns are numbers from 1 on, or names in the log's header. `exact: true`, as `rx90 bag export` writes it, takes
 numbers and times as they stand. Position, velocity and effort may each be left out. `delimiter`, `decimal` and
 `header` (its number of lines) are detected, and may be given.
 """

@@ -19,8 +19,6 @@ from rx90_common.process.interrupts import stop_request
 from rx90_emulator.cli.options import (
     add_robot_arguments,
     add_verbs,
-    check_apart,
-    check_needs,
     new_folder,
     place,
 )
@@ -35,7 +33,6 @@ _KINDS = ("csv", "parquet", "npz")
 _BAG: dict[str, Any] = {"metavar": "BAG", "help": "bag: folder, .mcap, .db3 or ROS 1 .bag file"}
 _TOPIC: dict[str, Any] = {"nargs": "+", "dest": "topics", "metavar": "TOPIC"}
 _NOTHING_WRITTEN = "nothing was written"
-_TIP_FILES = ("urdf", "tool", "drives")  # files of a robot that say where a bag's tip was
 
 _MAPPING = """\
 a signal map (docs/howto/bags.md says more):
@@ -147,9 +144,6 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
         "in s (%(default)s)",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
-    parser.add_argument("--path-error", action="store_true", help="print, too, how far each tip is from the path of "
-                        "its set-points, across and along it, and the tool from its orientation")  # fmt: skip
-    add_robot_arguments(parser, *_TIP_FILES)
 
 
 def _compare(args: argparse.Namespace) -> int:
@@ -162,8 +156,6 @@ def _compare(args: argparse.Namespace) -> int:
     from rx90_common.bags.comparison import Scope, compare_bags
     from rx90_common.bags.tables import comparison_json, comparison_text
 
-    check_needs(args, ("robot", *_TIP_FILES), ("path_error",))
-    check_apart(args, ("json",), "path_error", "one of them")
     scope = Scope(
         topics=tuple(dict.fromkeys(args.topics)) if args.topics else None,
         fields=tuple(args.fields),
@@ -173,25 +165,27 @@ def _compare(args: argparse.Namespace) -> int:
         align=alignment(args.align),
     )
     comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(*args.tolerance), scope, _signals(args))
-    paths = _path_errors(args) if args.path_error else []
     print(comparison_json(comparison) if args.json else comparison_text(comparison))
-    print("".join(f"{line}\n" for line in paths), end="")
     return int(comparison.verdict)
 
 
-def _path_errors(args: argparse.Namespace) -> list[str]:
-    """Return a line for each bag: its path errors, by the set-points in it."""
+def _add_path(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("bags", type=Path, **_BAG | {"nargs": "+"})
+    _add_signals(parser)
+    add_robot_arguments(parser, "urdf", "tool", "drives")
+
+
+def _path(args: argparse.Namespace) -> None:
+    """Print how far the tip was from the path of the bag's set-points, across and along it, and its orientation."""
     from rx90_common.description.robot import load_robot
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.identification.validation.recorded_path import recorded_accuracy
 
     files = RobotFiles.of_options(args)
-    lines = []
     robot = load_robot(files.urdf, files.tool)
-    for bag in (args.bag_a, args.bag_b):
-        accuracy = recorded_accuracy(Path(bag), robot, files, args.signals)
-        lines.append(f"{plain(bag)}: {accuracy.words if accuracy else 'no path error: it holds no set-points'}")
-    return lines
+    for bag in args.bags:
+        accuracy = recorded_accuracy(bag, robot, files, args.signals)
+        print(f"{plain(bag)}: {accuracy.words if accuracy else 'no path error: it holds no set-points'}")
 
 
 def alignment(text: str) -> int | str:
@@ -260,7 +254,7 @@ def _export(args: argparse.Namespace) -> None:
     """Write joint states of a bag as tables: CSV, Parquet, or NPZ with names that MATLAB takes.
 
     The suffix of --output says the format; without one it is a folder with a file for each topic. Every number keeps
-    all its bits: `rx90_bag import` makes an equal bag of exported CSV files.
+    all its bits: `rx90 bag import` makes an equal bag of exported CSV files.
     """
     if args.format is not None and args.output.suffix.lower().removeprefix(".") in _KINDS:
         given = f"--format {args.format} with the file {plain(args.output)}"
@@ -291,7 +285,7 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
 def _import(args: argparse.Namespace) -> None:
     """Make a bag of joint states from a log in columns, CSV or separated by blanks; a signal map says what they hold.
 
-    Of a folder that `rx90_bag export` has written it makes the bag again.
+    Of a folder that `rx90 bag export` has written it makes the bag again.
     """
     from rx90_common.bags.logs import import_logs
 
@@ -322,6 +316,7 @@ def _info(options: argparse.Namespace) -> None:
 _VERBS = (
     (_add_record, _record, "record topics to a new bag; a lost message is a non-zero exit, and so is an empty bag"),
     (_add_compare, _compare, "compare two bags; exit 0 same, 1 differs, 2 cannot be compared"),
+    (_add_path, _path, "print how far the tip was from the path of its set-points"),
     (_add_plot, _plot, "draw one bag, or two and their difference, as a page or a picture"),
     (_add_export, _export, "write a bag as CSV, Parquet or NPZ"),
     (_add_import, _import, "make a bag from a CSV log; a file says what its columns hold"),

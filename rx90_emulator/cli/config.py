@@ -1,20 +1,15 @@
-"""Check configuration files, show what a setup comes to, and print the completion for a shell."""
+"""Check configuration files, and show what a setup comes to."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import SHIPPED_RIG
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_emulator.cli.completion import SHELLS, completion
 from rx90_emulator.cli.options import add_robot_arguments, add_verbs
-
-if TYPE_CHECKING:
-    pass
 
 _KINDS = "controller, drives, friction, rig, sweep_plan …"
 
@@ -60,20 +55,6 @@ def _check(options: argparse.Namespace) -> int:
     return VERDICT_NO if problems else DONE
 
 
-def _add_completion(complete: argparse.ArgumentParser) -> None:
-    complete.add_argument("shell", choices=SHELLS)
-
-
-def _completion(options: argparse.Namespace) -> int:
-    """Print the completion of all commands for a shell.
-
-    To turn it on, put into ~/.bashrc or ~/.zshrc: eval "$(rx90_config completion bash)", or zsh; that of zsh behind
-    compinit. For fish: rx90_config completion fish | source, in config.fish.
-    """
-    print(completion(options.shell, options.executables))
-    return DONE
-
-
 def _add_show(show: argparse.ArgumentParser) -> None:
     add_robot_arguments(show, *FILES)
     show.add_argument("--rig", metavar="FILE", help=f"rig file of the friction rig ({SHIPPED_RIG})")
@@ -109,6 +90,5 @@ def _show(options: argparse.Namespace) -> int:
 
 _VERBS = (
     (_add_check, _check, "say what is wrong in configuration files"),
-    (_add_completion, _completion, "print the completion of all commands for a shell"),
     (_add_show, _show, "show what a setup comes to, and where each value comes from"),
 )

@@ -58,6 +58,6 @@ def main(options: argparse.Namespace) -> int:
     if options.within is not None and done.largest > options.within:
         worst = max(done.fits, key=lambda fit: fit.worst)
         line = f"{worst.name} differs by up to {worst.worst:.3g} Nm; accepted: {options.within:g} Nm"
-        print(f"rx90_export: {line}", file=sys.stderr)
+        print(f"rx90 export: {line}", file=sys.stderr)
         return VERDICT_NO
     return DONE

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import itertools
 import math
 import os
 import re
@@ -13,9 +12,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NoReturn
 
-from rx90_common.base.errors import ConfigError, check_bag_name, check_place
+from rx90_common.base.errors import REFUSED, ConfigError, check_bag_name, check_place
 from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_common.description.robot_files import (
     DEFAULT_ROBOT,
@@ -35,6 +35,7 @@ _NEGATIVE = re.compile(r"-((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf|infinity|nan)$", re
 _BAR = "{desc}: {percentage:3.0f} % |{bar}| [{elapsed}<{remaining}]"
 CONTROLLER = "rx90_controller"
 """Name of the controller node, unless another one is given."""
+URDF = "its URDF with <inertial>, no xacro"
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -52,23 +53,27 @@ class CommandParser(argparse.ArgumentParser):
         return super().format_help() + _EXIT_CODES
 
     def error(self, message: str) -> NoReturn:
-        """Refuse the command line; words of it are quoted in the message as they are."""
-        super().error(one_line(message))
+        """Refuse the command line in one line; words of it are quoted in the message as they are."""
+        self.exit(REFUSED, f"{self.prog}: {one_line(message)}; {self.prog} --help says what is accepted\n")
 
 
-def command_of(program: str, place: str) -> tuple[CommandParser, Callable[[Any], int | None]]:
-    """Return the parser of an executable with its options, and what runs it.
+def command_of(name: str) -> tuple[CommandParser, Callable[[Any], int | None]]:
+    """Return the parser of a command, an executable or `rx90 VERB`, with its options, and what runs it."""
+    module = module_of(name)
+    parser = CommandParser(prog=name, description=inspect.getdoc(module))
+    module.add_arguments(parser)
+    return parser, getattr(module, "main", _run_verb)
 
-    Args:
-        program: its name.
-        place: of its functions, as the frame's table has it.
-    """
-    path, _, name = place.partition(":")
-    module = import_module(path)
-    run = getattr(module, name or "main", None) or (lambda options: options.run(options))
-    parser = CommandParser(prog=program, description=inspect.getdoc(run if name else module))
-    getattr(module, f"add_{name or 'arguments'}")(parser)
-    return parser, run
+
+def module_of(name: str) -> ModuleType:
+    """Return the module of a command."""
+    file = name.removeprefix("rx90 ") if name.startswith("rx90 ") else "node"
+    return import_module(f"rx90_emulator.cli.{file}")
+
+
+def _run_verb(options: Any) -> int | None:
+    """Run the verb that `add_verbs` has left in the options."""
+    return options.run(options)  # type: ignore[no-any-return]
 
 
 def split_ros_args(words: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -233,13 +238,10 @@ def add_verbs(parser: argparse.ArgumentParser, verbs: Sequence[Verb], required: 
 
 
 def add_robot_argument(parser: argparse._ActionsContainer) -> None:
-    """Add --robot, which names all files of a robot, and --paper, which names those of the paper's choices."""
-    either = parser.add_mutually_exclusive_group()
-    either.add_argument("--robot", metavar="ROBOT",
-                        help=f"{', '.join(shipped_robots())}, or your own robot folder ({DEFAULT_ROBOT})")  # fmt: skip
-    either.add_argument("--paper", dest="robot", action="store_const", const=PAPER,
-                        help="the RX90B with the paper's literal choices: constant c1, D without the set-point's "
-                        f"velocity, a sign function; the same as --robot {PAPER}")  # fmt: skip
+    """Add --robot, which names all files of a robot."""
+    parser.add_argument("--robot", metavar="ROBOT",
+                        help=f"{', '.join(shipped_robots())}, or your own robot folder ({DEFAULT_ROBOT}; {PAPER} has "
+                        "the paper's literal choices)")  # fmt: skip
 
 
 def add_robot_arguments(parser: argparse.ArgumentParser, *names: str) -> None:
@@ -257,12 +259,6 @@ def add_page_arguments(group: argparse._ActionsContainer, port: int) -> None:
                        "alone)")  # fmt: skip
     group.add_argument("--port", type=_PORT, metavar="N", help=f"0: any free one ({port})")
     group.add_argument("--no-browser", action="store_true", help="print the address and open no browser")
-
-
-def page_arguments(options: argparse.Namespace) -> list[str]:
-    """Return the options of a page that were given, as words of a command line."""
-    words = [(f"--{name}", str(value)) for name in ("host", "port") if (value := getattr(options, name)) is not None]
-    return [*itertools.chain(*words), *["--no-browser"] * options.no_browser]
 
 
 def add_node_arguments(group: argparse._ActionsContainer, timeout: float) -> None:
@@ -288,15 +284,19 @@ def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
         "another robot", "n is the number of joints; lists follow --joints. SI units, and gravity along -z of the "
         "URDF's root link."
     )  # fmt: skip
-    other.add_argument("--urdf", type=Path, metavar="FILE",
-                       help="its URDF with <inertial>, no xacro; turns the options of this group on")  # fmt: skip
-    other.add_argument("--joints", nargs="+", metavar="NAME",
-                       help="the URDF's joints of interest from base to tip; the others are held at 0 (all movable "
-                       "ones)")  # fmt: skip
+    other.add_argument("--urdf", type=Path, metavar="FILE", help=f"{URDF}; turns the options of this group on")
+    add_joints_argument(other)
     add_message_arguments(other)
     other.add_argument("--rotor-inertia", nargs="+", metavar="J",
                        type=number("0 or a positive number", lambda value: value >= 0.0),
                        help="of each motor, seen through its gear (times its square), kg m^2 (0)")  # fmt: skip
+
+
+def add_joints_argument(group: argparse._ActionsContainer) -> None:
+    """Add the option of the joints of a URDF."""
+    group.add_argument("--joints", nargs="+", metavar="NAME",
+                       help="the URDF's joints of interest from base to tip; the others are held at 0 (all movable "
+                       "ones)")  # fmt: skip
 
 
 def add_zero_argument(group: argparse._ActionsContainer) -> None:

@@ -83,7 +83,7 @@ def main(options: argparse.Namespace) -> None:
     check_needs(options, ("slow_only",), ("output",))
     check_needs(options, ("node", "timeout"), ("nodes",))
     for name in ("output", "report", "plot"):
-        check_apart(options, (name,), "nodes", "a recorder beside the nodes, rx90_bag record")
+        check_apart(options, (name,), "nodes", "a recorder beside the nodes, rx90 bag record")
     if options.plot is not None:
         check_picture(options.plot)
     # Here, because --help must not wait for them.

@@ -28,7 +28,7 @@ def _add_run(run: argparse.ArgumentParser) -> None:
     where = run.add_mutually_exclusive_group()
     where.add_argument("--workers", type=whole_number, help="processes on this machine (all cores)")
     where.add_argument("--scheduler", help="run on the Dask cluster at this address, such as tcp://host:8786")
-    kept = "what is done is kept; go on with: rx90_sweep run {plan} --output {output} --resume"
+    kept = "what is done is kept; go on with: rx90 sweep run {plan} --output {output} --resume"
     run.set_defaults(interrupted=kept)
 
 
@@ -55,13 +55,13 @@ def _run(options: argparse.Namespace) -> None:
         print(one_line(f"nothing to do: {options.output} is complete, {counted(len(sweep), 'run')}"))
     else:
         done = f"{counts.computed} of {counted(len(sweep), 'run')} in {elapsed:.1f} s, {counts.failed} failed"
-        why = f" (rx90_sweep info {options.output} says why)" if counts.failed else ""
+        why = f" (rx90 sweep info {options.output} says why)" if counts.failed else ""
         print(one_line(f"{done}{why}; {options.output}"))
     if counts.failed == counts.computed:  # perhaps not one run of the file has results, also of calls before
         errors = read_sweep(options.output)["error"]
         if errors.null_count == 0:
             runs = "the run" if len(errors) == 1 else f"each of the {len(errors)} runs"
-            more = f"rx90_sweep info {plain(options.output)} says more"
+            more = f"rx90 sweep info {plain(options.output)} says more"
             raise FailureError(f"{runs} failed, for example: {errors[0].as_py()}; {more}")
     if options.report is not None:
         _write_page(options.output, options.report)

@@ -1,4 +1,4 @@
-"""What `rx90_identify` and `rx90_compare_measured` do once their options have been checked: slow to import."""
+"""What `rx90 identify` and `rx90 identify compare` do once their options have been checked: slow to import."""
 
 from __future__ import annotations
 

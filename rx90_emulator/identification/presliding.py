@@ -82,7 +82,7 @@ def identify_presliding(
         where = ", ".join(str(record.source) for record in records) or "no bag"
         raise IdentificationError(
             f"{where}: no velocity reversals small enough for the presliding regime; accepted: oscillations of "
-            "some 0.1 mrad at some 3 to 30 Hz, such as rx90_experiment makes"
+            "some 0.1 mrad at some 3 to 30 Hz, such as rx90 experiment makes"
         )
     covariances = sliding_covariances or [np.zeros((len(SLIDING),) * 2)] * len(sliding)
     estimates: dict[int, ElementEstimate] = {}

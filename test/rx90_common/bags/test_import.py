@@ -171,7 +171,7 @@ def test_what_a_cell_holds_is_told_not_the_header(
     """One line names the cell, where "no column 't'; there are no names" stood beside a header."""
     write(tmp_path / "m.yaml", NAMED)
     paths = str(write(tmp_path / "log.csv", log)), str(tmp_path / "bag")
-    assert run("rx90_bag", ["import", *paths, "--signals", str(tmp_path / "m.yaml")]) == 2
+    assert run("rx90 bag", ["import", *paths, "--signals", str(tmp_path / "m.yaml")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
 
@@ -181,7 +181,7 @@ def test_empty_cells_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str
     """An empty cell of a column that is read, the last one too, is called so, with line and column."""
     log = write(tmp_path / "log.csv", f"t,a,b\n0,1,2\n{cells}\n3,1,2\n")
     mapping = write(tmp_path / "m.yaml", PLAIN)
-    assert run("rx90_bag", ["import", str(log), str(tmp_path / "bag"), "--signals", str(mapping)]) == 2
+    assert run("rx90 bag", ["import", str(log), str(tmp_path / "bag"), "--signals", str(mapping)]) == 2
     is_word = "" if where == "time" else "is "
     assert f"1 corrupt row, line 3 (line 3: {where} {is_word}empty" in capsys.readouterr().err
 
@@ -221,12 +221,12 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
     """Torn rows, what is no number, absurd numbers and times out of order are refused, or left out, line by line."""
     log, mapping = write(tmp_path / "log.csv", DAMAGED), write(tmp_path / "m.yaml", PLAIN)
     words = ["import", str(log), str(tmp_path / "bag"), "--signals", str(mapping)]
-    assert run("rx90_bag", words) == 2
+    assert run("rx90 bag", words) == 2
     said = capsys.readouterr().err
     assert "9 corrupt rows, line 2, 3, 4, 5, 7, 8, 10, 11, 12 (line 2: time '-0.12'" in said
     assert said.count("\n") == 1
     assert not (tmp_path / "bag").exists()
-    assert run("rx90_bag", [*words, "--skip-corrupt"]) == 0
+    assert run("rx90 bag", [*words, "--skip-corrupt"]) == 0
     said = capsys.readouterr().out
     assert "/joint_states: 2 joints, 4 of 13 rows" in said
     assert "left out: 9 corrupt rows, line 2, 3, 4, 5, 7, 8, 10, 11, 12" in said
@@ -276,7 +276,7 @@ def test_what_does_not_fit_is_refused(
     (tmp_path / "log.csv").write_bytes(log)
     write(tmp_path / "m.yaml", mapping)
     words = ["import", str(tmp_path / "log.csv"), str(tmp_path / "bag"), "--signals", str(tmp_path / "m.yaml")]
-    assert run("rx90_bag", words) == 2
+    assert run("rx90 bag", words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
     assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "m.yaml"]
@@ -293,9 +293,9 @@ def test_a_full_disk_leaves_no_part_of_a_bag(
     log = write(tmp_path / "log.csv", "\n".join(["t,a,b", *lines]))
     write(tmp_path / "log.yaml", PLAIN + EXACT * exact)
     with files_up_to(limit):
-        assert run("rx90_bag", ["import", str(log), str(tmp_path / "new" / "bag")]) == 3
+        assert run("rx90 bag", ["import", str(log), str(tmp_path / "new" / "bag")]) == 3
     (line,) = capsys.readouterr().err.splitlines()
-    assert line == f"rx90_bag: {tmp_path}/new/bag: cannot be written (File too large)"
+    assert line == f"rx90 bag: {tmp_path}/new/bag: cannot be written (File too large)"
     assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "log.yaml"]
 
 
@@ -321,15 +321,15 @@ def test_damaged_lines_of_an_exported_file_are_left_out(tmp_path: Path, capsys: 
     """--skip-corrupt leaves out lines of an exact log that hold no time and numbers, also its first, and says which."""
     write(tmp_path / "log.yaml", PLAIN + EXACT)
     log = write(tmp_path / "log.csv", "t,a,b\n1\n1,1,2\n2,x,2\n\n4,nan,2\n3,1,2\nlater,1,2\n")
-    assert run("rx90_bag", ["import", str(log), str(tmp_path / "bag")]) == 2
-    assert run("rx90_bag", ["import", "--skip-corrupt", str(log), str(tmp_path / "bag")]) == 0
+    assert run("rx90 bag", ["import", str(log), str(tmp_path / "bag")]) == 2
+    assert run("rx90 bag", ["import", "--skip-corrupt", str(log), str(tmp_path / "bag")]) == 0
     said = capsys.readouterr().out
     assert "/joint_states: 2 joints, 3 of 6 rows" in said
     assert "left out: 3 corrupt rows, line 2, 4, 8 (line 2: 1 field, others have 3)" in said
     found = read_joint_states(tmp_path / "bag", "joint_states")
     assert found.stamp_ns.tolist() == [10**9, 3 * 10**9, 4 * 10**9]
     write(log, "t,a,b\nx,1,2\n")
-    assert run("rx90_bag", ["import", "--skip-corrupt", str(log), str(tmp_path / "none")]) == 2
+    assert run("rx90 bag", ["import", "--skip-corrupt", str(log), str(tmp_path / "none")]) == 2
     assert "every row is corrupt: 1 corrupt row, line 2 (line 2: time 'x'" in capsys.readouterr().err
 
 
@@ -351,13 +351,13 @@ def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureF
         assert (tables / "joint_states.csv").read_text().splitlines()[0] == f"time [s],a {label},b {label}"
         export_bag(folder / "bag", folder / "a.npz")
         assert f"joint_states_effort_{label[8:-1]}" in np.load(folder / "a.npz")
-        assert run("rx90_bag", ["import", str(tables), str(again)]) == 0
-        assert run("rx90_bag", ["compare", str(folder / "bag"), str(again)]) == 0
-        assert run("rx90_bag", ["info", str(again)]) == 0
+        assert run("rx90 bag", ["import", str(tables), str(again)]) == 0
+        assert run("rx90 bag", ["compare", str(folder / "bag"), str(again)]) == 0
+        assert run("rx90 bag", ["info", str(again)]) == 0
         assert ("effort in A" in capsys.readouterr().out) == (unit == "mA")
         with AnyReader([again]) as reader:
             assert reader.message_count == len(TIME)
-    assert run("rx90_bag", ["compare", str(tmp_path / "mA" / "bag"), str(tmp_path / "mNm" / "bag")]) == 1
+    assert run("rx90 bag", ["compare", str(tmp_path / "mA" / "bag"), str(tmp_path / "mNm" / "bag")]) == 1
     assert "effort is in A in the first bag and in Nm in the second, and not compared" in capsys.readouterr().out
 
 
@@ -372,5 +372,5 @@ def test_every_verb_that_reads_a_table_takes_its_map(
     monkeypatch.chdir(tmp_path)
     write(Path("log.csv"), rows(","))
     write(Path("arm.yaml"), PLAIN)
-    assert run("rx90_bag", words) == 2
-    assert run("rx90_bag", [*words, "--signals", "arm.yaml"]) == 0
+    assert run("rx90 bag", words) == 2
+    assert run("rx90 bag", [*words, "--signals", "arm.yaml"]) == 0

@@ -94,8 +94,8 @@ def start(ros_domain: int, warm: None) -> Iterator[Start]:  # noqa: ARG001 - wha
 
 
 def record(start: Start, output: Path, *arguments: str, ready: int = 0, **options: Any) -> Process:
-    """Start `rx90_bag record`; wait until so many topics are ready."""
-    recorder = start("-m", "rx90_emulator", "rx90_bag", "record", "-o", str(output), *arguments, **options)
+    """Start `rx90 bag record`; wait until so many topics are ready."""
+    recorder = start("-m", "rx90_emulator", "bag", "record", "-o", str(output), *arguments, **options)
     if ready:
         recorder.wait_for(f"ready: all topics are matched, recording {ready} topic")
     return recorder
@@ -314,7 +314,7 @@ CRAMPED = """
 import resource, sys
 from rx90_emulator.cli.frame import run
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
-sys.exit(run('rx90_bag', sys.argv[1:]))
+sys.exit(run('rx90 bag', sys.argv[1:]))
 """
 STUCK = """
 import sys, threading
@@ -331,7 +331,7 @@ def stuck(self):
     return taken
 stream.Stream.take = stuck
 recording._MAX_END_S = 0.5
-sys.exit(execute('rx90_bag', sys.argv[1:]))
+sys.exit(execute('rx90 bag', sys.argv[1:]))
 """
 
 
@@ -344,7 +344,7 @@ def test_a_disk_that_takes_no_more_is_a_failure(tmp_path: Path, start: Start, no
     suite.publish(8000, 0, acknowledged=False)  # the recorder holds the newest second
     code, _, err = recorder.finish()
     half = "; what was written before stays"
-    assert (code, err.strip()) == (3, f"rx90_bag: {tmp_path / 'bag'}: cannot be written (File too large){half}")
+    assert (code, err.strip()) == (3, f"rx90 bag: {tmp_path / 'bag'}: cannot be written (File too large){half}")
     with pytest.raises(BagError, match=r"bag\.mcap is cut off"), BagReader(tmp_path / "bag"):
         pass
 
@@ -359,7 +359,7 @@ def test_a_middleware_that_does_not_return_ends_the_recorder(tmp_path: Path, sta
     recorder.wait_for("stuck")
     code, out, err = recorder.finish(signal.SIGINT)
     assert (code, out, err.count("\n")) == (3, "", 1)
-    assert err.startswith("rx90_bag: the message reader did not end within 0.5 s (it is in ")
+    assert err.startswith("rx90 bag: the message reader did not end within 0.5 s (it is in ")
     assert len(read_joint_states(tmp_path / "bag", "motor_states").stamp_ns) == 400
 
 
@@ -446,10 +446,10 @@ def test_types_of_others_are_recorded(
     durability = {topic: kind.ext.offered_qos_profiles[0].durability for topic, kind in connections.items()}  # type: ignore[union-attr]
     assert [topic for topic, kind in durability.items() if kind is QosDurability.TRANSIENT_LOCAL] == ["/tf_static"]
     assert connections["/rx90_controller/controller_state"].digest == STATE_HASH
-    assert run("rx90_bag", ["info", str(tmp_path / "bag")]) == 0
+    assert run("rx90 bag", ["info", str(tmp_path / "bag")]) == 0
     said = capsys.readouterr().out
     assert re.search(rf"{STATE}.* 3 ", said)
-    assert run("rx90_bag", ["compare", str(tmp_path / "bag"), str(tmp_path / "bag")]) == 0
+    assert run("rx90 bag", ["compare", str(tmp_path / "bag"), str(tmp_path / "bag")]) == 0
 
 
 def test_a_definition_goes_into_its_bag_alone(tmp_path: Path) -> None:

@@ -248,7 +248,7 @@ def test_the_arm_does_not_touch_itself(shipped: Setup) -> None:
 def test_a_folder_of_excitation_runs_is_identified_as_such(
     plan: tuple[Experiment, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`rx90_identify FOLDER` takes runs and validation from the index; one of a series of sweeps names none."""
+    """`rx90 identify FOLDER` takes runs and validation from the index; one of a series of sweeps names none."""
     runs = [plan[0], replace(plan[0], name="unseen", kind=Kind.VALIDATION)]
     write_index(tmp_path, runs[1:])
     (tmp_path / "unseen").mkdir()
@@ -258,7 +258,7 @@ def test_a_folder_of_excitation_runs_is_identified_as_such(
     write_index(tmp_path, runs)
     seen: list[object] = []
     monkeypatch.setattr(identification_job, "run_excitation", lambda *given, **_: seen.append(given) or True)
-    assert run("rx90_identify", [str(tmp_path), "--output", str(tmp_path / "out")]) == DONE
+    assert run("rx90 identify", [str(tmp_path), "--output", str(tmp_path / "out")]) == DONE
     (given,) = seen
     assert (given[0], given[2]) == ((tmp_path / "excitation_1",), (tmp_path / "unseen",))  # type: ignore[index]
 

@@ -45,8 +45,8 @@ def test_a_joint_without_micro_oscillations_takes_c0_and_bristles(
 ) -> None:
     """Sweeps alone leave c0 and block of the fallback, to the last digit, marked as assumed, on page and terminal."""
     given, file = fallback(tmp_path / "given.yaml", SLIPPING), tmp_path / "friction.yaml"
-    words = ["--sliding", str(hinge.bag), "--urdf", str(hinge.urdf), "--fallback", str(given), "--output", str(file)]
-    assert run("rx90_identify", words) == DONE
+    words = ["sliding", str(hinge.bag), "--urdf", str(hinge.urdf), "--fallback", str(given), "--output", str(file)]
+    assert run("rx90 identify", words) == DONE
     content = yaml.safe_load(file.read_text(encoding="utf-8"))
     element = content["elements"]["hinge"]
     assert (element["bristles"], element["c0"]) == (SLIPPING, 12345.0)
@@ -65,8 +65,8 @@ def test_a_joint_without_micro_oscillations_takes_c0_and_bristles(
 def test_without_a_file_bristles_are_assumed(hinge: Hinge, tmp_path: Path) -> None:
     """Sweeps alone, no fallback: bristles break away after 0.25 mrad, marked so; rows at reversals judge them alone."""
     file = tmp_path / "friction.yaml"
-    words = ["--sliding", str(hinge.bag), "--urdf", str(hinge.urdf), "--output", str(file)]
-    assert run("rx90_identify", words) == DONE
+    words = ["sliding", str(hinge.bag), "--urdf", str(hinge.urdf), "--output", str(file)]
+    assert run("rx90 identify", words) == DONE
     element = FrictionFile.read(file).elements["hinge"]
     mean = 0.5 * (element.tau_c.positive + element.tau_c.negative)
     assert element.c0 == pytest.approx(mean / 2.5e-4, rel=1e-5)

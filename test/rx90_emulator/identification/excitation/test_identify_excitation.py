@@ -1,4 +1,4 @@
-"""`rx90_identify --excitation BAG ...`: values, verdicts, files, and what is refused."""
+"""`rx90 identify excitation BAG ...`: values, verdicts, files, and what is refused."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_values_are_those_of_the_arm(bench: Bench, outcome: Outcome) -> None:
 def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
     """The arm's own run is confirmed at its noise, one with 1.8 times the friction is not, and the code says so."""
     assert outcome.code == VERDICT_NO
-    assert outcome.error.splitlines()[-1] == "rx90_identify: the validation does not confirm the result"
+    assert outcome.error.splitlines()[-1] == "rx90 identify: the validation does not confirm the result"
     verdicts = re.findall(r"validation \S+/(\w+): (confirmed|NOT CONFIRMED)", outcome.said)
     assert verdicts == [("unseen", "confirmed"), ("stiff", "NOT CONFIRMED")]
     good, bad = outcome.result.validations

@@ -93,5 +93,5 @@ def main(options: argparse.Namespace) -> int:
     write_text(options.output / "report.html", result.page)
     print(f"{result.text}\nreport: {plain(options.output / 'report.html')}")
     for line in result.deciding:
-        print(one_line(f"rx90_controller_check: {line}"), file=sys.stderr)
+        print(one_line(f"rx90 check: {line}"), file=sys.stderr)
     return VERDICT_NO if result.deciding else DONE
