@@ -171,10 +171,12 @@ class Streams:
             if stream is None:
                 # A topic that is only listened to, such as a controller's trajectories, has a type too; its
                 # publishers come and go, and the first message must not be missed.
-                endpoints = self._node.get_publishers_info_by_topic(topic)
-                endpoints = endpoints or self._node.get_subscriptions_info_by_topic(topic)
+                publishers = self._node.get_publishers_info_by_topic(topic)
+                endpoints = publishers or self._node.get_subscriptions_info_by_topic(topic)
                 if endpoints:
-                    found = self._found[topic] = Stream(self._node, topic, index, endpoints, self.trajectories)
+                    found = self._found[topic] = Stream(
+                        self._node, topic, index, endpoints, self.trajectories, published=bool(publishers)
+                    )
                     self._batching.include(found.subscription)
                     on_found(found)
         return not self.missing()
@@ -206,6 +208,8 @@ class Stream:
         index: place in the list of topics.
         endpoints: the publishers in the ROS graph or, where there are none yet, the subscriptions.
         trajectories: counts those that come.
+        published: `endpoints` are publishers. Of a topic that is only listened to, every message is asked for: a
+            listener that may miss some says nothing about the publisher, which may only not be known yet.
 
     Attributes:
         definition: the text of its type, if readers of this project do not know it; else empty.
@@ -214,7 +218,14 @@ class Stream:
     """
 
     def __init__(
-        self, node: Node, topic: str, index: int, endpoints: Sequence[Any], trajectories: TrajectoryCount
+        self,
+        node: Node,
+        topic: str,
+        index: int,
+        endpoints: Sequence[Any],
+        trajectories: TrajectoryCount,
+        *,
+        published: bool,
     ) -> None:
         self.topic = topic
         self.index = index
@@ -232,7 +243,7 @@ class Stream:
         known = typestore().fielddefs
         self.definition = "" if self.msgtype in known else definition(kind, known)
         profiles = [endpoint.qos_profile for endpoint in endpoints]
-        reliable = all(p.reliability != ReliabilityPolicy.BEST_EFFORT for p in profiles)
+        reliable = not published or all(p.reliability != ReliabilityPolicy.BEST_EFFORT for p in profiles)
         self._latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
         self.qos: Qos = offered_qos(reliable=reliable, transient_local=self._latched)
         self.subscription = node.create_subscription(
