@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +26,6 @@ from rx90_emulator.identification.options import (
     MODEL_PARTS,
     RECORDED,
     SLIDING_PARTS,
-    ExcitationTolerances,
     MeasuredLayout,
     MeasuredTolerances,
     RobotOptions,
@@ -62,8 +62,8 @@ def _add_sliding(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--presliding", type=Path, nargs="+", default=[], metavar="BAG",
                         help="micro-oscillations, 500 samples per second or more; else c0 and c1 are those of "
                         "--fallback, or assumed")  # fmt: skip
-    _add_identification(parser, SLIDING_PARTS, "friction file to write (.yaml)")
-    _add_report(parser, "beside the friction file, .html")
+    _add_identification(parser, SLIDING_PARTS, "friction file to write (.yaml), with the report beside it (.html)")
+    parser.add_argument("--force", action="store_true", help="replace files that exist")
     _add_tolerances(parser, EMULATED.torque)
     add_arm_arguments(parser)
 
@@ -124,7 +124,7 @@ def _add_tolerances(parser: argparse.ArgumentParser, emulated: float | None = No
 def _sliding(options: argparse.Namespace) -> int:
     """Identify friction from sweeps at constant velocity, and its bristles from micro-oscillations."""
     # Here, because --help must not wait for it.
-    from rx90_emulator.identification import job
+    from rx90_emulator.identification import identify, job
     from rx90_emulator.identification.experiments.plan import IdentificationBags
 
     series = _series(options.bags)
@@ -133,36 +133,46 @@ def _sliding(options: argparse.Namespace) -> int:
         presliding=(*series.presliding, *options.presliding),
         validation=(*series.validation, *options.validation),
     )
-    confirmed = job.run_identification(
-        bags, _robot(options), _tolerances(options), options.output, options.report,
-        model=options.model, force=options.force,
-    )  # fmt: skip
-    return _verdict(confirmed, "the validation does not confirm the result")
+    robot = _robot(options)
+    tolerances = _tolerances(options)
+    against = job.run_identification(
+        lambda step: identify.identify_friction(bags, robot, tolerances, step, model=options.model),
+        options.output,
+        folder=False,
+        force=options.force,
+    )
+    return _verdict(against and f"{against} the result")
 
 
 def _excitation(options: argparse.Namespace) -> int:
     """Identify dynamics and friction of the whole arm from runs in which all joints move."""
-    from rx90_emulator.identification import job
+    from rx90_emulator.identification import excitation, job
 
     series = _series(options.bags)
-    limits = _tolerances(options)
-    tolerances = ExcitationTolerances(limits.get("total", RECORDED.total), limits.get("torque", RECORDED.torque))
-    confirmed = job.run_excitation(
-        series.excitation, _robot(options), (*series.validation, *options.validation), tolerances, options.output,
-        bristles=options.bristles, model=options.model, rotors=not options.no_rotors, bandwidth=options.bandwidth,
+    validation = (*series.validation, *options.validation)
+    robot = _robot(options)
+    tolerances = _tolerances(options)
+    against = job.run_identification(
+        lambda step: excitation.identify_excitation(
+            series.excitation, robot, validation, tolerances,
+            bristles=options.bristles, model=options.model, rotors=not options.no_rotors,
+            bandwidth=options.bandwidth, progress=step,
+        ),
+        options.output,
+        folder=True,
         force=options.force,
     )  # fmt: skip
-    return _verdict(confirmed, "the validation does not confirm the result")
+    return _verdict(against and f"{against} the result")
 
 
 def _check(options: argparse.Namespace) -> int:
     """Hold a friction file against bags; nothing is identified."""
     from rx90_emulator.identification import job
 
-    confirmed = job.run_check(
+    against = job.run_check(
         options.friction, options.bags, _robot(options), _tolerances(options), options.report, force=options.force
     )
-    return _verdict(confirmed, f"the validation does not confirm {options.friction}")
+    return _verdict(against and f"{against} {options.friction}")
 
 
 def _series(paths: Sequence[Path]) -> IdentificationBags:
@@ -187,8 +197,8 @@ def _series(paths: Sequence[Path]) -> IdentificationBags:
 
 
 def _robot(options: argparse.Namespace) -> RobotOptions:
-    names = (name for name in RobotOptions.__dataclass_fields__ if hasattr(options, name))
-    return RobotOptions(**{name: getattr(options, name) for name in names})
+    stated = {field.name for field in fields(RobotOptions)}
+    return RobotOptions(**{name: value for name, value in vars(options).items() if name in stated})
 
 
 def _tolerances(options: argparse.Namespace) -> dict[str, float]:
@@ -196,10 +206,11 @@ def _tolerances(options: argparse.Namespace) -> dict[str, float]:
     return {name: value for name, value in limits.items() if value is not None}
 
 
-def _verdict(confirmed: bool, text: str) -> int:
-    if confirmed:
+def _verdict(against: str) -> int:
+    """Return the exit code, and say what speaks against a result, if anything does."""
+    if not against:
         return DONE
-    print(one_line(f"rx90 identify: {text}"), file=sys.stderr)
+    print(one_line(f"rx90 identify: {against}"), file=sys.stderr)
     return VERDICT_NO
 
 
@@ -244,7 +255,7 @@ def _compare(options: argparse.Namespace) -> int:
     agrees = run_comparison(
         options.bag, files, layout, tolerances, options.bandwidth, options.report, force=options.force
     )
-    return _verdict(agrees, f"{options.bag} and the simulation do not agree")
+    return _verdict("" if agrees else f"{options.bag} and the simulation do not agree")
 
 
 _VERBS = (

@@ -96,7 +96,7 @@ def _identified(_arm: Arm, page: Path) -> None:
         bags.append(
             write(page.parent / f"{TEXTS[seed].replace('/', '')}", "/joint_states", names, RATE, (*motion, torque))
         )
-    words = ["--excitation", bags[0], "--validation", bags[1], "--output", page.parent / "found"]
+    words = ["excitation", bags[0], "--validation", bags[1], "--output", page.parent / "found"]
     assert bench.identify(*words) in (0, 1)
     (page.parent / "found" / "report.html").rename(page)
 
@@ -106,14 +106,14 @@ def _slid(arm: Arm, page: Path) -> None:
     series = page.parent / "series"
     rx.record_on_engine(setup, rx.plan_experiments(setup, groups=setup.robot.joint_names[2:3], quick=True), series)
     found = page.parent / "friction.yaml"
-    assert run("rx90 identify", [str(series), "--robot", str(folder), "--output", str(found)]) in (0, 1)
+    assert run("rx90 identify sliding", [str(series), "--robot", str(folder), "--output", str(found)]) in (0, 1)
     found.with_suffix(".html").rename(page)
 
 
 def _held_against(arm: Arm, page: Path) -> None:
     folder, _, bag = arm
-    words = ["--friction", str(folder / "friction.yaml"), "--validation", str(bag), "--robot", str(folder)]
-    assert run("rx90 identify", [*words, "--report", str(page)]) in (0, 1)
+    words = [str(folder / "friction.yaml"), str(bag), "--robot", str(folder)]
+    assert run("rx90 identify check", [*words, "--report", str(page)]) in (0, 1)
 
 
 def _ramped(_arm: Arm, page: Path) -> None:

@@ -366,7 +366,7 @@ def test_a_corrected_trajectory_helps_less_than_offsets(shipped: Setup, task: rx
 def test_the_command_learns_shows_and_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`rx90 correct` learns, shows what it has learned, and refuses what does not go together with 2 and a line."""
     output = tmp_path / "line.yaml"
-    words = ["learn", "robots/rx90b/task.yaml", "--trials", "1", "--output", str(output)]
+    words = ["engine", "robots/rx90b/task.yaml", "--trials", "1", "--output", str(output)]
     assert run("rx90 correct", words) == 0
     assert "trial 1: worst 0.02" in capsys.readouterr().out
     assert run("rx90 correct", ["show", str(output)]) == 0
@@ -393,7 +393,7 @@ def test_the_command_learns_shows_and_refuses(tmp_path: Path, capsys: pytest.Cap
     for row in played[200::900]:
         np.testing.assert_allclose(row[7:10], 1e3 * tip_pose(robot, np.radians(row[1:7]))[:3, 3], atol=1e-4)
     message = ["--output", str(tmp_path / "message.yaml"), *more]
-    assert run("rx90 line", [*words_of_line[:3], *message]) == 0
+    assert run("rx90 line", [*words_of_line[:2], *message]) == 0
     assert "message.yaml, without the correction; set-points with it: FILE.csv" in capsys.readouterr().out
     assert run("rx90 line", [*words_of_line, "--set-point-rate", "500"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1

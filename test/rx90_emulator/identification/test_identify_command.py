@@ -93,7 +93,8 @@ def test_a_mistake_is_one_line(hinge: Hinge, tmp_path: Path, capfd: pytest.Captu
     """A user's mistake is one line with what is accepted and status 2, and leaves every file as it was."""
     change, message = REFUSED_CASES[case]
     good = ["--fallback", hinge.fallback, "--output", tmp_path / "f.yaml"]
-    words = [str(word) for word in ("--urdf", hinge.urdf, *good, *change(hinge, tmp_path))]  # type: ignore[no-untyped-call]
+    verb, bag, *more = change(hinge, tmp_path)  # type: ignore[no-untyped-call]
+    words = [str(word) for word in (verb, bag, "--urdf", hinge.urdf, *good, *more)]
     before = everything(tmp_path)
     assert run("rx90 identify", words) == REFUSED
     lines = capfd.readouterr().err.replace("\r", "\n").splitlines()
@@ -105,7 +106,7 @@ def test_a_mistake_is_one_line(hinge: Hinge, tmp_path: Path, capfd: pytest.Captu
 
 def checked(hinge: Hinge, *words: object) -> int:
     """Run the command with the joint's URDF."""
-    return run("rx90 identify", [str(word) for word in ("--urdf", hinge.urdf, *words)])
+    return run("rx90 identify", [str(word) for word in (*words, "--urdf", hinge.urdf)])
 
 
 def test_true_friction_is_confirmed_and_false_is_not(
@@ -113,9 +114,9 @@ def test_true_friction_is_confirmed_and_false_is_not(
 ) -> None:
     """The arm's own friction is confirmed with 0; half as much again is not, with 1; a report is written if asked."""
     good, bad = hinge.friction(tmp_path / "good.yaml"), hinge.friction(tmp_path / "bad.yaml", 1.5)
-    words, report = ["--friction", good, "--validation", hinge.bag], tmp_path / "page.html"
+    words, report = ["check", good, hinge.bag], tmp_path / "page.html"
     assert checked(hinge, *words, "--report", report) == DONE
-    assert checked(hinge, "--friction", bad, "--validation", hinge.bag) == VERDICT_NO
+    assert checked(hinge, "check", bad, hinge.bag) == VERDICT_NO
     said = capsys.readouterr()
     assert re.findall(r"validation \S+: (confirmed|NOT CONFIRMED)", said.out) == ["confirmed", "NOT CONFIRMED"]
     assert said.err.splitlines()[-1] == f"rx90 identify: the validation does not confirm {bad}"
@@ -143,7 +144,7 @@ def test_the_difference_is_that_of_the_friction(hinge: Hinge, tmp_path: Path) ->
     [
         ("read_record", signal.SIGTERM),
         ("identify_records", signal.SIGINT),
-        ("report_page", signal.SIGTERM),
+        ("identification_page", signal.SIGTERM),
         ("write_all", signal.SIGINT),
         ("write_all", signal.SIGTERM),
     ],
@@ -168,7 +169,7 @@ def test_an_interrupt_leaves_everything(
         whole = Path.write_bytes
         monkeypatch.setattr(Path, "write_bytes", lambda *a, **k: (whole(*a, **k), interrupted()))
     else:
-        monkeypatch.setattr(identify_job if place == "report_page" else identify_bags, place, interrupted)
+        monkeypatch.setattr(identify_job if place == "identification_page" else identify_bags, place, interrupted)
     words = ["sliding", hinge.bag, "--fallback", hinge.fallback, "--output", output, "--force"]
     assert checked(hinge, *words) == INTERRUPTED
     assert capsys.readouterr().err.splitlines()[-1] == "rx90 identify: interrupted; nothing was written"

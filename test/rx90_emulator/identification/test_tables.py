@@ -94,7 +94,7 @@ def test_one_map_serves_many_tables_and_says_what_the_options_say(
     """`--signals` names a map for all tables; gear, constant and zero may stand in it, or be options, not both."""
     table, whole = write_table(tmp_path / "log.csv", motor.columns), write_map(tmp_path / "arm_map.yaml")
     bare = write_map(tmp_path / "bare.yaml", gear=None, torque_constant=None, zero=None)
-    words = ["--urdf", str(motor.urdf), "--friction", motor.friction, "--validation", str(table), "--signals"]
+    words = ["check", motor.friction, str(table), "--urdf", str(motor.urdf), "--signals"]
     options = ["--gear", str(GEAR), "--torque-constant", str(CONSTANT), "--zero", str(ZERO)]
     said = []
     for more in ([str(whole)], [str(bare), *options]):
@@ -162,7 +162,7 @@ def test_what_does_not_fit_is_one_line(
     """A map and a table that do not fit each other are refused with the value and what is accepted."""
     table = write_table(tmp_path / f"log{suffix}", motor.columns)
     write_map(tmp_path / "log.yaml", **change)
-    words = ["--urdf", str(motor.urdf), "--friction", motor.friction, "--validation", str(table)]
+    words = ["check", motor.friction, str(table), "--urdf", str(motor.urdf)]
     assert run("rx90 identify", words) == REFUSED
     err = capsys.readouterr().err
     assert said in err

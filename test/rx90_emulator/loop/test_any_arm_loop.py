@@ -95,7 +95,7 @@ def test_a_folder_of_seven_joints_runs_by_command(tmp_path: Path, capsys: pytest
         for t, q in points
     )
     (tmp_path / "motion.yaml").write_text(f"joint_names: [{names}]\npoints:\n{rows}")
-    arguments = ["--robot", str(folder), "--trajectory", str(tmp_path / "motion.yaml")]
+    arguments = [str(tmp_path / "motion.yaml"), "--robot", str(folder)]
     assert run("rx90 run", [*arguments, "--output", str(tmp_path / "bag")]) == 0
     assert run("rx90 identify compare", [str(tmp_path / "bag"), "--robot", str(folder), "--topic", "joint_states"]) == 0
     assert "arm_7" in capsys.readouterr().out

@@ -90,7 +90,7 @@ def test_an_initial_position_has_a_number_for_each_joint(tmp_path: Path, capsys:
     file.write_text(
         f"joint_names: [{names}]\npoints:\n- {{positions: [{', '.join(start)}], time_from_start: {{sec: 1}}}}\n"
     )
-    words = ["--robot", "panda", str(file), "--initial-position"]
+    words = [str(file), "--robot", "panda", "--initial-position"]
     assert run("rx90 run", [*words, *start]) == 0
     assert f"begins at rest at {', '.join(start)} rad" in capsys.readouterr().out
     assert run("rx90 run", [*words, *start, "0"]) == 2
@@ -123,7 +123,7 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
         assert run("rx90 replay", [str(first), *robot, *words]) == 0
         out, err = capsys.readouterr()
         assert "".join(each for each in out.splitlines(keepends=True) if "seed" in each) == line
-        assert err == ("rx90 run: warning: the seed of that run was 0; here --seed 5 holds\n" if words else "")
+        assert err == ("rx90 replay: warning: the seed of that run was 0; here --seed 5 holds\n" if words else "")
     said = "recorded of the robot 'tx40', not of 'rx90b'; accepted: a bag of that robot, or --robot with the bag's"
     assert run("rx90 replay", [str(first), "--output", str(second)]) == 2
     assert said in capsys.readouterr().err
@@ -139,7 +139,7 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
     assert run("rx90 replay", [str(first), *robot, "--output", str(second)]) == 0
     out, err = capsys.readouterr()
     assert (
-        "rx90 run: warning: allow_partial_joints_goal, feed_forward.coulomb, servo.kv had other values in that run"
+        "rx90 replay: warning: allow_partial_joints_goal, feed_forward.coulomb, servo.kv had other values in that run"
         in err
     )
     assert f"trajectories in {tmp_path}/fir\\nst: 1, from 0.200 s\nseed 0: the bag tells none\n" in out
@@ -167,7 +167,10 @@ def test_trajectories_follow_each_other_and_an_empty_one_stops(shipped: Setup) -
 
 def test_paper_runs_the_paper_s_choices(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The switch gives the bits of the shipped setup with these choices; each element that is not passive is named."""
-    assert run("rx90 run", ["--robot rx90b/paper", "--slow-only", "--arrays", str(tmp_path / "paper.npz")]) in (0, None)
+    assert run("rx90 run", ["--robot", "rx90b/paper", "--slow-only", "--arrays", str(tmp_path / "paper.npz")]) in (
+        0,
+        None,
+    )
     assert capsys.readouterr().err.count("not passive from") == 7
     changes = {"friction.*.omega_d": np.inf, "controller.coulomb_velocity": 1e-12}
     setup = with_parameters(Setup.load(), {**changes, "controller.feed_forward.velocity": False})

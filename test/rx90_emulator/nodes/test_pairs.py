@@ -246,7 +246,7 @@ def test_trials_begin_alike(processes: Processes, tmp_path: Path) -> None:
     line = SHORT_TASK.replace("[0.6034, -0.2808, 0.1955]", "[0.634, -0.108, 0.155]").replace("0.05", "0.3")
     task.write_text(line, encoding="utf-8")
     processes.start("rx90_cell")
-    words = ("--on-nodes", "--trials", "1", "--output", tmp_path / "line.yaml")
-    done = processes.run("rx90 correct", "learn", task, *words)
+    words = ("--trials", "1", "--output", tmp_path / "line.yaml")
+    done = processes.run("rx90 correct nodes", task, *words)
     first, second = (float(worst) for worst in re.findall(r"trial \d: worst (\S+) mm", done.stdout))
     assert second < 0.25 * first, done.stdout
