@@ -275,8 +275,7 @@ def _emulated_rx90(job: Job, folder: Path) -> Measured:
     friction = replace(friction, elements=tuple(_symmetric(element) for element in friction.elements))
     file = folder / "true.yaml"
     file.write_text(FrictionFile.of(dict(zip(friction.names, friction.elements, strict=True))).text(), encoding="utf-8")
-    words = ["--excitation", "--friction", file, OUTPUT, folder / "series"]
-    series = run([*EXPERIMENT, *words])
+    series = run(["rx90 experiment excitation", "engine", "--friction", file, OUTPUT, folder / "series"])
     if series.code:
         return Measured({}, [], [f"the plan: {_refused(series)}"])
     rng = np.random.default_rng((job.number, 83))

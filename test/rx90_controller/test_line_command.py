@@ -36,9 +36,9 @@ PATIENCE = 60.0
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (f"--from-file {REFERENCE}", ["5.600 s, moving from 1.000 s to 5.100 s", "front/positive/positive"]),
+        ("", ["5.600 s, moving from 1.000 s to 5.100 s", "front/positive/positive"]),
         # 0.4 m at 0.2 m/s and 1 m/s^2: 2 s + 0.2 s; what is given beside a task file replaces what that has.
-        (f"--from-file {REFERENCE} --speed 0.2", ["3.700 s, moving from 1.000 s to 3.200 s"]),
+        (f"{REFERENCE} --speed 0.2", ["3.700 s, moving from 1.000 s to 3.200 s"]),
         # Start and end are enough; negative coordinates are no options.
         ("--start 0.6 -0.2 0.2 --end 0.6 0.2 0.2", ["0.4000 m at 0.1 m/s", "front/positive/positive"]),
     ],

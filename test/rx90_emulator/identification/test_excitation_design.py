@@ -248,7 +248,7 @@ def test_the_arm_does_not_touch_itself(shipped: Setup) -> None:
 def test_a_folder_of_excitation_runs_is_identified_as_such(
     plan: tuple[Experiment, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`rx90 identify excitation FOLDER` takes runs and validation from the index; one of a series of sweeps names none."""
+    """`identify excitation FOLDER` takes runs and validation from the index; one of a series of sweeps names none."""
     runs = [plan[0], replace(plan[0], name="unseen", kind=Kind.VALIDATION)]
     write_index(tmp_path, runs[1:])
     (tmp_path / "unseen").mkdir()
