@@ -17,7 +17,12 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.ros_start import prepare
 from rx90_common.process.interrupts import stop_request
 from rx90_emulator.cli.options import (
+    add_force,
+    add_joints_argument,
+    add_json,
+    add_output,
     add_robot_arguments,
+    add_signals_argument,
     add_verbs,
     new_folder,
     place,
@@ -31,7 +36,6 @@ _MAX_STAMP = 4_294_967_296  # s: stamps count so far, and two of them do not ove
 _KINDS = ("csv", "parquet", "npz")
 # What several verbs have in common.
 _BAG: dict[str, Any] = {"metavar": "BAG", "help": "bag: folder, .mcap, .db3 or ROS 1 .bag file"}
-_TOPIC: dict[str, Any] = {"nargs": "+", "dest": "topics", "metavar": "TOPIC"}
 _NOTHING_WRITTEN = "nothing was written"
 
 _MAPPING = """\
@@ -52,10 +56,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_verbs(parser, _VERBS)
 
 
+def _add_topics(parser: argparse.ArgumentParser, default: str) -> None:
+    parser.add_argument(
+        "--topic", nargs="+", dest="topics", metavar="TOPIC", help=f"topics of joint states ({default})"
+    )
+
+
 def _add_signals(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--signals", type=Path, metavar="FILE",
-                        help="what the columns of a CSV, Parquet or NPZ table hold (the file named as the table, with "
-                        ".yaml)")  # fmt: skip
+    add_signals_argument(parser, "what the columns of a CSV, Parquet or NPZ table hold")
 
 
 def _signals(args: argparse.Namespace) -> LogMapping | None:
@@ -69,9 +77,7 @@ def _add_record(parser: argparse.ArgumentParser) -> None:
         "topics", nargs="*", metavar="TOPIC",
         help=f"topics to record; each must get a message (default: {' '.join(SUITE_TOPICS)}, as far as they do)",
     )  # fmt: skip
-    parser.add_argument(
-        "-o", "--output", type=new_folder, required=True, metavar="FOLDER", help="bag to make; must not exist"
-    )
+    add_output(parser, new_folder, "bag to make; must not exist", metavar="FOLDER", required=True)
 
 
 def _record(args: argparse.Namespace) -> int:
@@ -128,7 +134,7 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
         "--tolerance", action="append", default=[], metavar=GRAMMAR,
         help="in rad, rad/s or Nm; the most specific one that fits decides; default 0: equal bits",
     )  # fmt: skip
-    parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="compare only these")
+    _add_topics(parser, "all")
     parser.add_argument(
         "--fields", nargs="+", choices=FIELDS, default=list(FIELDS), metavar="FIELD",
         help=f"compare only these of {', '.join(FIELDS)}",
@@ -143,7 +149,7 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
         help="move the stamps of B: so that both bags begin together, so that their last trajectories do, or by a time "
         "in s (%(default)s)",
     )  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+    add_json(parser)
 
 
 def _compare(args: argparse.Namespace) -> int:
@@ -210,12 +216,10 @@ def _add_plot(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", type=Path, **_BAG)
     parser.add_argument("second", type=Path, nargs="?", metavar="BAG2", help="bag to draw over it")
     _add_signals(parser)
-    parser.add_argument("-o", "--output", type=place, metavar="FILE",
-                        help=".html, .png, .svg or .pdf (the bag's name with .html, here)")  # fmt: skip
-    parser.add_argument("--force", action="store_true", help="replace a file that exists")
-    parser.add_argument("--topic", **_TOPIC,
-                        help="topics of joint states (joint_states, friction, tracking error)")  # fmt: skip
-    parser.add_argument("--joint", nargs="+", dest="joints", metavar="JOINT", help="joints (all)")
+    add_output(parser, place, ".html, .png, .svg or .pdf (the bag's name with .html, here)", metavar="FILE")
+    add_force(parser)
+    _add_topics(parser, "joint_states, friction, tracking error")
+    add_joints_argument(parser, "joints (all)")
     parser.add_argument("--align", metavar="start|trajectory|S",
                         help="moves the stamps of BAG2, as in compare (0)")  # fmt: skip
 
@@ -243,10 +247,9 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("bag", type=Path, **_BAG)
     _add_signals(parser)
-    parser.add_argument("-o", "--output", type=new_folder, required=True, metavar="FILE|FOLDER",
-                        help="FILE.csv, FILE.parquet (one topic), FILE.npz, or a folder; must not exist")  # fmt: skip
-    parser.add_argument("--topic", **_TOPIC,
-                        help="topics of joint states (all)")  # fmt: skip
+    text = "FILE.csv, FILE.parquet (one topic), FILE.npz, or a folder; must not exist"
+    add_output(parser, new_folder, text, metavar="FILE|FOLDER", required=True)
+    _add_topics(parser, "all")
     parser.add_argument("--format", choices=_KINDS, help=f"of the files in a folder ({_KINDS[0]})")
 
 
@@ -301,7 +304,7 @@ def _import(args: argparse.Namespace) -> None:
 def _add_info(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", **_BAG)
     _add_signals(parser)
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    add_json(parser)
 
 
 def _info(options: argparse.Namespace) -> None:

@@ -9,7 +9,7 @@ from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import SHIPPED_RIG
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_emulator.cli.options import add_robot_arguments, add_verbs
+from rx90_emulator.cli.options import add_json, add_rig_argument, add_robot_arguments, add_verbs
 
 _KINDS = "controller, drives, friction, rig, sweep_plan …"
 
@@ -57,8 +57,8 @@ def _check(options: argparse.Namespace) -> int:
 
 def _add_show(show: argparse.ArgumentParser) -> None:
     add_robot_arguments(show, *FILES)
-    show.add_argument("--rig", metavar="FILE", help=f"rig file of the friction rig ({SHIPPED_RIG})")
-    show.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    add_rig_argument(show)
+    add_json(show)
 
 
 def _show(options: argparse.Namespace) -> int:
@@ -82,8 +82,8 @@ def _show(options: argparse.Namespace) -> int:
     steps = steps_value(Setup.load(files))
     of_robot = f"robot {options.robot}" if options.robot is not None else OF_CODE
     chosen = {role: of_robot if getattr(options, role) is None else COMMAND_LINE for role in FILES}
-    rig, origin = (SHIPPED_RIG, OF_CODE) if options.rig is None else (options.rig, COMMAND_LINE)
-    values = [*setup_values(files, chosen), steps, *rig_values(rig, origin)]
+    origin = OF_CODE if options.rig == SHIPPED_RIG else COMMAND_LINE
+    values = [*setup_values(files, chosen), steps, *rig_values(options.rig, origin)]
     print(values_json(values) if options.json else values_table(values))
     return DONE
 

@@ -10,7 +10,9 @@ from rx90_common.base.errors import DONE, VERDICT_NO, check_replaced
 from rx90_common.base.quoting import counted, one_line, plain
 from rx90_emulator.cli.options import (
     POSITIVE,
+    add_force,
     add_node_arguments,
+    add_output,
     add_robot_arguments,
     add_verbs,
     node_of,
@@ -44,8 +46,7 @@ def _add_engine(parser: argparse.ArgumentParser) -> None:
 def _add_nodes(parser: argparse.ArgumentParser) -> None:
     _add_learning(parser)
     _add_trials(parser)
-    parser.add_argument("--tip-topic", metavar="TOPIC", help="learn from the tip, which a sensor measures: "
-                        "PointStamped, PoseStamped or TransformStamped")  # fmt: skip
+    _add_tip_topic(parser, "learn from the tip, which a sensor measures")
     add_node_arguments(parser, _TIMEOUT)
     add_robot_arguments(parser)
 
@@ -56,8 +57,7 @@ def _add_recorded(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--topic", default="joint_states", metavar="TOPIC", help="of the joints in it (%(default)s)")
     parser.add_argument("--tip", type=Path, metavar="FILE", help="the tip, measured in that trial: time [s], x [m], "
                         "y [m], z [m] in the base frame; or a bag")  # fmt: skip
-    parser.add_argument("--tip-topic", metavar="TOPIC", help="of the tip where it is in a bag: PointStamped, "
-                        "PoseStamped or TransformStamped")  # fmt: skip
+    _add_tip_topic(parser, "of the tip where it is in a bag")
     add_robot_arguments(parser)
 
 
@@ -65,8 +65,8 @@ def _add_learning(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("path", metavar="PATH", help="path file, task file of a line, or a trajectory (YAML, as "
                         "rx90 line --output writes it)")  # fmt: skip
-    parser.add_argument("--output", type=place, metavar="FILE", required=True, help="correction file to write, .yaml")
-    parser.add_argument("--force", action="store_true", help="replace a correction file that exists")
+    add_output(parser, place, "correction file to write, .yaml", metavar="FILE", required=True)
+    add_force(parser)
     parser.add_argument("--previous", type=Path, metavar="FILE", help="correction file to go on from")
     method = parser.add_argument_group("norm-optimal learning")
     method.add_argument(
@@ -74,9 +74,17 @@ def _add_learning(parser: argparse.ArgumentParser) -> None:
     )
     method.add_argument("--joints-weight", type=POSITIVE, metavar="W", default=0.005,
                         help="weight of the joints' own errors, m/rad (%(default)s)")  # fmt: skip
-    method.add_argument("--cutoff", type=POSITIVE, metavar="HZ", help="of a zero-phase filter, Hz (none)")
+    _add_cutoff(method, "of a zero-phase filter, Hz (none)")
     method.add_argument("--noise", type=POSITIVE, metavar="M", default=1e-6,
                         help="by how much the path error may grow from trial to trial, m (%(default)s)")  # fmt: skip
+
+
+def _add_cutoff(parser: argparse._ActionsContainer, text: str) -> None:
+    parser.add_argument("--cutoff", type=POSITIVE, metavar="HZ", help=text)
+
+
+def _add_tip_topic(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.add_argument("--tip-topic", metavar="TOPIC", help=f"{text}: PointStamped, PoseStamped or TransformStamped")
 
 
 def _add_trials(parser: argparse.ArgumentParser) -> None:
@@ -233,11 +241,9 @@ def _add_precompensate(precompensate: argparse.ArgumentParser) -> None:
     precompensate.add_argument("file", type=Path, metavar="FILE", help="correction file")
     precompensate.add_argument("path", metavar="PATH", help="task, path or trajectory that it is of")
     about = "trajectory to write: .yaml, or .csv for its set-points: s, joints in deg, tool in mm and deg"
-    precompensate.add_argument("--output", type=place, metavar="FILE", required=True, help=about)
-    precompensate.add_argument("--force", action="store_true", help="replace a trajectory that exists")
-    precompensate.add_argument(
-        "--cutoff", type=POSITIVE, metavar="HZ", help="of the filter that smooths the offsets (5)"
-    )
+    add_output(precompensate, place, about, metavar="FILE", required=True)
+    add_force(precompensate)
+    _add_cutoff(precompensate, "of the filter that smooths the offsets (5)")
     add_robot_arguments(precompensate)
     precompensate.set_defaults(interrupted="nothing was written")
 

@@ -11,6 +11,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.exchange.ros_start import prepare
 from rx90_emulator.cli.options import (
+    add_output,
     add_robot_arguments,
     new_folder,
     stay_on_this_machine,
@@ -21,7 +22,7 @@ _ANY_PORT = 0  # the demonstration need not know which
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("--output", type=new_folder, help="folder for bags, logs and report (out/demo/<time>)")
+    add_output(parser, new_folder, "folder for bags, logs and report (out/demo/<time>)", metavar="FOLDER")
     parser.add_argument(
         "--short", action="store_true", help="as fast as the machine allows instead of paced at real time"
     )

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 from rx90_common.base.quoting import one_line
-from rx90_emulator.cli.options import POSITIVE, add_robot_arguments, add_verbs, new_folder
+from rx90_emulator.cli.options import POSITIVE, add_output, add_robot_arguments, add_verbs, new_folder
 
 if TYPE_CHECKING:
     from rx90_emulator.loop.own_controller import ComputedTorque
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_engine(parser: argparse.ArgumentParser) -> None:
     _add_motion(parser)
-    parser.add_argument("--output", type=new_folder, metavar="BAG", help="bag to write; must not exist")
+    add_output(parser, new_folder, "bag to write; must not exist", metavar="FOLDER")
 
 
 def _add_nodes(parser: argparse.ArgumentParser) -> None:

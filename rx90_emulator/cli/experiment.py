@@ -15,6 +15,8 @@ from rx90_emulator.cli.options import (
     URDF,
     add_joints_argument,
     add_node_arguments,
+    add_output,
+    add_rate,
     add_robot_arguments,
     add_verbs,
     new_folder,
@@ -121,7 +123,7 @@ def _add_sliding_options(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
     parser.add_argument("--group", action="append", default=[], metavar="NAME",
                         help="only this group (joint_3, joints_5_6_against ...); may be repeated")  # fmt: skip
-    parser.add_argument("--quick", action="store_true", help="fewer speeds, one pose, one micro-oscillation")
+    _add_quick(parser, "fewer speeds, one pose, one micro-oscillation")
     parser.add_argument("--speeds", type=whole_number, metavar="N",
                         help="speeds in each direction (28); the more, the smaller the deviations")  # fmt: skip
     add_robot_arguments(parser, *MODEL_FILES, "poses")
@@ -130,7 +132,7 @@ def _add_sliding_options(parser: argparse.ArgumentParser) -> None:
 def _add_excitation_options(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(excitation=True)
     parser.epilog = _EPILOG
-    parser.add_argument("--quick", action="store_true", help="one tempo, a short search")
+    _add_quick(parser, "one tempo, a short search")
     for name, (_, _, meaning) in RANGES.items():
         default = vars(ExcitationOptions)[name]
         kind = whole_number if isinstance(default, int) else FINITE
@@ -145,19 +147,22 @@ def _add_excitation_options(parser: argparse.ArgumentParser) -> None:
                         "middle of the joints' ranges where there are none)")  # fmt: skip
 
 
+def _add_quick(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.add_argument("--quick", action="store_true", help=text)
+
+
 def _add_motions(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--output", type=new_folder, metavar="FOLDER",
-                        help="write each motion there, for any controller: NAME.yaml, a trajectory, and NAME.csv, its "
-                        "set-points; must not exist")  # fmt: skip
-    parser.add_argument("--rate", type=POSITIVE, default=1000.0, metavar="HZ",
-                        help="of the set-points in NAME.csv, Hz (%(default)g)")  # fmt: skip
+    text = (
+        "write each motion there, for any controller: NAME.yaml, a trajectory, and NAME.csv, its set-points; must not "
+        "exist"
+    )
+    add_output(parser, new_folder, text, metavar="FOLDER")
+    add_rate(parser)
 
 
 def _add_bags(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="complete bags stay")
-    parser.add_argument(
-        "--output", type=new_folder, required=True, metavar="FOLDER", help="folder for the bags; must not exist"
-    )
+    add_output(parser, new_folder, "folder for the bags; must not exist", metavar="FOLDER", required=True)
 
 
 def _plan(options: argparse.Namespace) -> None:

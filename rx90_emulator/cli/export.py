@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
 from rx90_common.base.quoting import plain
-from rx90_emulator.cli.options import POSITIVE, add_robot_arguments, check_picture, new_folder, place
+from rx90_emulator.cli.options import POSITIVE, add_output, add_robot_arguments, check_picture, new_folder, place
 from rx90_emulator.export.targets import TARGETS
 
 
@@ -20,8 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("target", metavar="TARGET", choices=tuple(TARGETS), help=f"simulator: {', '.join(TARGETS)}")
-    parser.add_argument("--output", required=True, type=new_folder, metavar="FOLDER",
-                        help="new folder for the simulator's files, and export.yaml on what they cost")  # fmt: skip
+    about = "new folder for the simulator's files, and export.yaml on what they cost"
+    add_output(parser, new_folder, about, metavar="FOLDER", required=True)
     parser.add_argument("--within", type=POSITIVE, metavar="NM",
                         help="exit code 1 if a friction torque differs by more than this, Nm")  # fmt: skip
     parser.add_argument("--plot", type=place, metavar="FILE",

@@ -14,7 +14,9 @@ from rx90_common.base.quoting import one_line
 from rx90_emulator.cli.options import (
     POSITIVE,
     add_arm_arguments,
+    add_force,
     add_message_arguments,
+    add_output,
     add_robot_arguments,
     add_verbs,
     add_zero_argument,
@@ -50,6 +52,9 @@ another structure: rx90 identify check FILE BAG ... --urdf URDF. docs/howto/meas
 """
 
 
+_TORQUE = f"{RECORDED.torque}; {EMULATED.torque} where a bag holds set-points of this project's controller"
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verbs and their options."""
     add_verbs(parser, _VERBS)
@@ -63,8 +68,8 @@ def _add_sliding(parser: argparse.ArgumentParser) -> None:
                         help="micro-oscillations, 500 samples per second or more; else c0 and c1 are those of "
                         "--fallback, or assumed")  # fmt: skip
     _add_identification(parser, SLIDING_PARTS, "friction file to write (.yaml), with the report beside it (.html)")
-    parser.add_argument("--force", action="store_true", help="replace files that exist")
-    _add_tolerances(parser, EMULATED.torque)
+    add_force(parser)
+    _add_tolerances(parser, _TORQUE, RECORDED.total)
     add_arm_arguments(parser)
 
 
@@ -76,10 +81,10 @@ def _add_excitation(parser: argparse.ArgumentParser) -> None:
                         "Stribeck rise nor the rows of reversals ask for them")  # fmt: skip
     parser.add_argument("--no-rotors", action="store_true", help="of an arm of --urdf: leave the inertias of rotors "
                         "out, for torques of sensors between gear and link")  # fmt: skip
-    parser.add_argument("--bandwidth", type=POSITIVE, metavar="HZ", help="of the low-pass of the positions, a third of "
-                        "it for torques (twenty times the band of the motion)")  # fmt: skip
-    parser.add_argument("--force", action="store_true", help="replace files that exist")
-    _add_tolerances(parser)
+    _add_bandwidth(parser, "of the low-pass of the positions, a third of it for torques (twenty times the band of the "
+                   "motion)")  # fmt: skip
+    add_force(parser)
+    _add_tolerances(parser, RECORDED.torque, RECORDED.total)
     add_arm_arguments(parser)
 
 
@@ -88,7 +93,7 @@ def _add_check(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("friction", metavar="FILE", help="friction file, or a shipped one (robots/tx40/friction.yaml)")
     _add_bags(parser, "bags of the arm")
     _add_report(parser, "none")
-    _add_tolerances(parser, EMULATED.torque)
+    _add_tolerances(parser, _TORQUE, RECORDED.total)
     add_arm_arguments(parser)
 
 
@@ -105,20 +110,23 @@ def _add_identification(parser: argparse.ArgumentParser, parts: Sequence[str], o
                         help="give these parts to the friction of all elements, without a choice: "
                         f"{', '.join((COULOMB_VISCOUS, *parts))}; Coulomb and viscous friction are always there, and "
                         "a part that ends at a bound of its range goes (what predicts better is chosen)")  # fmt: skip
-    parser.add_argument("--output", type=place, required=True, metavar="FILE", help=output)
+    add_output(parser, place, output, metavar="FILE", required=True)
 
 
 def _add_report(parser: argparse.ArgumentParser, default: str) -> None:
     parser.add_argument("--report", type=place, metavar="FILE", help=f"report to write ({default})")
-    parser.add_argument("--force", action="store_true", help="replace files that exist")
+    add_force(parser)
 
 
-def _add_tolerances(parser: argparse.ArgumentParser, emulated: float | None = None) -> None:
-    other = "" if emulated is None else f"; {emulated} where a bag holds set-points of this project's controller"
+def _add_bandwidth(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.add_argument("--bandwidth", type=POSITIVE, metavar="HZ", help=text)
+
+
+def _add_tolerances(parser: argparse.ArgumentParser, torque: float | str, total: float) -> None:
     parser.add_argument("--torque-tolerance", type=POSITIVE, metavar="SHARE",
-                        help=f"RMS difference over RMS torque, of each joint ({RECORDED.torque}{other})")  # fmt: skip
+                        help=f"RMS difference over RMS torque, of each joint ({torque})")  # fmt: skip
     parser.add_argument("--total-torque-tolerance", type=POSITIVE, metavar="SHARE",
-                        help=f"the same of all joints together ({RECORDED.total})")  # fmt: skip
+                        help=f"the same of all joints together ({total})")  # fmt: skip
 
 
 def _sliding(options: argparse.Namespace) -> int:
@@ -219,14 +227,11 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("bag", type=Path, metavar="BAG", help="measured: folder, .mcap, .db3 or ROS 1 .bag file")
     _add_report(parser, "none")
-    parser.add_argument("--bandwidth", type=POSITIVE, metavar="HZ",
-                        help="of the measured path as set-points; torques and positions are compared below a third of "
-                        "it (from the data)")  # fmt: skip
+    _add_bandwidth(parser, "of the measured path as set-points; torques and positions are compared below a third of it "
+                   "(from the data)")  # fmt: skip
     limits = MeasuredTolerances()
-    parser.add_argument("--torque-tolerance", type=POSITIVE, default=limits.torque, metavar="SHARE",
-                        help="RMS difference over RMS torque, of each joint (%(default)s)")  # fmt: skip
-    parser.add_argument("--total-torque-tolerance", type=POSITIVE, default=limits.total_torque, metavar="SHARE",
-                        help="the same of all joints together (%(default)s)")  # fmt: skip
+    _add_tolerances(parser, limits.torque, limits.total_torque)
+    parser.set_defaults(torque_tolerance=limits.torque, total_torque_tolerance=limits.total_torque)
     parser.add_argument("--position-tolerance", type=POSITIVE, default=limits.position, metavar="RAD",
                         help="largest difference of a joint's position, rad (%(default)s)")  # fmt: skip
     add_robot_arguments(parser)

@@ -12,9 +12,11 @@ from rx90_common.base.errors import LineError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.options import (
     FINITE,
-    POSITIVE,
     add_node_arguments,
+    add_output,
+    add_rate,
     add_robot_arguments,
+    add_start_time,
     node_of,
     place,
 )
@@ -63,9 +65,9 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
     """Add the options of what becomes of a plan."""
     parser.set_defaults(ros_args=[])
     send = parser.add_argument_group("sending")
-    send.add_argument("--set-point-rate", type=POSITIVE, default=1000.0, metavar="HZ", help="Hz (1000)")
+    add_rate(send)
     add_node_arguments(send, _TIMEOUT)
-    send.add_argument("--start-time", type=FINITE, default=0.0, metavar="S", help="start time, s; 0: now")
+    add_start_time(send, "0: now")
     send.add_argument("--approach", action="store_true", help="first move to the start, straight in the joints")
     send.add_argument("--correction", metavar="FILE", help="correction file of this path, as rx90 correct learns it")
     send.add_argument("--dry-run", action="store_true", help="plan and print, send nothing")
@@ -73,7 +75,7 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
         "write the trajectory as a YAML message, or in FILE.csv set-points, with --correction corrected ones: s, "
         "joints in deg, tool in mm and deg"
     )
-    send.add_argument("--output", type=place, metavar="FILE", help=about)
+    add_output(send, place, about, metavar="FILE")
 
 
 def main(options: argparse.Namespace) -> None:
@@ -92,7 +94,7 @@ def plan_and_send(
 
     files = RobotFiles.of_options(options)
     robot = load_robot(files.urdf, files.tool)
-    period = 1.0 / options.set_point_rate
+    period = 1.0 / options.rate
     task = task_of(options, files, robot)
     limits = load_controller(files.controller).limits(robot)
     plan = plan_line(robot, task, period, limits.acceleration)
@@ -166,7 +168,7 @@ def _send(plan: LinePlan, limits: JointLimits, correction: Correction | None, op
     approach = Approach() if options.approach else None
     with client_node("rx90_line", options.timeout or _TIMEOUT, _say, options.ros_args) as client:
         deliver(
-            client, plan, node_of(options), limits, 1.0 / options.set_point_rate, approach,
+            client, plan, node_of(options), limits, 1.0 / options.rate, approach,
             start_time=options.start_time, correction=correction, starting=0.0 if options.timeout else _STARTING,
         )  # fmt: skip
 

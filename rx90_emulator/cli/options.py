@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 
 from rx90_common.base.errors import REFUSED, ConfigError, check_bag_name, check_place
 from rx90_common.base.quoting import one_line, plain, quoted
+from rx90_common.base.share import SHIPPED_RIG
 from rx90_common.description.robot_files import (
     DEFAULT_ROBOT,
     DESCRIPTIONS,
@@ -36,6 +37,7 @@ _BAR = "{desc}: {percentage:3.0f} % |{bar}| [{elapsed}<{remaining}]"
 CONTROLLER = "rx90_controller"
 """Name of the controller node, unless another one is given."""
 URDF = "its URDF with <inertial>, no xacro"
+_JOINTS = "the URDF's joints of interest from base to tip; the others are held at 0 (all movable ones)"
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -125,9 +127,6 @@ def whole_from(low: int, high: int) -> Callable[[str], float]:
 
 
 _PORT = whole_from(0, 65535)
-BAUD = whole_from(1200, 1_000_000)
-SEED = whole_from(0, 2**31 - 1)
-"""Type for argparse: the seed of an emulated rig."""
 
 
 def place(text: str) -> Path:
@@ -212,15 +211,38 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
         yield show
 
 
-def add_rig_arguments(parser: argparse.ArgumentParser, rig: str, output: str) -> None:
-    """Add the options of a command that measures on a friction rig: where it is, its file, where results go."""
-    parser.set_defaults(interrupted="the rig is switched off")
-    parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
-    parser.add_argument("--baud", type=BAUD, help="line rate (default: the rig file's)")
-    parser.add_argument("--rig", default=rig, help="rig file (default: %(default)s)")
-    parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
-    parser.add_argument("--seed", type=SEED, help="of the emulated rig's noise (0)")
-    parser.add_argument("--output", type=new_folder, default=output, help="new folder for bag and report")
+def add_output(parser: argparse._ActionsContainer, kind: Callable[[str], Path], text: str, **more: Any) -> None:
+    """Add --output, what a command writes: a `place`, a `new_file` or a `new_folder`."""
+    parser.add_argument("-o", "--output", type=kind, help=text, **more)
+
+
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """Add --force, by which what a command writes may replace files."""
+    parser.add_argument("--force", action="store_true", help="replace files that exist")
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add --json, by which a command prints for programs."""
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def add_rate(parser: argparse._ActionsContainer) -> None:
+    """Add --rate, of set-points."""
+    parser.add_argument(
+        "--rate", type=POSITIVE, default=1000.0, metavar="HZ", help="of the set-points, Hz (%(default)g)"
+    )
+
+
+def add_start_time(parser: argparse._ActionsContainer, default: str) -> None:
+    """Add --start-time, of a motion."""
+    parser.add_argument(
+        "--start-time", type=FINITE, default=0.0, metavar="S", help=f"when the motion starts, s ({default})"
+    )
+
+
+def add_rig_argument(parser: argparse.ArgumentParser) -> None:
+    """Add --rig, the file of a friction rig."""
+    parser.add_argument("--rig", default=SHIPPED_RIG, metavar="FILE", help="rig file (%(default)s)")
 
 
 Verb = tuple[Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int | None], str]
@@ -292,11 +314,19 @@ def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
                        help="of each motor, seen through its gear (times its square), kg m^2 (0)")  # fmt: skip
 
 
-def add_joints_argument(group: argparse._ActionsContainer) -> None:
-    """Add the option of the joints of a URDF."""
-    group.add_argument("--joints", nargs="+", metavar="NAME",
-                       help="the URDF's joints of interest from base to tip; the others are held at 0 (all movable "
-                       "ones)")  # fmt: skip
+def add_joints_argument(group: argparse._ActionsContainer, text: str = _JOINTS) -> None:
+    """Add --joints, by default those of a URDF."""
+    group.add_argument("--joints", nargs="+", metavar="NAME", help=text)
+
+
+def add_signals_argument(group: argparse._ActionsContainer, text: str) -> None:
+    """Add --signals, the signal map of messages and tables."""
+    group.add_argument(
+        "--signals",
+        type=Path,
+        metavar="FILE",
+        help=f"signal map, YAML: {text} (the file named as the table, with .yaml)",
+    )
 
 
 def add_zero_argument(group: argparse._ActionsContainer) -> None:
@@ -308,10 +338,8 @@ def add_zero_argument(group: argparse._ActionsContainer) -> None:
 
 def add_message_arguments(group: argparse._ActionsContainer, topic: str = "joint_states") -> None:
     """Add the options that say what JointState messages hold, by default of a topic."""
-    group.add_argument("--signals", type=Path, metavar="FILE",
-                       help="signal map: YAML that says the same as these options and more (names in the messages, "
-                       "coupled motors, springs, times), and what the columns of a CSV, Parquet or NPZ table hold (the "
-                       "file named as the table, with .yaml)")  # fmt: skip
+    add_signals_argument(group, "the same as these options and more (names in the messages, coupled motors, springs, "
+                         "times), and what the columns of a CSV, Parquet or NPZ table hold")  # fmt: skip
     group.add_argument("--topic", help=f"JointState topic ({topic})")
     group.add_argument("--gear", nargs="+", type=_NOT_ZERO, metavar="N",
                        help="motor turns per joint turn, negative where they turn against each other; says that "

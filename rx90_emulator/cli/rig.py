@@ -8,18 +8,20 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rx90_common.base.share import SHIPPED_RIG, resolve_config
+from rx90_common.base.share import resolve_config
 from rx90_common.process.interrupts import stop_request
 from rx90_emulator.cli.options import (
-    BAUD,
     FINITE,
-    SEED,
-    add_rig_arguments,
+    add_output,
+    add_rig_argument,
     add_robot_argument,
     add_verbs,
     new_folder,
     whole_from,
 )
+
+_BAUD = whole_from(1200, 1_000_000)
+_SEED = whole_from(0, 2**31 - 1)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,9 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_selftest(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="the torque is off")
-    parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
-    parser.add_argument("--baud", type=BAUD, help="line rate (the rig file's)")
-    parser.add_argument("--rig", default=SHIPPED_RIG, metavar="FILE", help="rig file (%(default)s)")
+    _add_line(parser)
+    add_rig_argument(parser)
 
 
 def _selftest(options: argparse.Namespace) -> int:
@@ -57,8 +58,23 @@ def _add_measuring(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--load", choices=("none", "joint", "both"), default="both", help="joint coupled? (%(default)s)"
     )
-    add_rig_arguments(parser, SHIPPED_RIG, "out/friction")
+    parser.set_defaults(interrupted="the rig is switched off")
+    _add_line(parser)
+    add_rig_argument(parser)
+    _add_seed(parser)
+    parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
+    add_output(parser, new_folder, "new folder for bag and report (%(default)s)", default="out/friction",
+               metavar="FOLDER")  # fmt: skip
     _add_result(parser)
+
+
+def _add_line(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
+    parser.add_argument("--baud", type=_BAUD, help="line rate (the rig file's)")
+
+
+def _add_seed(parser: argparse.ArgumentParser, default: int | None = None) -> None:
+    parser.add_argument("--seed", type=_SEED, default=default, metavar="N", help="of the emulated rig's noise (0)")
 
 
 def _add_result(parser: argparse.ArgumentParser) -> None:
@@ -93,8 +109,8 @@ def _add_read(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--text", choices=("increments", "counts", "velocity", "instantaneous-velocity"),
                         help="files are plain text of this kind, not CSV; velocity is the mean since the last reading, "
                         "as pulses give it")  # fmt: skip
-    parser.add_argument("--rig", default=SHIPPED_RIG, metavar="FILE", help="rig file (%(default)s)")
-    parser.add_argument("--output", type=new_folder, default="out/friction", help="new folder for the report")
+    add_rig_argument(parser)
+    add_output(parser, new_folder, "new folder for the report (%(default)s)", default="out/friction", metavar="FOLDER")
     _add_result(parser)
 
 
@@ -104,10 +120,10 @@ def _read(options: argparse.Namespace) -> int:
 
 
 def _add_emulator(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--rig", default=SHIPPED_RIG, help="rig file (%(default)s)")
+    add_rig_argument(parser)
     parser.add_argument("--link", type=Path, help="symbolic link to make to the pseudo-terminal")
     parser.add_argument("--loaded", action="store_true", help="couple the revolute joint")
-    parser.add_argument("--seed", type=SEED, default=0, help="of all noise (%(default)s)")
+    _add_seed(parser, 0)
 
 
 def _emulator(options: argparse.Namespace) -> None:

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, cast
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import counted, one_line
-from rx90_emulator.cli.options import FINITE, add_robot_arguments, new_file, new_folder, whole_number
+from rx90_emulator.cli.options import (
+    FINITE,
+    add_output,
+    add_robot_arguments,
+    add_start_time,
+    new_file,
+    new_folder,
+    whole_number,
+)
 
 if TYPE_CHECKING:
     from rx90_emulator.loop.line import LineRun
@@ -23,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("motion", nargs="?", metavar="MOTION",
                         help="task file of a line, path file, or JointTrajectory in YAML, yours or a shipped one such "
                         "as paths/circle.yaml (the robot's task.yaml)")  # fmt: skip
-    parser.add_argument("--start-time", type=FINITE, default=0.0, metavar="S", help="when it starts, s (0)")
+    add_start_time(parser, "0")
     add_initial_position(parser, "of a trajectory its first point, of a line or path its start")
     add_run_arguments(parser)
 
@@ -37,7 +45,7 @@ def add_initial_position(parser: argparse.ArgumentParser, default: str) -> None:
 def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of a run: what is written, the controller's feed-forward, the seed, the robot."""
     parser.set_defaults(interrupted="only what is named above was written whole")
-    parser.add_argument("--output", type=new_folder, metavar="FOLDER", help="bag folder to write; must not exist")
+    add_output(parser, new_folder, "bag folder to write; must not exist", metavar="FOLDER")
     parser.add_argument("--arrays", type=new_file, metavar="FILE",
                         help="NumPy file to write (.npz), names with units; must not exist")  # fmt: skip
     parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of what is written")

@@ -9,7 +9,15 @@ from pathlib import Path
 from rx90_common.base.errors import FailureError, check_replaced
 from rx90_common.base.quoting import counted, one_line, plain
 from rx90_common.process.files import write_text
-from rx90_emulator.cli.options import add_robot_argument, add_verbs, new_file, place, whole_number
+from rx90_emulator.cli.options import (
+    add_force,
+    add_output,
+    add_robot_argument,
+    add_verbs,
+    new_file,
+    place,
+    whole_number,
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,7 +29,7 @@ def _add_run(run: argparse.ArgumentParser) -> None:
     run.add_argument("plan", metavar="PLAN", help="plan file of your own (docs/howto/sweep.md), or the name of a "
                      "shipped one: sweep/friction_and_feed_forward.yaml, sweep/payload_and_speed.yaml, "
                      "sweep/reference_1000.yaml")  # fmt: skip
-    run.add_argument("--output", type=place, metavar="FILE", required=True, help="Parquet file to write")
+    add_output(run, place, "Parquet file to write", metavar="FILE", required=True)
     add_robot_argument(run)
     run.add_argument("--report", type=new_file, metavar="FILE", help="page on the results to write as well, .html; new")
     run.add_argument("--resume", action="store_true", help="compute only the runs that the output lacks")
@@ -80,8 +88,8 @@ def _info(options: argparse.Namespace) -> None:
 
 def _add_report(report: argparse.ArgumentParser) -> None:
     _add_info(report)
-    report.add_argument("-o", "--output", type=place, metavar="PAGE", help="page (the file's name with .html, here)")
-    report.add_argument("--force", action="store_true", help="replace a page that exists")
+    add_output(report, place, "page (the file's name with .html, here)", metavar="PAGE")
+    add_force(report)
     report.set_defaults(interrupted="nothing was written")
 
 

@@ -74,7 +74,7 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
 def test_set_points_as_a_table_are_those_of_the_plan(shipped: Setup, tmp_path: Path) -> None:
     """Each row is a set-point: time, joints in degrees, and Pinocchio's pose of the tool in mm and degrees."""
     file = tmp_path / "line.csv"
-    words = [REFERENCE, "--dry-run", "--set-point-rate", "250", "--output", str(file)]
+    words = [REFERENCE, "--dry-run", "--rate", "250", "--output", str(file)]
     assert run("rx90 line", words) == 0
     head, *lines = file.read_text(encoding="utf-8").splitlines()
     assert head.split(",")[:2] == ["time [s]", "joint_1 [deg]"]

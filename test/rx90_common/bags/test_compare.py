@@ -197,7 +197,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("a off --from 0.006", 0),
         ("a off --from 0.005 --to 0.005", 1),
         ("a more", 2),
-        ("a more --topics joint_states", 0),
+        ("a more --topic joint_states", 0),
     ],
 )
 def test_exit_code(bags: Path, arguments: str, code: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -273,4 +273,4 @@ def test_empty_topics_are_no_difference(tmp_path: Path) -> None:
         write_joint_states(tmp_path / name, [series(), empty])
     bags = [str(tmp_path / name) for name in "ab"]
     assert run("rx90 bag", ["compare", *bags]) == 0
-    assert run("rx90 bag", ["compare", *bags, "--topics", "quiet"]) == 2
+    assert run("rx90 bag", ["compare", *bags, "--topic", "quiet"]) == 2

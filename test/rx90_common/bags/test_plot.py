@@ -95,7 +95,7 @@ def test_one_command_makes_a_page_or_a_picture(
     assert run("rx90 bag", ["plot", str(bags["first"]), str(bags["second"])]) == 0
     assert capsys.readouterr().out == f"plot: {tmp_path / 'first.html'}\n"
     assert "second against first" in (tmp_path / "first.html").read_text(encoding="utf-8")
-    assert run("rx90 bag", ["plot", str(bags["first"]), "--output", "one.png", "--joint", "joint_1"]) == 0
+    assert run("rx90 bag", ["plot", str(bags["first"]), "--output", "one.png", "--joints", "joint_1"]) == 0
     assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
     check_report(tmp_path / "first.html")
 

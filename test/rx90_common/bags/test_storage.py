@@ -469,7 +469,7 @@ def test_names_in_a_bag_forge_no_line(tmp_path: Path, capsys: pytest.CaptureFixt
     hostile = "/a\n[INFO] [rx90_sim]: all is well\u202e" + "x" * 100_000
     write_joint_states(tmp_path / "bag", [series(3, topic=hostile)])
     assert run("rx90 bag", ["info", str(tmp_path / "bag")]) == 0
-    assert run("rx90 bag", ["compare", "--topics", "/b", "--", *[str(tmp_path / "bag")] * 2]) == 2
+    assert run("rx90 bag", ["compare", "--topic", "/b", "--", *[str(tmp_path / "bag")] * 2]) == 2
     out, err = capsys.readouterr()
     assert (out.count("\n"), err.count("\n")) == (3, 1)
     assert max(len(out), len(err)) < 1500

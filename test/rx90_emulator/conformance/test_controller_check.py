@@ -67,7 +67,13 @@ def test_another_controller_follows_set_points_at_motors_or_joints_in_the_same_b
     """An rclpy node without trajectories follows set-points by their stamps: with torques of the motors at 4 kHz."""
     runs = {}
     for name, side in (("motor", "motor"), ("joint", "joint"), ("again", "joint")):
-        words = ["--case", "step", "--set-points", "set_points", "--command-interface", side]
+        words = [
+            "--case",
+            "step",
+            "--set-points",
+            "set_points",
+            *(["--joint-commands", "1000"] if side == "joint" else []),
+        ]
         code, found = checked(tmp_path / name, *words, *OWN, side)
         assert code in (DONE, VERDICT_NO)
         runs[name] = found["findings"]

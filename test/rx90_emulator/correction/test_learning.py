@@ -395,7 +395,7 @@ def test_the_command_learns_shows_and_refuses(tmp_path: Path, capsys: pytest.Cap
     message = ["--output", str(tmp_path / "message.yaml"), *more]
     assert run("rx90 line", [*words_of_line[:2], *message]) == 0
     assert "message.yaml, without the correction; set-points with it: FILE.csv" in capsys.readouterr().out
-    assert run("rx90 line", [*words_of_line, "--set-point-rate", "500"]) == 2
+    assert run("rx90 line", [*words_of_line, "--rate", "500"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
     mine = tmp_path / "mine.npz"
     mine.write_bytes(b"mine")
