@@ -12,7 +12,15 @@ from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
 from rx90_common.base.quoting import plain
-from rx90_emulator.cli.options import POSITIVE, add_output, add_robot_arguments, check_picture, new_folder, place
+from rx90_emulator.cli.options import (
+    POSITIVE,
+    add_output,
+    add_plot,
+    add_robot_arguments,
+    check_picture,
+    new_folder,
+    place,
+)
 from rx90_emulator.export.targets import TARGETS
 
 
@@ -24,8 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(parser, new_folder, about, metavar="FOLDER", required=True)
     parser.add_argument("--within", type=POSITIVE, metavar="NM",
                         help="exit code 1 if a friction torque differs by more than this, Nm")  # fmt: skip
-    parser.add_argument("--plot", type=place, metavar="FILE",
-                        help="picture to write: the curves, and what the simulator gets")  # fmt: skip
+    add_plot(parser, place, "picture to write: the curves, and what the simulator gets")
     speeds = parser.add_argument_group("speeds in use", "over which friction is fitted and compared")
     either = speeds.add_mutually_exclusive_group()
     either.add_argument("--speeds", nargs=2, type=POSITIVE, metavar=("LOW", "HIGH"),

@@ -157,38 +157,12 @@ def _check_new(text: str) -> None:
         raise ConfigError(f"{plain(text)} exists; accepted: a new name")
 
 
-def is_given(options: argparse.Namespace, name: str) -> bool:
-    """Return whether an option was given: whether it is something else than None, False or an empty list."""
-    value = getattr(options, name)
-    return value is not None and value is not False and value != []
-
-
-def check_needs(options: argparse.Namespace, names: Sequence[str], others: Sequence[str]) -> None:
-    """Refuse options that have an effect only beside another one, where none of these others is given."""
-    if not any(is_given(options, name) for name in others):
-        for name in names:
-            if is_given(options, name):
-                one = "it" if len(others) == 1 else "one"
-                raise ConfigError(f"{_spelt(name)} without {' or '.join(map(_spelt, others))}; accepted: with {one}")
-
-
-def check_apart(options: argparse.Namespace, names: Sequence[str], other: str, accepted: str) -> None:
-    """Refuse options that have no effect beside another one, where both are given."""
-    for name in names:
-        if is_given(options, other) and is_given(options, name):
-            raise ConfigError(f"{_spelt(name)} with {_spelt(other)}; accepted: {accepted}")
-
-
 def check_picture(path: Path) -> None:
     """Refuse a picture of another format than Matplotlib is asked for."""
     from rx90_common.report.style import PICTURES
 
     if path.suffix.lower() not in PICTURES:
         raise ConfigError(f"--plot {plain(path)}; accepted: a file with {', '.join(PICTURES)}")
-
-
-def _spelt(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
 
 
 def stay_on_this_machine() -> None:
@@ -219,6 +193,16 @@ def add_output(parser: argparse._ActionsContainer, kind: Callable[[str], Path], 
 def add_force(parser: argparse.ArgumentParser) -> None:
     """Add --force, by which what a command writes may replace files."""
     parser.add_argument("--force", action="store_true", help="replace files that exist")
+
+
+def add_plot(parser: argparse.ArgumentParser, kind: Callable[[str], Path], text: str) -> None:
+    """Add --plot, a picture that a command writes."""
+    parser.add_argument("--plot", type=kind, metavar="FILE", help=text)
+
+
+def add_slow_only(parser: argparse.ArgumentParser) -> None:
+    """Add --slow-only, without which what is written holds the topics of the base rate, too."""
+    parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of what is written")
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

@@ -14,6 +14,7 @@ from rx90_emulator.cli.options import (
     FINITE,
     add_output,
     add_robot_arguments,
+    add_slow_only,
     add_start_time,
     new_file,
     new_folder,
@@ -48,7 +49,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     add_output(parser, new_folder, "bag folder to write; must not exist", metavar="FOLDER")
     parser.add_argument("--arrays", type=new_file, metavar="FILE",
                         help="NumPy file to write (.npz), names with units; must not exist")  # fmt: skip
-    parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of what is written")
+    add_slow_only(parser)
     parser.add_argument("--feed-forward", choices=("all", "position", "none"), default="all",
                         help="position: dq_r off, D from the measured velocity alone, as the paper draws it; none: FF "
                         "off, too (%(default)s)")  # fmt: skip

@@ -33,11 +33,16 @@ def _add_run(run: argparse.ArgumentParser) -> None:
     add_robot_argument(run)
     run.add_argument("--report", type=new_file, metavar="FILE", help="page on the results to write as well, .html; new")
     run.add_argument("--resume", action="store_true", help="compute only the runs that the output lacks")
-    where = run.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=whole_number, help="processes on this machine (all cores)")
-    where.add_argument("--scheduler", help="run on the Dask cluster at this address, such as tcp://host:8786")
+    run.add_argument("--workers", type=_workers, metavar="N",
+                     help="processes on this machine (all cores), or the address of a Dask cluster instead of them, "
+                     "such as tcp://host:8786")  # fmt: skip
     kept = "what is done is kept; go on with: rx90 sweep run {plan} --output {output} --resume"
     run.set_defaults(interrupted=kept)
+
+
+def _workers(text: str) -> float | str:
+    """Return a number of processes, or the address of a scheduler, as a type for argparse."""
+    return text if "://" in text else whole_number(text)
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -54,8 +59,8 @@ def _run(options: argparse.Namespace) -> None:
     counts = run_sweep(
         sweep,
         options.output,
-        workers=options.workers,
-        scheduler=options.scheduler,
+        workers=options.workers if isinstance(options.workers, int) else None,
+        scheduler=options.workers if isinstance(options.workers, str) else None,
         resume=options.resume,
     )
     elapsed = time.perf_counter() - began

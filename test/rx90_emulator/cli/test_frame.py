@@ -113,7 +113,7 @@ WRITTEN = {
         "rx90 identify sliding nowhere",
         "rx90 line nowhere",
         "rx90 path nowhere",
-        "rx90 program nowhere",
+        "rx90 program engine nowhere",
         "rx90 replay nowhere",
         "rx90 rig ramp",
         "rx90 run nowhere",
@@ -121,7 +121,7 @@ WRITTEN = {
     ],
     "--report": [
         "rx90 identify compare nowhere",
-        "rx90 program nowhere",
+        "rx90 program engine nowhere",
         "rx90 sweep run nowhere --output x",
     ],
     "--arrays": ["rx90 replay nowhere", "rx90 run nowhere"],

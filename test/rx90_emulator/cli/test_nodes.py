@@ -138,7 +138,7 @@ CALLS = {
     "rx90 example": (["engine"], "pinocchio"),
     "rx90 monitor": ([], "lark"),
     "rx90 path": (["paths/circle.yaml"], "numba"),
-    "rx90 program": (["a.v2"], "lark"),
+    "rx90 program": (["engine", "a.v2"], "lark"),
     "rx90 replay": (["bag"], "pinocchio"),
     "rx90 run": ([], "pinocchio"),
     "rx90 sweep": (["info", "out.parquet"], "pyarrow"),
