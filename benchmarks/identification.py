@@ -42,7 +42,7 @@ from rx90_emulator.loop.setup import Setup
 LEVELS = (0.0, 0.5, 1.0, 2.0)
 """Of the torque noise, in parts of the rig's."""
 BLOCK = 4
-"""Samples of joint_states that are averaged into one, as rx90_identify does: 250 Hz."""
+"""Samples of joint_states that are averaged into one, as rx90 identify does: 250 Hz."""
 TWO_PERCENT = 0.02
 COLUMNS = ("median %", "95 % below", "worst %", "within 2 %", "covered %", "mean score", "not identifiable", "fit s")
 

@@ -24,7 +24,7 @@ from rx90_emulator.correction.learning import Learner, Measured
 from rx90_emulator.correction.recorded import CORRECTION, REFERENCE, TRACKING, measured
 from rx90_emulator.identification.experiments.nodes import follow_trajectory
 
-# share of the joints' speeds; rad/s^2: as rx90_line's
+# share of the joints' speeds; rad/s^2: as rx90 line's
 _APPROACH_SPEED = 0.25
 _APPROACH_ACCELERATION = 2.0
 _REST_S = 0.5  # s at the start of the path: the integrators take some 0.1 s, then the arm is at rest
@@ -80,7 +80,7 @@ def node_trials(
             approach()
             bag = Path(name) / f"trial_{number}"
             played = [CORRECTION] if correction.offsets.any() else []  # without offsets nothing is published
-            words = executable("rx90_bag", "record", "--output", bag, *topics, *played)
+            words = executable("rx90 bag", "record", "--output", bag, *topics, *played)
             recorder = recorders.start(f"recorder of {bag.name}", words)
             recorder.wait_for("ready: all", timeout)
             follow(replace(points, correction=correction), lambda _: None)

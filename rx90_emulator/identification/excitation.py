@@ -99,7 +99,7 @@ def identify_excitation(
     by_use = {"excitation": [Path(bag) for bag in bags], "validation": [Path(bag) for bag in validation]}
     everything = [*by_use["excitation"], *by_use["validation"]]
     if not by_use["excitation"]:
-        raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
+        raise IdentificationError("no excitation run; accepted: bags of such runs, or their folder")
     check_given_once(by_use)
     parts = _requested_parts(bristles=bristles, model=model)
     _check_rotors(robot, rotors=rotors)

@@ -66,7 +66,7 @@ def identify_friction(
     """Identify the friction of a robot from recorded bags (section 4 of Aarts, Jonker and Waiboer).
 
     Args:
-        bags: by use, or a folder that `rx90_experiment` wrote.
+        bags: by use, or a folder that `rx90 experiment` wrote.
         robot: that the bags come from; by default this project's.
         tolerances: what counts as agreement with the validation bags; by default, value by value, as in
             `check_friction`.
@@ -86,7 +86,9 @@ def identify_friction(
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(Path(bags))
     by_use = {use: getattr(chosen, use) for use in ("sliding", "presliding", "validation")}
     if not chosen.sliding:
-        raise IdentificationError("no bag with sweeps at constant velocity; accepted: a folder, or --sliding BAG ...")
+        raise IdentificationError(
+            "no bag with sweeps at constant velocity; accepted: such bags, or a folder that rx90 experiment wrote"
+        )
     if model is not None:
         model_parts(model, SLIDING_PARTS)  # refused before any bag is read
     check_given_once(by_use)
@@ -135,7 +137,7 @@ def check_friction(
     """
     by_use = {"validation": [Path(bag) for bag in bags]}
     if not bags:
-        raise IdentificationError("no bag to hold the friction against; accepted: --validation BAG ...")
+        raise IdentificationError("no bag to hold the friction against; accepted: bags of the arm")
     check_given_once(by_use)
     source = RecordedRobot.load(robot, by_use["validation"], follow=True)
     file, lugre, arm = with_friction(source.arm, friction, "a validation by recorded torques")

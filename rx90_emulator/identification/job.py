@@ -1,4 +1,4 @@
-"""What `rx90_identify` does once its options have been checked: slow to import."""
+"""What `rx90 identify` does once its options have been checked: slow to import."""
 
 from __future__ import annotations
 

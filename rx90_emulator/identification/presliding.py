@@ -73,7 +73,7 @@ def identify_presliding(
         where = ", ".join(str(record.source) for record in records) or "no bag"
         raise IdentificationError(
             f"{where}: no velocity reversals small enough for the presliding regime; accepted: oscillations of "
-            "some 0.1 mrad at some 3 to 30 Hz, such as rx90_experiment makes"
+            "some 0.1 mrad at some 3 to 30 Hz, such as rx90 experiment makes"
         )
     reason = f"no micro-oscillation of its joints in the bags, or {_REACTIONS}"
     estimates = [ElementEstimate.unknown(name, PRESLIDING, reason) for name in arm.element_names]

@@ -60,7 +60,7 @@ _MAX_GAP_PERIODS = 3.5  # longest gap between set-points that is interpolated, i
 
 _OTHER_ARMS = (
     f"the closed loop simulates arms of 1 to {MAX_JOINTS} revolute joints in series, by drives, friction and "
-    "controller files; for the torque of another arm: rx90_identify --friction FILE --validation BAG --urdf URDF"
+    "controller files; for the torque of another arm: rx90 identify check FILE BAG --urdf URDF"
 )
 
 

@@ -102,5 +102,5 @@ def test_the_command_prints_a_table_and_tells_by_its_exit_code(
     monkeypatch.setattr(selftest, "HIGHEST_IDLE_ADC", -1.0)
     assert run("friction_bench", ["selftest"]) == 1
     assert sum(line.endswith(": WRONG") for line in capsys.readouterr().out.splitlines()) == 1
-    assert run("friction_bench", ["selftest", "--port", "/dev/nothing"]) == 3
+    assert run("rx90 rig selftest", ["--port", "/dev/nothing"]) == 3
     assert "/dev/nothing: cannot be opened" in capsys.readouterr().err

@@ -94,7 +94,7 @@ def _record(
     """Record an experiment, and return what is wrong with its bag; empty for nothing."""
     bag = folder / experiment.name
     recorder = recorders.start(
-        experiment.name, executable("rx90_bag", "record", "--output", bag, *TOPICS[experiment.kind])
+        experiment.name, executable("rx90 bag", "record", "--output", bag, *TOPICS[experiment.kind])
     )
     recorder.wait_for("ready: all", timeout)
     end = follow(experiment.points)

@@ -301,7 +301,7 @@ EMULATED = "emulated_friction.yaml"
 
 
 class ExperimentsFile(FileModel):
-    """The bags of a series of experiments by use, as rx90_experiment writes it: names in the same folder."""
+    """The bags of a series of experiments by use, as rx90 experiment writes it: names in the same folder."""
 
     sliding: Annotated[Names, Field(description="Sweeps at constant velocity.")]
     presliding: Annotated[Names, Field(description="Micro-oscillations.")]
@@ -354,8 +354,7 @@ def read_index(folder: Path) -> IdentificationBags:
     """Return the bags of a series."""
     if not os.path.lexists(folder / INDEX):
         raise IdentificationError(
-            f"{folder}: no {INDEX}; accepted: a folder that rx90_experiment wrote, or --sliding, --presliding and "
-            "--validation"
+            f"{folder}: no {INDEX}; accepted: a folder that rx90 experiment wrote, or bags by their use"
         )
     index = read_model(ExperimentsFile, folder / INDEX)
     uses = (index.sliding, index.presliding, index.validation, index.excitation)

@@ -1,4 +1,4 @@
-"""The work of `rx90_experiment` with a plan: show it, search for excitation runs with a progress bar, and record it."""
+"""The work of `rx90 experiment` with a plan: show it, search for excitation runs with a progress bar, and record it."""
 
 from __future__ import annotations
 

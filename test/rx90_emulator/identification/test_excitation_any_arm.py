@@ -31,7 +31,7 @@ SHARE = 0.8
 
 
 def _plan(*words: str) -> int:
-    return run("rx90_experiment", ["plan", "--excitation", *words])
+    return run("rx90 experiment excitation any", words)
 
 
 @pytest.fixture(scope="module")

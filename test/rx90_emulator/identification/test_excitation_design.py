@@ -249,7 +249,7 @@ def test_the_arm_does_not_touch_itself(shipped: Setup) -> None:
 def test_a_folder_of_excitation_runs_is_identified_as_such(
     plan: tuple[Experiment, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`rx90_identify FOLDER` takes runs and validation from the index; one of a series of sweeps names none."""
+    """`identify excitation FOLDER` takes runs and validation from the index; one of a series of sweeps names none."""
     runs = [plan[0], replace(plan[0], name="unseen", kind=Kind.VALIDATION)]
     write_index(tmp_path, runs[1:])
     (tmp_path / "unseen").mkdir()
@@ -264,7 +264,7 @@ def test_a_folder_of_excitation_runs_is_identified_as_such(
         raise IdentificationError("enough")
 
     monkeypatch.setattr(identification, "identify_excitation", refused)
-    assert run("rx90_identify", [str(tmp_path), "--output", str(tmp_path / "out")]) == REFUSED
+    assert run("rx90 identify excitation", [str(tmp_path), "--output", str(tmp_path / "out")]) == REFUSED
     (given,) = seen
     assert (given[0], given[2]) == ((tmp_path / "excitation_1",), (tmp_path / "unseen",))  # type: ignore[index]
 

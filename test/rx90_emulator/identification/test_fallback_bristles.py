@@ -19,8 +19,8 @@ from rx90_emulator.identification.options import RobotOptions
 def test_without_a_file_bristles_are_assumed(hinge: Hinge, tmp_path: Path) -> None:
     """Sweeps alone, no fallback: bristles break away after 0.25 mrad, marked so; rows at reversals judge them alone."""
     file = tmp_path / "friction.yaml"
-    words = ["--sliding", str(hinge.bag), "--urdf", str(hinge.urdf), "--output", str(file)]
-    assert run("rx90_identify", words) == DONE
+    words = ["sliding", str(hinge.bag), "--urdf", str(hinge.urdf), "--output", str(file)]
+    assert run("rx90 identify", words) == DONE
     element = FrictionFile.read(file).elements["hinge"]
     mean = 0.5 * (element.tau_c.positive + element.tau_c.negative)
     assert element.c0 == pytest.approx(mean / 2.5e-4, rel=1e-5)
@@ -38,6 +38,6 @@ def test_other_bristles_than_lugres_are_refused(
     content = yaml.safe_load(given.read_text(encoding="utf-8"))
     content["elements"]["hinge"]["bristles"] = {"kind": "elasto_plastic", "break_away": 0.45}
     given.write_text(yaml.safe_dump(content), encoding="utf-8")
-    words = ["--sliding", str(hinge.bag), "--urdf", str(hinge.urdf), "--fallback", str(given)]
-    assert run("rx90_identify", [*words, "--output", str(tmp_path / "f.yaml")]) == REFUSED
+    words = ["sliding", str(hinge.bag), "--urdf", str(hinge.urdf), "--fallback", str(given)]
+    assert run("rx90 identify", [*words, "--output", str(tmp_path / "f.yaml")]) == REFUSED
     assert "hinge.bristles: an identification with it as --fallback cannot hold" in capsys.readouterr().err

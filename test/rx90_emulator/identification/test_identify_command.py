@@ -1,4 +1,4 @@
-"""`rx90_identify` on a single joint: what a user does wrong, a friction file that is checked, interrupts."""
+"""`rx90 identify` on a single joint: what a user does wrong, a friction file that is checked, interrupts."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Change = Callable[[Hinge, Path], list[object]]
 
 def options(*words: object) -> Change:
     """Return options beside those of the good bag."""
-    return lambda hinge, _: ["--sliding", hinge.bag, *words]
+    return lambda hinge, _: ["sliding", hinge.bag, *words]
 
 
 def sliding(rows: Any = slice(None), header: bool = True, **changed: Callable[[Hinge], Any]) -> Change:
@@ -44,14 +44,14 @@ def sliding(rows: Any = slice(None), header: bool = True, **changed: Callable[[H
         fields = {name: getattr(hinge, name) for name in ("position", "velocity", "torque")}
         fields |= {name: change(hinge) for name, change in changed.items()}
         values = tuple(value[rows] for value in fields.values())
-        return ["--sliding", write(folder / "bag", "/joint_states", ["hinge"], RATE, values, header=header)]  # type: ignore[arg-type]
+        return ["sliding", write(folder / "bag", "/joint_states", ["hinge"], RATE, values, header=header)]  # type: ignore[arg-type]
 
     return make
 
 
 def existing(option: str, name: str) -> Change:
     """Return the option of a file that is there."""
-    return lambda hinge, folder: ["--sliding", hinge.bag, option, filled(folder / name, "mine")]
+    return lambda hinge, folder: ["sliding", hinge.bag, option, filled(folder / name, "mine")]
 
 
 def filled(path: Path, text: str = "") -> Path:
@@ -66,11 +66,11 @@ def filled(path: Path, text: str = "") -> Path:
 def mimicking(hinge: Hinge, folder: Path) -> list[object]:
     """Return the option of a URDF in which a second joint mimics the first."""
     head, tail = urdf_text(["hinge", "jaw"], ["0 1 0", "0 1 0"], [2.0, 1.0]).rsplit("</joint>", 1)
-    return ["--sliding", hinge.bag, "--urdf", filled(folder / "m.urdf", f'{head}<mimic joint="hinge"/></joint>{tail}')]
+    return ["sliding", hinge.bag, "--urdf", filled(folder / "m.urdf", f'{head}<mimic joint="hinge"/></joint>{tail}')]
 
 
 REFUSED_CASES = {
-    "slow": (lambda h, _: ["--sliding", h.bag, "--presliding", h.bag], "100 samples per second; accepted: 500 or more"),
+    "slow": (lambda h, _: ["sliding", h.bag, "--presliding", h.bag], "100 samples per second; accepted: 500 or more"),
     "driven": (sliding(torque=lambda h: -h.torque), "hinge: the torque does not oppose the motion"),
     "motor_angles": (
         sliding(position=lambda h: 1e3 * h.position, velocity=lambda h: 1e3 * h.velocity),
@@ -78,7 +78,7 @@ REFUSED_CASES = {
     ),
     "unstamped": (sliding(header=False), "every stamp is 0.0* s; accepted: .*record_time: true"),
     "checked_by_itself": (
-        lambda h, f: ["--sliding", h.bag, "--validation", shutil.copytree(h.bag, f / "copy")],
+        lambda h, f: ["sliding", h.bag, "--validation", shutil.copytree(h.bag, f / "copy")],
         "copy: also used for the identification as .*run",
     ),
     "mimic": (mimicking, "'jaw' mimics hinge; accepted: .*--joints hinge"),
@@ -97,11 +97,12 @@ def test_a_mistake_is_one_line(hinge: Hinge, tmp_path: Path, capfd: pytest.Captu
     """A user's mistake is one line with what is accepted and status 2, and leaves every file as it was."""
     change, message = REFUSED_CASES[case]
     good = ["--fallback", hinge.fallback, "--output", tmp_path / "f.yaml"]
-    words = [str(word) for word in ("--urdf", hinge.urdf, *good, *change(hinge, tmp_path))]  # type: ignore[no-untyped-call]
+    verb, bag, *more = change(hinge, tmp_path)  # type: ignore[no-untyped-call]
+    words = [str(word) for word in (verb, bag, "--urdf", hinge.urdf, *good, *more)]
     before = everything(tmp_path)
-    assert run("rx90_identify", words) == REFUSED
+    assert run("rx90 identify", words) == REFUSED
     lines = capfd.readouterr().err.replace("\r", "\n").splitlines()
-    said = [line for line in lines if line.startswith("rx90_identify: ")]
+    said = [line for line in lines if line.startswith("rx90 identify: ")]
     assert len(said) == 1, lines
     assert re.search(message, said[0]), said[0]
     assert everything(tmp_path) == before
@@ -109,7 +110,7 @@ def test_a_mistake_is_one_line(hinge: Hinge, tmp_path: Path, capfd: pytest.Captu
 
 def checked(hinge: Hinge, *words: object) -> int:
     """Run the command with the joint's URDF."""
-    return run("rx90_identify", [str(word) for word in ("--urdf", hinge.urdf, *words)])
+    return run("rx90 identify", [str(word) for word in (*words, "--urdf", hinge.urdf)])
 
 
 def test_true_friction_is_confirmed_and_false_is_not(
@@ -117,12 +118,12 @@ def test_true_friction_is_confirmed_and_false_is_not(
 ) -> None:
     """The arm's own friction is confirmed with 0; half as much again is not, with 1; a report is written if asked."""
     good, bad = hinge.friction(tmp_path / "good.yaml"), hinge.friction(tmp_path / "bad.yaml", 1.5)
-    words, report = ["--friction", good, "--validation", hinge.bag], tmp_path / "page.html"
+    words, report = ["check", good, hinge.bag], tmp_path / "page.html"
     assert checked(hinge, *words, "--report", report) == DONE
-    assert checked(hinge, "--friction", bad, "--validation", hinge.bag) == VERDICT_NO
+    assert checked(hinge, "check", bad, hinge.bag) == VERDICT_NO
     said = capsys.readouterr()
     assert re.findall(r"validation \S+: (confirmed|NOT CONFIRMED)", said.out) == ["confirmed", "NOT CONFIRMED"]
-    assert said.err.splitlines()[-1] == f"rx90_identify: the validation does not confirm {bad}"
+    assert said.err.splitlines()[-1] == f"rx90 identify: the validation does not confirm {bad}"
     assert {file.name for file in tmp_path.iterdir()} == {"good.yaml", "bad.yaml", "page.html"}
     page = report.read_text(encoding="utf-8")
     for text in ("good.yaml", "<b>confirmed</b>", '<figure class="plot">'):
@@ -173,9 +174,9 @@ def test_an_interrupt_leaves_everything(
         monkeypatch.setattr(Path, "write_bytes", lambda *a, **k: (whole(*a, **k), interrupted()))
     else:
         monkeypatch.setattr(identify_job if place == "identification_page" else identify_bags, place, interrupted)
-    words = ["--sliding", hinge.bag, "--fallback", hinge.fallback, "--output", output, "--force"]
+    words = ["sliding", hinge.bag, "--fallback", hinge.fallback, "--output", output, "--force"]
     assert checked(hinge, *words) == INTERRUPTED
-    assert capsys.readouterr().err.splitlines()[-1] == "rx90_identify: interrupted; nothing was written"
+    assert capsys.readouterr().err.splitlines()[-1] == "rx90 identify: interrupted; nothing was written"
     assert everything(tmp_path) == {output: b"mine"}
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
 

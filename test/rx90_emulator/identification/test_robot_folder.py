@@ -189,9 +189,9 @@ def test_folder_is_one_that_editors_and_rx90_config_accept(case: Case, capsys: p
             assert schema_faults(role, path) == [], name
             assert "yaml-language-server" not in path.read_text(encoding="utf-8")
     folder = str(case.files.urdf.parent)
-    assert run("rx90_config", ["check", folder]) == 0
+    assert run("rx90 config", ["check", folder]) == 0
     capsys.readouterr()
-    assert run("rx90_config", ["show", "--robot", folder, "--json"]) == 0
+    assert run("rx90 config", ["show", "--robot", folder, "--json"]) == 0
     shown = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
     assert shown["drives.transmission.rotor_inertia"]["provenance"] == "identified"
     assert shown["drives.transmission.gear"]["assumed"] is True

@@ -213,7 +213,7 @@ def test_the_verdict_is_the_exit_code(
 ) -> None:
     """0 for the robot that ran, 1 for tolerances that it cannot keep; a page says so and is not replaced unasked."""
     page = tmp_path / "page.html"
-    assert run("rx90_compare_measured", [str(measured.bag), "--report", str(page)]) == DONE
+    assert run("rx90 identify compare", [str(measured.bag), "--report", str(page)]) == DONE
     said = capsys.readouterr().out
     assert ": agrees: torque RMS of all joints 0." in said
     assert [line.split()[0] for line in said.splitlines() if line.startswith("joint_")] == [
@@ -222,8 +222,8 @@ def test_the_verdict_is_the_exit_code(
     text = page.read_text(encoding="utf-8")
     assert "<b>agrees</b>" in text
     assert text.count('<figure class="plot') == 2
-    assert run("rx90_compare_measured", [str(measured.bag), "--report", str(page)]) == REFUSED
+    assert run("rx90 identify compare", [str(measured.bag), "--report", str(page)]) == REFUSED
     assert "exists; accepted: another name, or --force" in capsys.readouterr().err
-    assert run("rx90_compare_measured", [str(measured.bag), "--position-tolerance", "1e-12"]) == VERDICT_NO
+    assert run("rx90 identify compare", [str(measured.bag), "--position-tolerance", "1e-12"]) == VERDICT_NO
     assert "DOES NOT AGREE" in capsys.readouterr().out
     check_report(page)

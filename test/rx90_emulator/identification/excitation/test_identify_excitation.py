@@ -1,4 +1,4 @@
-"""`rx90_identify --excitation BAG ...`: values, verdicts, files, and what is refused."""
+"""`rx90 identify excitation BAG ...`: values, verdicts, files, and what is refused."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def outcome(bench: Bench) -> Outcome:
         kept.append(identify(*arguments, **options))
         return kept[0]
 
-    bags = ["--excitation", bench.folder / "run", "--validation", bench.folder / "unseen", bench.folder / "stiff"]
+    bags = ["excitation", bench.folder / "run", "--validation", bench.folder / "unseen", bench.folder / "stiff"]
     out, err = io.StringIO(), Terminal()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(identification, "identify_excitation", kept_result)
@@ -106,7 +106,7 @@ def test_values_are_those_of_the_arm(bench: Bench, outcome: Outcome) -> None:
 def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
     """The arm's own run is confirmed at its noise, one with 1.8 times the friction is not, and the code says so."""
     assert outcome.code == VERDICT_NO
-    assert outcome.error.splitlines()[-1] == "rx90_identify: the validation does not confirm the result"
+    assert outcome.error.splitlines()[-1] == "rx90 identify: the validation does not confirm the result"
     verdicts = re.findall(r"validation \S+/(\w+): (confirmed|NOT CONFIRMED)", outcome.said)
     assert verdicts == [("unseen", "confirmed"), ("stiff", "NOT CONFIRMED")]
     good, bad = outcome.result.validations
@@ -186,7 +186,7 @@ def test_what_cannot_be_identified_is_refused(
     before = sorted(bench.folder.rglob("*"))
     given = [word if word.startswith(("--", "0")) else str(bench.folder / word) for word in words]
     output = [] if "--output" in words else ["--output", str(bench.folder / "new")]
-    assert bench.identify("--excitation", *given, *output) == REFUSED
+    assert bench.identify("excitation", *given, *output) == REFUSED
     lines = [line for line in capsys.readouterr().err.replace("\r", "\n").splitlines() if line and "| " not in line]
     said = [line for line in lines if not line.startswith(("usage: ", "  "))]
     assert len(said) == 1, said
@@ -273,7 +273,7 @@ def test_a_joint_at_rest_is_assumed_and_the_others_are_written(
             f"provenance: assumed\nelements:\n  shoulder: {OTHER}\n  elbow: {OTHER}\n", encoding="utf-8"
         )
         words += ["--fallback", tmp_path / "other.yaml"]
-    assert bench.identify("--excitation", bench.folder / "half", "--output", tmp_path / "out", *words) == 0
+    assert bench.identify("excitation", bench.folder / "half", "--output", tmp_path / "out", *words) == 0
     said = capsys.readouterr().out
     assert "warning: the friction of elbow is not identified (at rest in all runs); assumed is a Coulomb" in said
     file = yaml.safe_load((tmp_path / "out" / "friction.yaml").read_text(encoding="utf-8"))
@@ -291,7 +291,7 @@ def test_an_effort_that_tells_nothing_carries_a_warning(
     bench: Bench, tmp_path: Path, bag: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Terminal, friction file, parameters and report say that the torque of a joint is noise, or 0; of others not."""
-    words = ["--excitation", bench.folder / bag, "--output", tmp_path / "out", "--model", "coulomb-viscous"]
+    words = ["excitation", bench.folder / bag, "--output", tmp_path / "out", "--model", "coulomb-viscous"]
     assert bench.identify(*words) == 0
     warned = r"(\d+)% of what varies in the torque of (\w+) is not explained"
     texts = {name: (tmp_path / "out" / name).read_text(encoding="utf-8") for name in ("report.html", "parameters.yaml")}
