@@ -217,7 +217,7 @@ class JointGroup:
 
     def break_away(self, sliding: Sequence[FrictionElement]) -> Array:
         """Return the friction torque at which each joint slides, Nm, shape (k,), by its elements' sliding regime."""
-        return np.asarray(np.abs(self.inputs).T @ np.array([one.tau_c.positive for one in sliding]))
+        return np.asarray(np.abs(self.inputs).T @ np.array([element.tau_c.positive for element in sliding]))
 
 
 def joint_groups(arm: RigidArm) -> list[JointGroup]:
@@ -225,9 +225,10 @@ def joint_groups(arm: RigidArm) -> list[JointGroup]:
     matrix = arm.element_matrix
     shared = np.abs(matrix).T @ np.abs(matrix)
     _, group = connected_components(shared, directed=False)
-    found = []
+    groups = []
     for number in dict.fromkeys(group.tolist()):
         joints = np.flatnonzero(group == number)
         elements = np.flatnonzero(matrix[:, joints].any(axis=1))
-        found.append(JointGroup(tuple(joints.tolist()), tuple(elements.tolist()), matrix[np.ix_(elements, joints)]))
-    return found
+        inputs = matrix[np.ix_(elements, joints)]
+        groups.append(JointGroup(tuple(joints.tolist()), tuple(elements.tolist()), inputs))
+    return groups

@@ -150,12 +150,12 @@ def _validation(
 ) -> Validation:
     """Return the verdict of a run that the identification did not use, all predictions on the same rows."""
     bandwidths = validation_bandwidths(record, result.problem.runs[0].bandwidths)
-    other = result.problem.other(filtered_runs(record, result.robot, bandwidths))
+    unseen = result.problem.other(filtered_runs(record, result.robot, bandwidths))
 
     def torques(predicted: Array) -> RunTorques:
-        return run_torques(other, predicted)[0]
+        return run_torques(unseen, predicted)[0]
 
-    files = torques(written_torque(other, arm, result.friction.elements))
+    files = torques(written_torque(unseen, arm, result.friction.elements))
     return Validation(
         names=files.names,
         torque=files,
@@ -166,8 +166,8 @@ def _validation(
         alarms=result.alarms,
         unit=record.unit,
         assumed_bristles=result.assumed_bristles,
-        fitted=torques(result.fitted.predicted(other)),
-        simplest=torques(simplest.predicted(other)),
+        fitted=torques(result.fitted.predicted(unseen)),
+        simplest=torques(simplest.predicted(unseen)),
     )
 
 

@@ -25,8 +25,8 @@ def model_parts(model: Sequence[str], accepted: Sequence[str] = MODEL_PARTS) -> 
     """Return the parts of a model beside Coulomb and viscous friction, which every model has."""
     unknown = [name for name in model if name not in (COULOMB_VISCOUS, *accepted)]
     if unknown or not model:
-        found = quoted(unknown[0]) if unknown else "no part"
-        raise ConfigError(f"--model: {found}; accepted: {', '.join((COULOMB_VISCOUS, *accepted))}")
+        wrong = quoted(unknown[0]) if unknown else "no part"
+        raise ConfigError(f"--model: {wrong}; accepted: {', '.join((COULOMB_VISCOUS, *accepted))}")
     return tuple(name for name in accepted if name in model)
 
 

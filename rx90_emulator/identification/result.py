@@ -114,7 +114,7 @@ class Identification:
     @property
     def friction(self) -> FrictionSet:
         """Return the friction to simulate this project's robot with."""
-        return FrictionSet(self.arm.element_names, tuple(one.element for one in self.elements))
+        return FrictionSet(self.arm.element_names, tuple(identified.element for identified in self.elements))
 
     @property
     def assumed_bristles(self) -> bool:

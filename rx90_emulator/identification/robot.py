@@ -70,22 +70,23 @@ class BagLayout:
     def __post_init__(self) -> None:
         twice = [name for name in self.messages if self.messages.count(name) > 1]
         if twice:
-            found = f"name {quoted(twice[0])} in the messages for two joints"
-            raise IdentificationError(f"{found}; accepted: each name once")
+            raise IdentificationError(
+                f"name {quoted(twice[0])} in the messages for two joints; accepted: each name once"
+            )
         if self.turns is not None and abs(np.linalg.det(self.turns)) < 1e-9:
             raise IdentificationError(f"gears times coupling: {self.turns.tolist()}; accepted: an invertible matrix")
 
     def joint_side(self, fields: Mapping[str, Array]) -> dict[str, Array]:
         """Return position, rad, velocity, rad/s, and effort, Nm, of the joints, as far as the messages contain them."""
-        found = dict(fields)
-        if self.torque_constant is not None and "effort" in found:
-            found["effort"] = found["effort"] * self.torque_constant
+        values = dict(fields)
+        if self.torque_constant is not None and "effort" in values:
+            values["effort"] = values["effort"] * self.torque_constant
         if self.turns is not None:
             inverse = np.linalg.inv(self.turns).T
-            found = {field: v @ (self.turns if field == "effort" else inverse) for field, v in found.items()}
+            values = {name: column @ (self.turns if name == "effort" else inverse) for name, column in values.items()}
         if self.zero is not None:
-            found["position"] = found["position"] - self.zero
-        return found
+            values["position"] = values["position"] - self.zero
+        return values
 
 
 def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMapping | None]:
@@ -97,10 +98,10 @@ def with_signals(options: Options, logs: Sequence[Path]) -> tuple[Options, LogMa
     """
     given = None if options.signals is None else LogMapping.load(Path(options.signals))
     maps = [mapping_of(log) for log in logs if is_table(log)] if given is None else [given]
-    for one in maps[1:]:
-        if one.messages != maps[0].messages:
+    for further in maps[1:]:
+        if further.messages != maps[0].messages:
             raise ConfigError(
-                f"{plain(one.path)} says other things of the arm than {plain(maps[0].path)}; accepted: the same "
+                f"{plain(further.path)} says other things of the arm than {plain(maps[0].path)}; accepted: the same "
                 f"{', '.join(MESSAGE_KEYS)}"
             )
     mapped = maps[0].messages if maps else {}
@@ -198,8 +199,10 @@ def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None 
     for topic in topics:
         if absolute(topic) in there:
             return topic
-    what = f"neither {MOTOR_STATES} nor {JOINT_STATES}" if len(topics) > 1 else f"no topic {plain(topics[0])}"
-    raise IdentificationError(f"{bag}: {what}; there are {', '.join(sorted(there)) or 'no topics'}; accepted: --topic")
+    missing = f"neither {MOTOR_STATES} nor {JOINT_STATES}" if len(topics) > 1 else f"no topic {plain(topics[0])}"
+    raise IdentificationError(
+        f"{bag}: {missing}; there are {', '.join(sorted(there)) or 'no topics'}; accepted: --topic"
+    )
 
 
 def message_names(log: Path, topic: str, mapping: LogMapping | None = None) -> tuple[str, ...]:
@@ -207,7 +210,7 @@ def message_names(log: Path, topic: str, mapping: LogMapping | None = None) -> t
     if is_table(log):
         return mapping_of(log, mapping).names or ()
     with BagReader(log) as reader:
-        there = [one for one in reader.topics if one.name == absolute(topic) and one.is_joint_state]
+        there = [entry for entry in reader.topics if entry.name == absolute(topic) and entry.is_joint_state]
         first = next(reader.messages(there), None) if there else None
         return () if first is None else tuple(str(name) for name in reader.deserialize(first[0], first[2]).name)
 
@@ -279,11 +282,11 @@ class RecordedRobot:
                 carried by them, follow the logs instead of being fixed at 0.
         """
         options, mapping = with_signals(options, logs)
-        own = options.urdf is None
-        for name in ("joints", "rotor_inertia", "spring") if own else ("robot", "tool", "drives"):
+        ours = options.urdf is None
+        for name in ("joints", "rotor_inertia", "spring") if ours else ("robot", "tool", "drives"):
             if getattr(options, name) is not None:
-                accepted = "with --urdf of another robot" if own else "for this project's robot alone"
-                how = "without" if own else "with"
+                accepted = "with --urdf of another robot" if ours else "for this project's robot alone"
+                how = "without" if ours else "with"
                 raise IdentificationError(f"{_option(name)} {how} --urdf; accepted: {accepted}")
         if options.urdf is None:
             files = RobotFiles.of_options(options)
@@ -331,8 +334,8 @@ class RecordedRobot:
         if setup is None:
             topic = topic or JOINT_STATES
             topic = recorded_topic(bag, (topic,), self.mapping) if is_table(bag) else topic
-            own = np.array(self.arm.names)[self.arm.identified].tolist()
-            return replace(arm_layout(topic, own, self.options, None, self.mapping), followed=self.followed)
+            joints = np.array(self.arm.names)[self.arm.identified].tolist()
+            return replace(arm_layout(topic, joints, self.options, None, self.mapping), followed=self.followed)
         check_robot(bag, setup.robot.model.name)
         topics = (MOTOR_STATES, JOINT_STATES) if fast else (JOINT_STATES, MOTOR_STATES)
         topic = topic or recorded_topic(bag, topics, self.mapping)

@@ -29,6 +29,7 @@ from rx90_common.base.quoting import listed
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.options import SHIPPED_ROBOT, RobotOptions
 from rx90_emulator.identification.records import JointRecord, block_means, moving
+from rx90_emulator.identification.rows.rigid import StandardColumns
 
 _BAND_HZ = 5.0  # of the low-pass of motion and torque: arms move below it
 _MOST_INSTANTS = 500  # evenly spread over all runs
@@ -164,15 +165,9 @@ class _SimplestModel:
 
     def __init__(self, arm: RigidArm, motion: Array, used: Mask, size: Array) -> None:
         row, joint = np.nonzero(used)
-        n = len(arm.names)
-        turns = arm.coupling
         self._used = used
         self._weight = 1.0 / size[joint]
-        links = arm.regressor(*motion)
-        rotors = (motion[2] @ turns.T)[:, None, :] * turns.T
-        springs = np.sin(motion[0])[:, :, None] * np.eye(n)[:, arm.spring != 0.0]
-        offsets = np.broadcast_to(np.eye(n), (len(used), n, n))
-        rigid = np.concatenate([links, rotors, springs, offsets], axis=2)[used] * self._weight[:, None]
+        rigid = StandardColumns(arm).torque(*motion)[used] * self._weight[:, None]
         length = np.linalg.norm(rigid, axis=0)
         directions, share, _ = np.linalg.svd(rigid[:, length > 0.0] / length[length > 0.0], full_matrices=False)
         self._basis = directions[:, share > 1e-6 * share[0]]

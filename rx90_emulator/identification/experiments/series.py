@@ -89,7 +89,8 @@ def run_on_engine(setup: Setup, experiment: Experiment, bag: Path) -> None:
     result = simulate(
         setup, experiment.points, duration=experiment.duration + _SETTLING_S, record_fast="motor_states" in topics
     )
-    series = [one for one in result.series.values() if one.topic in map(absolute, topics)]
+    recorded = set(map(absolute, topics))
+    series = [series for series in result.series.values() if series.topic in recorded]
     description = string_message("/robot_description", setup.robot.urdf)
     write_joint_states(bag, series, messages=[description])
 

@@ -140,7 +140,7 @@ def folder_base(arm: RigidArm, urdf: Path) -> tuple[FolderBase | None, str]:
     """Return the basis of another robot's folder, or None, and in one line the consequence."""
     alone = "URDF and friction file alone, no robot folder: "
     if not arm.identified.all():
-        followed = listed(name for name, own in zip(arm.names, arm.identified, strict=True) if not own)
+        followed = listed(np.array(arm.names)[~arm.identified].tolist())
         return None, f"{alone}{followed} only followed the recording; the simulation needs friction of every joint"
     held = tuple(name for name in all_joints(urdf) if name not in arm.names)
     try:
@@ -243,8 +243,10 @@ def _folder_texts(
         FILES["drives"]: _DRIVES_HEAD + yaml_text(drives),
         FILES["controller"]: _CONTROLLER_HEAD + yaml_text(controller),
     }
-    kept = {} if base.files is None else {"tool": base.files.tool, "task": base.files.task, "poses": base.files.poses}
-    for role, path in kept.items():
+    unchanged = (
+        {} if base.files is None else {"tool": base.files.tool, "task": base.files.task, "poses": base.files.poses}
+    )
+    for role, path in unchanged.items():
         if path is not None:
             texts[FILES[role]] = without_schema_line(path.read_text(encoding="utf-8"))
     return texts
@@ -270,28 +272,33 @@ def _drive_values(result: ExcitationIdentification) -> dict[tuple[str, str], Ide
             raise IdentificationError(f"the {key} of {worst} was identified as {min(amounts):.3g}; accepted: >= 0")
         shared = listed(name for name, number in place.items() if not inertias.alone[number])
         how = f"; of {shared} only the sum with the links, divided near to what was known" if shared else ""
-        values[block, key] = Identified([digits(one, 12) for one in amounts], "identified", _origin(result) + how)
+        values[block, key] = Identified([digits(amount, 12) for amount in amounts], "identified", _origin(result) + how)
     return values
 
 
-def _compensation(found: Sequence[IdentifiedElement], names: Sequence[str], base: FolderBase) -> dict[str, Identified]:
+def _compensation(
+    identified: Sequence[IdentifiedElement], names: Sequence[str], base: FolderBase
+) -> dict[str, Identified]:
     """Return the controller's compensation for the identified friction of the elements with these names."""
     joints = len(base.robot.joint_names)
     # The friction that each motor works against; several viscous parts are one of their sum at the nominal speed.
-    against = [[identified.element] for identified in found[:joints]]
-    for motor, identified in zip(base.turning.sums, found[joints:], strict=True):
-        against[motor].append(identified.element)
+    against = [[joint.element] for joint in identified[:joints]]
+    for motor, shared in zip(base.turning.sums, identified[joints:], strict=True):
+        against[motor].append(shared.element)
     coulomb = []
     viscous = []
     for elements, speed in zip(against, base.robot.max_velocity.tolist(), strict=True):
-        coulomb.append(sum(0.5 * (one.tau_c.positive + one.tau_c.negative) for one in elements))
-        viscous.append(sum(one.c2 * speed**one.alpha for one in elements) / speed ** elements[0].alpha)
+        coulomb.append(sum(0.5 * (law.tau_c.positive + law.tau_c.negative) for law in elements))
+        viscous.append(sum(law.c2 * speed**law.alpha for law in elements) / speed ** elements[0].alpha)
     exponent = [elements[0].alpha for elements in against]
     source = "the identified friction of each joint"
     if base.turning.sums:
         source += f", and of {listed(names[joints:])} at the motors that turn with several joints"
     values = {"coulomb_torque": coulomb, "viscous_friction": viscous, "viscous_exponent": exponent}
-    return {key: Identified([digits(one, 12) for one in some], "derived", source) for key, some in values.items()}
+    return {
+        key: Identified([digits(value, 12) for value in joint_values], "derived", source)
+        for key, joint_values in values.items()
+    }
 
 
 def _joints(result: ExcitationIdentification) -> dict[str, dict[str, float]]:
@@ -333,13 +340,17 @@ def parameters_text(result: ExcitationIdentification, date: datetime) -> str:
             for use, bag in result.bags
         ],
         "base_parameters": {
-            one.name: {"unit": one.unit, "group": one.group, **_estimate(one.estimate)}
-            | {"consistent": digits(one.consistent)}
-            for one in result.base
+            parameter.name: {
+                "unit": parameter.unit,
+                "group": parameter.group,
+                **_estimate(parameter.estimate),
+                "consistent": digits(parameter.consistent),
+            }
+            for parameter in result.base
         },
         "friction": {
-            name: {parameter: _estimate(estimate) for parameter, estimate in one.estimates.items()}
-            for name, one in zip(result.arm.element_names, result.elements, strict=True)
+            name: {parameter: _estimate(estimate) for parameter, estimate in element.estimates.items()}
+            for name, element in zip(result.arm.element_names, result.elements, strict=True)
         },
         "fit": {run.source.path.name: {"relative": digits(run.total_share)} for run in result.torques},
         "validation": {Path(check.source).name: _validation(check) for check in result.validations},
@@ -364,5 +375,5 @@ def _validation(check: Validation) -> dict[str, Any]:
     """Return the verdict, and the torque error of all joints by each prediction."""
     torques = {"by_files": check.torque, "simplest": check.simplest}
     shares = {name: {"relative": digits(run.total_share)} for name, run in torques.items() if run is not None}
-    own = {} if check.fitted is None else {"relative": digits(check.fitted.total_share)}
-    return {"confirmed": check.passed, **own, **shares}
+    fitted = {} if check.fitted is None else {"relative": digits(check.fitted.total_share)}
+    return {"confirmed": check.passed, **fitted, **shares}

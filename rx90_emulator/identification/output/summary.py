@@ -254,6 +254,6 @@ def lacking(names: Sequence[str], elements: Sequence[IdentifiedElement]) -> list
     for parameters, pairs in together(reasons.items()):
         whose = "all elements" if len(pairs) == len(names) else ", ".join(element for element, _ in pairs)
         texts = together(pairs)
-        words = [reason if len(texts) == 1 else f"{some}: {reason}" for some, reason in texts]
+        words = [reason if len(texts) == 1 else f"{elements}: {reason}" for elements, reason in texts]
         groups.append((parameters, whose, tuple(words)))
     return groups

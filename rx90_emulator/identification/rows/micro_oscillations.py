@@ -110,7 +110,7 @@ class MicroMotion:
     joints: tuple[int, ...]
 
     @property
-    def own(self) -> float:
+    def driven(self) -> float:
         """Return the least ratio, over the joints, of the RMS torque to that of the other joints' accelerations."""
         others = np.delete(np.arange(self.mass.shape[1]), self.joints)
         reaction = np.std(self.acceleration[:, others] @ self.mass[:, others].T, axis=0)
@@ -120,14 +120,14 @@ class MicroMotion:
     @property
     def inertial(self) -> Array:
         """Return the torques of errors of the mass matrix, one for each pair of joints, Nm, shape (b, k, pairs)."""
-        own = self.acceleration[:, self.joints]
+        acceleration = self.acceleration[:, self.joints]
         inertia = np.diag(self.mass[:, self.joints])
         first, second = np.triu_indices(len(inertia))
         pairs = np.arange(len(first))
-        torque = np.zeros((*own.shape, len(first)))
+        torque = np.zeros((*acceleration.shape, len(first)))
         scale = np.sqrt(inertia[first] * inertia[second])
-        torque[:, first, pairs] = scale * own[:, second]
-        torque[:, second, pairs] = scale * own[:, first]
+        torque[:, first, pairs] = scale * acceleration[:, second]
+        torque[:, second, pairs] = scale * acceleration[:, first]
         return torque
 
     def load(self, break_away: Array) -> float:
@@ -184,8 +184,8 @@ def find_micro_motions(record: JointRecord, arm: RigidArm, groups: Sequence[Join
 def _driven(motion: MicroMotion, others: Sequence[MicroMotion]) -> bool:
     """Return whether the joints of a motion are moved by their motors, and not by the reactions of other joints."""
     begin, end = motion.interval
-    together = [other.own for other in others if other.interval[0] < end and begin < other.interval[1]]
-    return motion.own >= min(_MIN_OWN_TORQUE, max(together))
+    together = [near.driven for near in others if near.interval[0] < end and begin < near.interval[1]]
+    return motion.driven >= min(_MIN_OWN_TORQUE, max(together))
 
 
 @dataclass(frozen=True, eq=False)

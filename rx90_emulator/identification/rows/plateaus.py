@@ -121,7 +121,7 @@ def find_plateaus(record: JointRecord, elements: Array) -> tuple[list[Plateau], 
             else:
                 used[rows] = True
                 plateaus.append(Plateau(_blocks(record, elements, rows), sliding))
-    speeds = np.array([np.abs(elements @ velocity(record, one.rows)) * one.sliding for one in plateaus])
+    speeds = np.array([np.abs(elements @ velocity(record, plateau.rows)) * plateau.sliding for plateau in plateaus])
     ranges = np.zeros((len(elements), 2))
     for e in np.flatnonzero(speeds.any(axis=0)) if plateaus else ():
         ranges[e] = speeds[speeds[:, e] > 0.0, e].min(), speeds[:, e].max()
