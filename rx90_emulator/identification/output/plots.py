@@ -22,7 +22,8 @@ _PREDICTED: Final = COLOURS[1]
 DIFFERENCE: Final = COLOURS[6]
 _SPEED = "velocity of the element, rad/s"
 _INTERVAL = 1.96  # standard deviations, 95 %
-DRAWN_SHARE = 20  # one of so many parts of a micro-oscillation is drawn: more loops would cover each other
+_RESIDUAL = "measured - identified"
+_DRAWN_SHARE = 20  # one of so many parts of a micro-oscillation is drawn: more loops would cover each other
 
 
 def compared(shown: figure, time: Array, recorded: tuple[str, Array], predicted: tuple[str, Array]) -> None:
@@ -55,51 +56,61 @@ def tips(check: Validation) -> list[figure]:
 
 
 def friction_curve(name: str, curve: FrictionCurve, unit: str) -> list[figure]:
-    """Show torque against velocity of an element, with the residuals below.
-
-    The velocity is logarithmic on either side of 0: its inverse hyperbolic sine is drawn, for want of such an axis.
-    """
-    speeds = np.abs(np.append(curve.line[0], curve.velocity))
-    smallest = float(speeds.min())
-    decades = 10.0 ** np.arange(np.ceil(np.log10(smallest)), np.floor(np.log10(speeds.max())) + 1.0)
-    ticks = np.concatenate([-decades[::-1], [0.0], decades])
-    places = np.arcsinh(ticks / smallest).tolist()
+    """Show torque against velocity of an element, with the residuals below."""
     above = chart(name, "", f"friction torque, {unit}")
     below = chart("", "", f"residual, {unit}")
     over_one_x([above, below], f"{_SPEED} (logarithmic on either side)")
+    speeds = np.abs(np.append(curve.line[0], curve.velocity))
+    smallest = float(speeds.min())
     for shown in (above, below):
-        shown.xaxis.ticker = FixedTicker(ticks=places)
-        shown.xaxis.major_label_overrides = {place: f"{tick:g}" for place, tick in zip(places, ticks, strict=True)}
-        (hover,) = shown.hover
-        hover.tooltips = [("", "$name"), (_SPEED, "@velocity{%.6g}"), (f"torque, {unit}", "@y{%.6g}")]
-        hover.formatters = {"@velocity": "printf", "@y": "printf"}
-        shown.vspan([0.0], line_color=INK)
+        _show_speeds(shown, smallest, float(speeds.max()), unit)
     below.hspan([0.0], line_color=INK)
-
-    def source(velocity: Array, torque: Array, deviation: Array) -> ColumnDataSource:
-        far = _INTERVAL * deviation
-        columns = {"velocity": velocity, "y": torque, "low": torque - far, "high": torque + far}
-        return ColumnDataSource({"x": np.arcsinh(velocity / smallest), **columns})
 
     for side in (curve.line[0] < 0.0, curve.line[0] > 0.0):
         velocity, torque, deviation = curve.line[:, side]
-        above.line("x", "y", source=source(velocity, torque, deviation), name="identified", color=INK)
-        band = source(velocity, np.zeros_like(torque), deviation)
-        name_of_band = "95 % of the identified curve"
-        below.varea("x", "low", "high", source=band, name=name_of_band, fill_color=GREY, fill_alpha=0.35)
-    measured = source(curve.velocity, curve.torque, curve.deviation)
+        line = _source(smallest, velocity, torque, deviation)
+        above.line("x", "y", source=line, name="identified", color=INK)
+        band = _source(smallest, velocity, np.zeros_like(torque), deviation)
+        below.varea("x", "low", "high", source=band, name="95 % of the curve", fill_color=GREY, fill_alpha=0.35)
+    measured = _source(smallest, curve.velocity, curve.torque, curve.deviation)
     above.scatter("x", "y", source=measured, name="measured", color=COLOURS[0], size=5)
-    residuals = source(curve.velocity, curve.torque - curve.fitted, curve.deviation)
-    noise = "measured - identified"
-    below.segment("x", "low", "x", "high", source=residuals, name=noise, color=COLOURS[0])
-    below.scatter("x", "y", source=residuals, name=noise, color=COLOURS[0], size=5)
+    residuals = _source(smallest, curve.velocity, curve.torque - curve.fitted, curve.deviation)
+    below.segment("x", "low", "x", "high", source=residuals, name=_RESIDUAL, color=COLOURS[0])
+    below.scatter("x", "y", source=residuals, name=_RESIDUAL, color=COLOURS[0], size=5)
     return [above, below]
+
+
+def _show_speeds(shown: figure, smallest: float, largest: float, unit: str) -> None:
+    """Let the x axis be logarithmic on either side of 0: the inverse hyperbolic sine, for want of such an axis."""
+    decades = 10.0 ** np.arange(np.ceil(np.log10(smallest)), np.floor(np.log10(largest)) + 1.0)
+    ticks = np.concatenate([-decades[::-1], [0.0], decades])
+    places = np.arcsinh(ticks / smallest).tolist()
+    shown.xaxis.ticker = FixedTicker(ticks=places)
+    shown.xaxis.major_label_overrides = {place: f"{tick:g}" for place, tick in zip(places, ticks, strict=True)}
+    (hover,) = shown.hover
+    hover.tooltips = [("", "$name"), (_SPEED, "@velocity{%.6g}"), (f"torque, {unit}", "@y{%.6g}")]
+    hover.formatters = {"@velocity": "printf", "@y": "printf"}
+    shown.vspan([0.0], line_color=INK)
+
+
+def _source(smallest: float, velocity: Array, torque: Array, deviation: Array) -> ColumnDataSource:
+    """Return points with the 95 % interval of their torque."""
+    far = _INTERVAL * deviation
+    return ColumnDataSource(
+        {
+            "x": np.arcsinh(velocity / smallest),
+            "velocity": velocity,
+            "y": torque,
+            "low": torque - far,
+            "high": torque + far,
+        }
+    )
 
 
 def presliding_loop(name: str, position: Array, torques: Mapping[str, Array]) -> figure:
     """Show torques against position in the middle of a micro-motion: measured and simulated."""
     count = len(position)
-    part = slice((DRAWN_SHARE - 1) * count // (2 * DRAWN_SHARE), (DRAWN_SHARE + 1) * count // (2 * DRAWN_SHARE))
+    part = slice((_DRAWN_SHARE - 1) * count // (2 * _DRAWN_SHARE), (_DRAWN_SHARE + 1) * count // (2 * _DRAWN_SHARE))
     shown = chart(name, "position, µrad", "friction torque, Nm", height=260)
     measured, simulated = torques
     compared(shown, position[part] * 1e6, (measured, torques[measured][part]), (simulated, torques[simulated][part]))
