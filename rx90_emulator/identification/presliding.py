@@ -77,7 +77,7 @@ def identify_presliding(
         )
     reason = f"no micro-oscillation of its joints in the bags, or {_REACTIONS}"
     estimates = [ElementEstimate.unknown(name, PRESLIDING, reason) for name in arm.element_names]
-    loops = {}
+    loops: dict[str, tuple[Array, dict[str, Array]]] = {}
     used = 0
     for number, group in enumerate(groups):
         elements = [sliding[e] for e in group.elements]

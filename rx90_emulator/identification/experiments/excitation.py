@@ -121,10 +121,14 @@ class ExcitationSearch:
     def best(self, rng: np.random.Generator, step: Callable[[], object]) -> Array:
         """Return the coefficients of the best motion found; `step` is called after each of the search's steps."""
         best = self.random(rng).ravel()
+
+        def show(xk: Array) -> None:  # noqa: ARG001 - SciPy's name for it
+            step()
+
         for limit_cost in _LIMIT_COSTS:
             options = {"maxiter": self.options.steps // len(_LIMIT_COSTS), "maxls": _MAX_LINE_EVALUATIONS}
             cost = partial(self.cost, limit_cost=limit_cost)
-            best = minimize(cost, best, jac=True, method="L-BFGS-B", callback=lambda _: step(), options=options).x
+            best = minimize(cost, best, jac=True, method="L-BFGS-B", callback=show, options=options).x
         return self.within(best.reshape(len(self.arm.home), -1))
 
     def random(self, rng: np.random.Generator) -> Array:

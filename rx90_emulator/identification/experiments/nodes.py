@@ -58,7 +58,7 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
         trajectory.wait_for_controller()
         names = setup.robot.joint_names
         set_points = trajectory.set_points(names)
-        follow = partial(follow_trajectory, client, trajectory, set_points, names=names)
+        follow = partial(follow_trajectory, client, trajectory, names, set_points)
         motion = Motion(np.asarray(set_points.position))
         start = plan[0].points.position[0]
         if np.abs(start - motion.pose).max() > setup.controller.trajectory.start_tolerance:
@@ -80,7 +80,7 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
             write_index(folder, plan[: number + 1])
 
 
-def _show(bar: Any, before: int, elapsed: float) -> None:
+def _show(bar: Any, before: float, elapsed: float) -> None:
     bar.update(before + round(elapsed) - bar.n)
 
 
@@ -110,9 +110,9 @@ def _record(
 def follow_trajectory(
     client: ClientNode,
     trajectory: TrajectoryClient,
+    names: Sequence[str],
     set_points: NewestPositions,
     points: TrajectoryPoints,
-    names: Sequence[str],
     show: Callable[[float], object],
 ) -> float:
     """Send a trajectory, wait until the controller's set-points are at its end, and return when it ended, s."""
