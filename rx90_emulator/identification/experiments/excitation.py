@@ -126,9 +126,14 @@ class ExcitationSearch:
             step()
 
         for limit_cost in _LIMIT_COSTS:
-            options = {"maxiter": self.options.steps // len(_LIMIT_COSTS), "maxls": _MAX_LINE_EVALUATIONS}
-            cost = partial(self.cost, limit_cost=limit_cost)
-            best = minimize(cost, best, jac=True, method="L-BFGS-B", callback=show, options=options).x
+            best = minimize(
+                partial(self.cost, limit_cost=limit_cost),
+                best,
+                jac=True,
+                method="L-BFGS-B",
+                callback=show,
+                options={"maxiter": self.options.steps // len(_LIMIT_COSTS), "maxls": _MAX_LINE_EVALUATIONS},
+            ).x
         return self.within(best.reshape(len(self.arm.home), -1))
 
     def random(self, rng: np.random.Generator) -> Array:
