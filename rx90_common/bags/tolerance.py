@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from typing import Final
 
 from rx90_common.bags.topics import FIELDS, absolute
@@ -46,19 +46,14 @@ class Tolerances:
                 return self._values[key]
         return 0.0
 
-    def check(self, topics: Collection[str], joints: Mapping[str, Collection[str]]) -> None:
-        """Refuse tolerances that fit nothing, as they are misspelt.
-
-        Args:
-            topics: the topics of both bags.
-            joints: the joints of each topic that is compared.
+    def check(self, topics: Collection[str], joints: Collection[str]) -> None:
+        """Refuse tolerances that name none of these, as they are misspelt.
 
         Raises:
-            BagError: if one names a topic of neither bag, or a joint that no compared topic has.
+            BagError: if one names another topic or joint.
         """
         for topic, joint, _ in self._values:
             if topic not in (None, *topics):
-                raise BagError(f"tolerance for {topic}, which is in neither bag; topics: {listed(sorted(topics))}")
-            known = {name for compared, names in joints.items() if topic in (None, compared) for name in names}
-            if joint is not None and topic in (None, *joints) and joint not in known:
-                raise BagError(f"tolerance for {joint}, which no compared topic has; joints: {listed(sorted(known))}")
+                raise BagError(f"tolerance for {topic}, which is not compared; topics: {listed(topics)}")
+            if joint not in (None, *joints):
+                raise BagError(f"tolerance for {joint}, which no compared topic has; joints: {listed(sorted(joints))}")
