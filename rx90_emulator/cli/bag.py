@@ -40,12 +40,10 @@ _TIP_FILES = ("urdf", "tool", "drives")  # files of a robot that say where a bag
 _MAPPING = """\
 a signal map (docs/howto/bags.md says more):
   time: {column: 1, unit: s}                # or, without a column of times: rate: 5000
-  topics:
-    joint_states:
-      names: [shoulder, elbow]
-      position: {columns: [2, 3], unit: deg}
-      velocity: {columns: [dq1, dq2], unit: rad/s}
-      effort: {columns: [i1, i2], unit: A}
+  names: [shoulder, elbow]
+  position: {columns: [2, 3], unit: deg}
+  velocity: {columns: [dq1, dq2], unit: rad/s}
+  effort: {columns: [i1, i2], unit: A}
 """
 
 
@@ -271,8 +269,6 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="log to read, or a folder with those of an export")
     parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")
     _add_signals(parser)
-    parser.add_argument("--skip-corrupt", action="store_true",
-                        help="leave out damaged rows and say which; otherwise they are refused")  # fmt: skip
 
 
 def _import(args: argparse.Namespace) -> None:
@@ -280,15 +276,19 @@ def _import(args: argparse.Namespace) -> None:
 
     Of a folder that `rx90_bag export` has written it makes the bag again.
     """
-    from rx90_common.bags.logs import import_logs
+    from rx90_common.bags.logs import read_log
+    from rx90_common.bags.writing import write_joint_states
 
     folder = args.log.is_dir()
     logs = sorted(args.log.glob("*.csv")) if folder else [args.log]
     if not logs or (folder and args.signals):
         raise ConfigError(f"{plain(args.log)}: accepted: a folder with CSV files, each with its signal map, or a log")
     mapping = _signals(args)
-    done = import_logs([(log, mapping) for log in logs], args.bag, skip_corrupt=args.skip_corrupt)
-    print("\n".join([*(log.text for log in done), f"bag: {plain(args.bag)}"]))
+    tables = [read_log(log, mapping) for log in logs]
+    write_joint_states(args.bag, tables)
+    for series in tables:
+        print(f"{plain(series.topic)}: {counted(len(series.stamp_ns), 'message')}")
+    print(f"bag: {plain(args.bag)}")
 
 
 def _add_info(parser: argparse.ArgumentParser) -> None:

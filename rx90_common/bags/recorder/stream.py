@@ -148,10 +148,10 @@ class Streams:
         for place, topic in enumerate(self._found):
             # A topic that is only listened to, such as a controller's trajectories, has a type too; its
             # publishers come and go, and the first message must not be missed.
-            endpoints = self._node.get_publishers_info_by_topic(topic)
-            endpoints = endpoints or self._node.get_subscriptions_info_by_topic(topic)
+            publishers = self._node.get_publishers_info_by_topic(topic)
+            endpoints = publishers or self._node.get_subscriptions_info_by_topic(topic)
             if endpoints and self._found[topic] is None:
-                stream = Stream(self._node, topic, place, endpoints)
+                stream = Stream(self._node, topic, place, endpoints, published=bool(publishers))
                 self._batching.include(stream.subscription)
                 self._found[topic] = stream
         return not self.missing()
@@ -187,6 +187,8 @@ class Stream:
         topic: absolute name.
         place: in the list of topics.
         endpoints: the publishers in the ROS graph or, where there are none yet, the subscriptions.
+        published: `endpoints` are publishers. Of a topic that is only listened to, every message is asked for: a
+            listener that may miss some says nothing about the publisher, which may only not be known yet.
 
     Attributes:
         msgtype: name of the type of its messages.
@@ -200,7 +202,7 @@ class Stream:
         taken_at: when messages were taken last, s, by a clock that is never set.
     """
 
-    def __init__(self, node: Node, topic: str, place: int, endpoints: Sequence[Any]) -> None:
+    def __init__(self, node: Node, topic: str, place: int, endpoints: Sequence[Any], *, published: bool) -> None:
         self.topic = topic
         types = sorted({str(endpoint.topic_type) for endpoint in endpoints})
         if len(types) > 1:
@@ -209,7 +211,7 @@ class Stream:
         self._kind = message_class(topic, self.msgtype)
         self.types = types_with(self.msgtype)
         profiles = [endpoint.qos_profile for endpoint in endpoints]
-        reliable = all(profile.reliability != ReliabilityPolicy.BEST_EFFORT for profile in profiles)
+        reliable = not published or all(profile.reliability != ReliabilityPolicy.BEST_EFFORT for profile in profiles)
         latched = all(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for profile in profiles)
         self.source = Source(place, self._stamp_at(), self.msgtype == JOINT_STATE, latched)
         self.qos: Qos = offered_qos(reliable=reliable, transient_local=latched)

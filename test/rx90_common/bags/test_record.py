@@ -19,10 +19,10 @@ from bag_making import write_one
 from processes import wait_until
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_client import own_node
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import QosDurability
+from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -253,6 +253,18 @@ def test_topics_that_are_only_listened_to(tmp_path: Path, start: Start, node: No
         assert recorder.finish(signal.SIGINT)[::2] == (1, f"nothing recorded: no message came on /{name}\n")
         with AnyReader([tmp_path / name]) as reader:
             assert reader.message_count == 0
+
+
+@pytest.mark.ros
+def test_a_listener_that_may_miss_messages_does_not_make_the_recorder_miss_them(node: Node) -> None:
+    """A topic may be known by a best-effort listener before its reliable publisher is."""
+    hasty = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    node.create_subscription(JointState, "motor_states", lambda _: None, hasty)
+    wait_until(lambda: bool(node.get_subscriptions_info_by_topic("/motor_states")), "the listener")
+    streams = stream.Streams(node, ["motor_states"])
+    streams.discover()
+    (recorded,) = streams
+    assert recorded.qos.reliability is QosReliability.RELIABLE
 
 
 @pytest.mark.ros
