@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-import resource
 import shutil
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 from foreign_arms import urdf_text, write
 from hinge_arm import CURVE, RATE, Hinge
+from processes import files_up_to
 
 import rx90_emulator as rx
 from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO, OutputError
@@ -181,20 +181,12 @@ def test_an_interrupt_leaves_everything(
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
 
 
-@pytest.fixture
-def small_files() -> Iterator[int]:
-    """Let no file grow beyond what is returned, as on a disk that is full; more than the tests' own log may need."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size := 10_000_000, before[1]))
-    yield size
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
-def test_a_full_disk_leaves_everything(tmp_path: Path, small_files: int) -> None:
+def test_a_full_disk_leaves_everything(tmp_path: Path) -> None:
     """Where the second of two files does not fit, the first keeps its old content, and the line names the second."""
     first = filled(tmp_path / "a.yaml", "mine")
-    with pytest.raises(OutputError, match=r"b\.html: cannot be written \(File too large\)"):
-        write_all({first: b"new", tmp_path / "b.html": bytes(small_files + 1)})
+    most = 10_000_000  # more than the tests' own log may need
+    with files_up_to(most), pytest.raises(OutputError, match=r"b\.html: cannot be written \(File too large\)"):
+        write_all({first: b"new", tmp_path / "b.html": bytes(most + 1)})
     assert everything(tmp_path) == {first: b"mine"}
 
 
