@@ -312,7 +312,8 @@ def predict_torque(
     arm = RecordedRobot.load(robot).arm
     at = np.asarray(time, dtype=np.float64)
     angle = np.asarray(position, np.float64)
-    if at.ndim != 1 or len(at) < 3 or not np.allclose(np.diff(at), at[1] - at[0], rtol=1e-3) or at[1] <= at[0]:
+    even = at.ndim == 1 and len(at) > 2 and np.allclose(np.diff(at), at[1] - at[0], rtol=1e-3)
+    if not even or at[1] <= at[0]:
         raise IdentificationError(f"time has shape {at.shape}; accepted: three or more even, increasing times")
     speed = np.gradient(angle, at, axis=0) if velocity is None else np.asarray(velocity, dtype=np.float64)
     change = np.gradient(speed, at, axis=0) if acceleration is None else np.asarray(acceleration, dtype=np.float64)

@@ -105,13 +105,16 @@ class Content(NamedTuple):
         numbers = np.rint(np.hstack([position, effort]) / _CONTENT_STEP).astype(np.int64).astype(np.uint64)
         factor = np.random.default_rng(_HASH_SEED).integers(1, 2**63, (_CONTENT_ROWS, numbers.shape[1]), np.uint64)
         count = max(0, len(numbers) - _CONTENT_ROWS + 1)
-        marks = sum((numbers[k : k + count] * row).sum(axis=1, dtype=np.uint64) for k, row in enumerate(factor))
+        marks = np.zeros(count, np.uint64)
+        for k, row in enumerate(factor):
+            marks += (numbers[k : k + count] * row).sum(axis=1, dtype=np.uint64)
         travel = np.abs(np.diff(position, axis=0, prepend=position[:1])).sum(axis=1)
-        return cls(np.asarray(marks), travel[:count])
+        return cls(marks, travel[:count])
 
     def shared(self, other: Content) -> float:
         """Return the share of its travel that another log contains, too."""
-        return float(self.travel[np.isin(self.marks, other.marks)].sum() / max(self.travel.sum(), 1e-300))
+        common = self.travel[np.isin(self.marks, other.marks)]
+        return float(common.sum() / max(self.travel.sum(), 1e-300))
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +269,10 @@ def read_record(
         acted = time - layout.torque_delay
         fields["effort"] = np.column_stack([np.interp(acted, time, column) for column in fields["effort"].T])
     joints = layout.joint_side({name: values[:, :count] for name, values in fields.items()})
-    size = 1 if rate is None or len(time) < 2 else max(1, round((len(time) - 1) / (time[-1] - time[0]) / rate))
+    size = 1
+    if rate is not None and len(time) > 1:
+        recorded = (len(time) - 1) / (time[-1] - time[0])
+        size = max(1, round(recorded / rate))
     means = {name: block_means(np.hstack([joints[name], fields[name][:, count:]]), size) for name in FIELDS}
     return JointRecord(
         names=(*layout.names, *layout.followed),
@@ -340,7 +346,8 @@ def _good_rows(where: str, series: JointSeries) -> NDArray[np.intp]:
     rows = np.flatnonzero(np.append(True, steps > 0) & np.all(finite, axis=0))
     if len(rows) == 0:
         raise IdentificationError(f"{where} carries no message with finite numbers alone")
-    return np.asarray(rows[~(spikes(series.fields["position"][rows]) | spikes(series.fields["effort"][rows]))])
+    spoilt = spikes(series.fields["position"][rows]) | spikes(series.fields["effort"][rows])
+    return np.asarray(rows[~spoilt])
 
 
 _LEAST_STEPS = 5.0  # of an encoder between samples, above which it moves too fast to repeat a position
@@ -377,7 +384,8 @@ def _repeated_text(new: Mask, time: Array) -> str:
 
 def _unwrap(names: Sequence[str], time: Array, position: Array) -> Iterator[str]:
     """Continue positions, in place, where they jump by whole turns from a sample to the next; yield what was done."""
-    near = np.diff(time) < 3.5 * np.median(np.diff(time)) if len(time) > 1 else np.zeros(0, np.bool_)
+    steps = np.diff(time)
+    near = steps < 3.5 * np.median(steps) if len(steps) else np.zeros(0, np.bool_)
     for name, column in zip(names, position.T, strict=True):
         turns = np.where(near, np.rint(np.diff(column) / math.tau), 0.0)
         jumps = np.flatnonzero(turns)

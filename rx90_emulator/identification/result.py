@@ -242,7 +242,9 @@ class ExcitationIdentification(Identification):
         poor = unexplained(self.torques)
         last = [arm.names[np.flatnonzero(row)[-1]] for row in arm.element_matrix]
         notes = {name: poor[joint] for name, joint in zip(arm.element_names, last, strict=True) if joint in poor}
-        return notes | {name: "; ".join(filter(None, (text, notes.get(name)))) for name, text in self._assumed.items()}
+        for name, text in self._assumed.items():
+            notes[name] = f"{text}; {notes[name]}" if name in notes else text
+        return notes
 
     @cached_property
     def _assumed(self) -> dict[str, str]:

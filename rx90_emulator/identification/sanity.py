@@ -172,7 +172,8 @@ class _SimplestModel:
         directions, share, _ = np.linalg.svd(rigid[:, length > 0.0] / length[length > 0.0], full_matrices=False)
         self._basis = directions[:, share > 1e-6 * share[0]]
         velocity = motion[1] @ arm.element_matrix.T
-        friction = np.hstack([np.sign(velocity), velocity])[row] * np.tile(arm.element_matrix.T, 2)[joint]
+        shares = np.tile(arm.element_matrix.T, 2)
+        friction = np.hstack([np.sign(velocity), velocity])[row] * shares[joint]
         self._dry = self._beside(friction * self._weight[:, None])
 
     @property
@@ -223,7 +224,11 @@ class _Trials:
         mistakes = [*(Mistake("delay of the torques", delay=float(lag)) for lag in delays), *_mistakes(joints)]
         trials = [(mistake, *self._without(mistake)) for mistake in mistakes]
         # Of mistakes that explain it equally well, the first.
-        best = min(trials, key=lambda trial: round(float(np.log(self._errors(trial[-1])).mean()), 3), default=None)
+
+        def unlikelihood(trial: tuple[Mistake, Array, Array, _SimplestModel, Array]) -> float:
+            return round(float(np.log(self._errors(trial[-1])).mean()), 3)
+
+        best = min(trials, key=unlikelihood, default=None)
         if best is None or not self._clear(best[-1]):
             return None
         mistake, self._motion, self._torques, self.model, self.residual = best
@@ -384,10 +389,11 @@ def moved_bodies(described: RigidArm, result: RigidArm) -> tuple[MovedBodies, ..
     """Return what each joint moves by the description and by the result."""
     before = _moved(described)
     after = _moved(result)
-    return tuple(
-        MovedBodies(name, *((float(before[row, joint]), float(after[row, joint])) for row in range(3)))
-        for joint, name in enumerate(described.names)
-    )
+    moved = []
+    for joint, name in enumerate(described.names):
+        mass, moment, inertia = zip(before[:, joint].tolist(), after[:, joint].tolist(), strict=True)
+        moved.append(MovedBodies(name, mass, moment, inertia))
+    return tuple(moved)
 
 
 def _moved(arm: RigidArm) -> Array:
@@ -409,7 +415,8 @@ _MASS_RATIO = 4.0  # of what a joint moves by the result to the described
 
 def body_alarms(bodies: Sequence[MovedBodies]) -> tuple[str, ...]:
     """Return in a sentence that most joints move far more, or far less, than described; a payload is at the last."""
-    ratios = np.array([moved.mass[1] / moved.mass[0] if moved.mass[0] > 0.0 else 1.0 for moved in bodies])
+    before, after = np.array([moved.mass for moved in bodies]).T
+    ratios = np.where(before > 0.0, after / np.where(before > 0.0, before, 1.0), 1.0)
     for far in (ratios > _MASS_RATIO, ratios < 1.0 / _MASS_RATIO):
         if 2 * np.count_nonzero(far) > len(bodies):
             masses = [

@@ -98,7 +98,8 @@ def identify_sliding(
     if not many:  # of few rows, those that lie far out are needed to tell the parameters apart
         result = fit_laws(rows.friction, laws, result.weight, fitted_values(laws, result.x))
     spread = deviations(result)
-    untold = [_untold(law, result.x[place], spread, place) for law, place in zip(laws, places(laws), strict=True)]
+    where_of = zip(laws, places(laws), strict=True)
+    untold = [_untold(law, result.x[place], spread, place) for law, place in where_of]
     if any(untold):
         laws = [replace(law, balanced=law.balanced or alone) for law, alone in zip(laws, untold, strict=True)]
         result = fit_laws(rows.friction, laws, result.weight)
@@ -198,7 +199,8 @@ class _Element:
         values, slopes = self.law.natural(self.x)
         deviations_of = np.sqrt(np.diag(slopes @ self.covariance @ slopes.T)).tolist()
         spread = dict(zip(values, deviations_of, strict=True))
-        known = dict(zip(values, (slopes[:, ~self.determined] == 0.0).all(axis=1).tolist(), strict=True))
+        told = (slopes[:, ~self.determined] == 0.0).all(axis=1)
+        known = dict(zip(values, told.tolist(), strict=True))
         absent = f"no Stribeck effect shows at speeds from {speeds.low:.3g} to {speeds.high:.3g} rad/s"
         if parts is not None and Part.STRIBECK.value not in parts:
             absent = NOT_IN_MODEL

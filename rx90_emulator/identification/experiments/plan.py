@@ -201,6 +201,7 @@ _TONES = (3.0, 9.0, 19.0, 33.0)  # Hz, of a micro-oscillation
 _MIN_HOLD_S = 0.7
 _MAX_HOLD_S = 4.0
 _VALIDATION_SPEED_SHARES = (0.3, 0.12, 0.04)  # of the joints' speeds, in turn
+_VALIDATION_WAVE = (0.02, -0.015, 0.02, -0.03, 0.03, -0.02, 0.025)  # rad, of the joints, 0.5 Hz
 _LIMIT_MARGIN = 0.02  # rad, from a sweep to the joints' limits
 
 
@@ -245,7 +246,9 @@ def _sweeps(
         for speed in there_and_back[number :: len(poses)].ravel().tolist():
             # The travel is centred on the pose; near a limit it moves away from it.
             way = _sweep(Motion(np.zeros(direction.size)), direction, speed, options)
-            start = np.clip(np.asarray(pose) - way / 2.0, low + np.maximum(0.0, -way), high - np.maximum(0.0, way))
+            first = low + np.maximum(0.0, -way)
+            last = high - np.maximum(0.0, way)
+            start = np.clip(np.asarray(pose) - way / 2.0, first, last)
             _approach(robot, motion, start)
             motion.rest(0.1)
             _sweep(motion, direction, speed, options)
@@ -284,9 +287,7 @@ def _validation(robot: RobotModel, options: PlanOptions) -> Experiment:
         share = _VALIDATION_SPEED_SHARES[number % len(_VALIDATION_SPEED_SHARES)]
         motion.move(pose, robot.max_velocity * share, _ACCELERATION)
         motion.rest(0.15)
-    motion.oscillate(
-        np.array([0.02, -0.015, 0.02, -0.03, 0.03, -0.02, 0.025][: len(robot.joint_names)]), [1.0], [0.5], 6.0
-    )
+    motion.oscillate(np.array(_VALIDATION_WAVE[: len(robot.joint_names)]), [1.0], [0.5], 6.0)
     motion.rest(0.2)
     return _experiment(robot, "validation", Kind.VALIDATION, motion, len(poses) + 1, options.poses.home.position)
 

@@ -33,10 +33,11 @@ def _render(template: str, date: datetime | None = None, unit: str = "Nm", **val
 
 def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, list[figure]]]:
     """Return validations with the names of their bags, and their plots."""
-    return [
-        (check, Path(check.source).name, [*plots.torques(check.torque, check.names, check.unit), *plots.tips(check)])
-        for check in checks
-    ]
+    shown = []
+    for check in checks:
+        figures = plots.torques(check.torque, check.names, check.unit)
+        shown.append((check, Path(check.source).name, [*figures, *plots.tips(check)]))
+    return shown
 
 
 def check_page(checks: Sequence[Validation], friction_file: str) -> str:

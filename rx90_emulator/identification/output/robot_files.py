@@ -56,13 +56,14 @@ def marked(block: Mapping[str, Any], new: Mapping[str, Identified]) -> dict[str,
         given = block.get(word)
         words = {key: given.get(key, given.get("others")) if isinstance(given, dict) else given for key in content}
         words |= {key: getattr(identified, word) for key, identified in new.items()}
-        several = len(set(words.values())) > 1
-        about[word] = {key: said for key, said in words.items() if said} if several else next(iter(words.values()))
+        stated = {key: said for key, said in words.items() if said}
+        (first, *others) = set(words.values())
+        about[word] = stated if others else first
     note = {"note": block["note"]} if "note" in block else {}
     return about | note | content
 
 
-_MOMENTS = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def edited_urdf(urdf: str, bodies: Mapping[str, Array | None], held: Collection[str], remark: str) -> str:
@@ -98,7 +99,8 @@ def _inertial(pseudo: Array) -> ET.Element:
     inertial = ET.Element("inertial")
     ET.SubElement(inertial, "origin", xyz=" ".join(map(repr, center.tolist())), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=repr(float(mass)))
-    ET.SubElement(inertial, "inertia", {key: repr(float(inertia[index])) for key, index in _MOMENTS.items()})
+    moments = inertia[np.triu_indices(3)].tolist()
+    ET.SubElement(inertial, "inertia", {key: repr(moment) for key, moment in zip(_MOMENTS, moments, strict=True)})
     ET.indent(inertial)
     return inertial
 

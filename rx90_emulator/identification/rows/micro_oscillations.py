@@ -147,7 +147,9 @@ def find_micro_motions(record: JointRecord, arm: RigidArm, groups: Sequence[Join
     step, time, position, torque, known = _on_grid(record)
     # Central differences of fourth order; those of second order are 0.5 % low at 40 Hz and 0.5 ms.
     velocity = np.gradient(position, step, axis=0)
-    velocity[2:-2] = (8.0 * (position[3:-1] - position[1:-3]) - (position[4:] - position[:-4])) / (12.0 * step)
+    near = position[3:-1] - position[1:-3]
+    far = position[4:] - position[:-4]
+    velocity[2:-2] = (8.0 * near - far) / (12.0 * step)
     active = _active(position, step) & known[:, None]
     unit = np.eye(len(arm.names))
     motions: list[list[MicroMotion]] = []
@@ -273,9 +275,13 @@ class BristleRows:
         values = np.exp(x[self.bristles]).reshape(-1, 2)
         starts = x[self.bristles.stop :].reshape(len(self.motions), -1)[number]
         traces = self._traces[number]
-        means = [trace.bristles(c0, start) for trace, (c0, _), start in zip(traces, values, starts, strict=True)]
-        torques = [mean @ (1.0, c1) + trace.viscous for mean, trace, (_, c1) in zip(means, traces, values, strict=True)]
-        return np.column_stack(torques) @ self.inputs, np.column_stack([mean[:, 0] for mean in means])
+        torques = []
+        stiff = []
+        for trace, (c0, c1), start in zip(traces, values, starts, strict=True):
+            mean = trace.bristles(c0, start)
+            torques.append(mean @ (1.0, c1) + trace.viscous)
+            stiff.append(mean[:, 0])
+        return np.column_stack(torques) @ self.inputs, np.column_stack(stiff)
 
     @cached_property
     def _traces(self) -> list[list[_Trace]]:

@@ -143,7 +143,8 @@ def _steady(record: JointRecord, size: int, fastest: float) -> Mask:
     if count <= 4 * size:
         return steady
     time = record.time
-    mean = (record.position[size:] - record.position[:-size]) / (time[size:] - time[:-size])[:, None]
+    lasting = time[size:] - time[:-size]
+    mean = (record.position[size:] - record.position[:-size]) / lasting[:, None]
     change = mean[size:] - mean[:-size]
     speed = np.abs(mean[size:] + mean[:-size]) / 2.0
     # Noise and ripple from second differences of the change: an acceleration that is constant or grows evenly cancels.
@@ -155,7 +156,8 @@ def _steady(record: JointRecord, size: int, fastest: float) -> Mask:
     usual = np.maximum(_SAME_VELOCITY * speed, _REST_SHARE * speed.max(axis=1, keepdims=True))
     allowed = np.maximum(usual, np.minimum(_NOISE_SD * noise, _MOST_NOISE * speed))
     even = time[2 * size :] - time[: -2 * size] < 3.0 * size * record.period
-    steady[size : count - size] = (np.abs(change) <= allowed).all(axis=1) & (speed.max(axis=1) <= fastest) & even
+    same = (np.abs(change) <= allowed).all(axis=1)
+    steady[size : count - size] = same & (speed.max(axis=1) <= fastest) & even
     return steady
 
 
@@ -177,7 +179,8 @@ def _blocks(record: JointRecord, elements: Array, rows: slice) -> Index:
     """Return first and last sample (exclusive) of each block of a plateau, shape (b, 2)."""
     count = rows.stop - rows.start
     duration = float(record.time[rows.stop - 1] - record.time[rows.start])
-    way = float(np.abs((record.position[rows.stop - 1] - record.position[rows.start]) @ elements.T).max())
+    travel = record.position[rows.stop - 1] - record.position[rows.start]
+    way = float(np.abs(travel @ elements.T).max())
     number = max(1, min(int(max(duration / _BLOCK_S, way / _BLOCK_TRAVEL)), count // _BLOCK_SAMPLES))
     edges = rows.start + np.arange(number + 1) * count // number
     return np.column_stack([edges[:-1], edges[1:]])
@@ -191,4 +194,5 @@ def _bends(speeds: Array) -> bool:
     fitted = basis @ (basis.T @ means)
     scatter = np.sqrt(np.sum((means - fitted) ** 2, axis=0) / max(1, len(means) - 3))
     change = np.ptp(fitted, axis=0)
-    return bool(np.any((change > _MAX_BEND * np.abs(means.mean(axis=0))) & (change > _BEND_SD * scatter)))
+    large = change > _MAX_BEND * np.abs(means.mean(axis=0))
+    return bool(np.any(large & (change > _BEND_SD * scatter)))

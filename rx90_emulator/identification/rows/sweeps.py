@@ -132,7 +132,8 @@ def sweep_rows(blocks: Blocks, arm: RigidArm, elements: Index) -> SweepRows:
     slide = blocks.sliding & np.isin(np.arange(len(arm.element_names)), elements)
     torque = blocks.torque - arm.torque(*blocks.motion)
     # The torque and its derivatives by the inertial parameters.
-    both = np.concatenate([torque[:, :, None], arm.regressor(*blocks.motion) * arm.inertial_scale()], axis=2)
+    columns = arm.regressor(*blocks.motion) * arm.inertial_scale()
+    both = np.concatenate([torque[:, :, None], columns], axis=2)
     parts = []
     gains = []
     plateaus = []
@@ -160,7 +161,8 @@ def sweep_rows(blocks: Blocks, arm: RigidArm, elements: Index) -> SweepRows:
         rows = np.flatnonzero(gain[:, e])
         velocity = blocks.velocity[plateau[rows], e]
         speed = np.abs(velocity)
-        steady.append(SteadyRows(rows, velocity, gain[rows, e], Speeds(float(speed.min()), float(speed.max()))))
+        speeds = Speeds(float(speed.min()), float(speed.max()))
+        steady.append(SteadyRows(rows, velocity, gain[rows, e], speeds))
     friction = FrictionRows(
         target=joined[:, 0],
         linear=joined[:, 1:],
