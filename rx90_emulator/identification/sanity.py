@@ -417,7 +417,8 @@ def body_alarms(bodies: Sequence[MovedBodies]) -> tuple[str, ...]:
     """Return in a sentence that most joints move far more, or far less, than described; a payload is at the last."""
     before, after = np.array([moved.mass for moved in bodies]).T
     ratios = np.where(before > 0.0, after / np.where(before > 0.0, before, 1.0), 1.0)
-    for far in (ratios > _MASS_RATIO, ratios < 1.0 / _MASS_RATIO):
+    payload = ", or, where all joints move as much more, its payload in the description"
+    for far, also in ((ratios > _MASS_RATIO, payload), (ratios < 1.0 / _MASS_RATIO, "")):
         if 2 * np.count_nonzero(far) > len(bodies):
             masses = [
                 f"{moved.joint} {moved.mass[1]:.3g} kg ({moved.mass[0]:.3g} kg described)"
@@ -426,8 +427,7 @@ def body_alarms(bodies: Sequence[MovedBodies]) -> tuple[str, ...]:
             ]
             return (
                 f"the bodies of the result are not the described ones: {', '.join(masses)}; accepted: gears, units and "
-                "torque constants with which they agree, a description of this arm, or, where all joints carry the "
-                "same mass more, the payload in the description",
+                f"torque constants with which they agree, or a description of this arm{also}",
             )
     return ()
 
