@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -155,12 +154,9 @@ class Scope:
 
     def cut(self, series: JointSeries) -> JointSeries:
         """Return the part of a series that is compared."""
-        part = series
-        if self.start_ns is not None:
-            part = part.take(part.stamp_ns >= self.start_ns)
-        if self.end_ns is not None:
-            part = part.take(part.stamp_ns <= self.end_ns)
-        return part
+        start_ns = series.stamp_ns.min(initial=0) if self.start_ns is None else self.start_ns
+        end_ns = series.stamp_ns.max(initial=0) if self.end_ns is None else self.end_ns
+        return series.take((series.stamp_ns >= start_ns) & (series.stamp_ns <= end_ns))
 
 
 def compare_bags(
@@ -194,10 +190,13 @@ def compare_bags(
     tolerances.check(topics, joints)
     results = []
     for topic in topics:
-        parts_a = _parts(first, topic, scope)
-        parts_b = _parts(second, topic, scope)
-        if parts_a or parts_b:
-            results.append(_compare_topic(topic, parts_a, parts_b, tolerances, scope))
+        a = _part(first, topic, scope)
+        b = _part(second, topic, scope)
+        if a is not None and b is not None:
+            results.append(compare_series(a, b, tolerances, scope))
+        elif a is not None or b is not None:
+            where = "second" if a is None else "first"
+            results.append(_incomparable(topic, f"only the {where} bag has messages of it"))
     if not results:
         raise BagError(f"neither {plain(first.path)} nor {plain(second.path)} has a JointState message in the window")
     others = {topic.name for topic in (*first.topics, *second.topics) if not topic.is_joint_state}
@@ -209,21 +208,12 @@ def _read(path: Path | str, scope: Scope, mapping: LogMapping | None) -> JointBa
         return bag.joint_states(bag.series_topics(scope.topics, filled=False))
 
 
-def _parts(bag: JointBag, topic: str, scope: Scope) -> list[JointSeries]:
-    """Return what is compared of a topic: a series for each set of joints that it has."""
-    parts = [scope.cut(series) for series in bag.series.get(topic, ())]
-    return [part for part in parts if len(part.stamp_ns)]
-
-
-def _compare_topic(
-    topic: str, a: Sequence[JointSeries], b: Sequence[JointSeries], tolerances: Tolerances, scope: Scope
-) -> TopicComparison:
-    for where, parts in (("first", a), ("second", b)):
-        if not parts:
-            return _incomparable(topic, f"the {where} bag has no message of it")
-        if len(parts) > 1:
-            return _incomparable(topic, f"its messages in the {where} bag are not all of the same joints")
-    return compare_series(a[0], b[0], tolerances, scope)
+def _part(bag: JointBag, topic: str, scope: Scope) -> JointSeries | None:
+    """Return what is compared of a topic, None where there is no message."""
+    if not bag.series.get(topic):
+        return None
+    part = scope.cut(bag.one(topic, remedy="accepted: the same joints in all messages of a topic, or other --topics"))
+    return part if len(part.stamp_ns) else None
 
 
 def compare_series(

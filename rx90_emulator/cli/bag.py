@@ -30,7 +30,6 @@ from rx90_emulator.cli.options import (
 
 if TYPE_CHECKING:
     from rx90_common.bags.mapping import LogMapping
-    from rx90_common.bags.recorder.recording import Recorder
     from rx90_common.bags.recorder.stream import TopicCount
 
 _MAX_STAMP = 4_294_967_296  # s: stamps count so far, and two of them do not overflow 64 bits of ns
@@ -87,24 +86,24 @@ def _record(args: argparse.Namespace) -> int:
     from rx90_common.bags.writing import BagWriter
 
     prepare()
-    from rx90_common.bags.recorder.recording import Recorder
+    from rx90_common.bags.recorder.recording import record
 
-    recorder = Recorder(args.topics or SUITE_TOPICS, args.ros_args)
-    counts = recorder.run(lambda: BagWriter(args.output), stop)
-    return _report(recorder, counts, args.output, requested=bool(args.topics))
+    counts = record(args.topics or SUITE_TOPICS, args.ros_args, lambda: BagWriter(args.output), stop)
+    return _report(counts, args.output, requested=bool(args.topics))
 
 
-def _report(recorder: Recorder, counts: Sequence[TopicCount], output: Path, *, requested: bool) -> int:
+def _report(counts: Sequence[TopicCount], output: Path, *, requested: bool) -> int:
     """Print what was recorded, and what not; return the exit code. Requested topics may not stay empty."""
     repeated = sum(count.repeated for count in counts)
     received = sum(count.received for count in counts)
+    empty = [count.topic for count in counts if not count.received]
     left_out = f"; left out: {counted(repeated, 'repetition')} of the sample before" if repeated else ""
-    topics = counted(len(counts), "topic")
+    topics = counted(len(counts) - len(empty), "topic")
     print(f"recorded {counted(received - repeated, 'message')} of {topics} to {plain(output)}{left_out}")
     failures = []
-    if recorder.empty and (requested or not received):
+    if empty and (requested or not received):
         part = "not" if received else "nothing"
-        failures.append(f"{part} recorded: no message came on {listed(recorder.empty)}")
+        failures.append(f"{part} recorded: no message came on {listed(empty)}")
     for count in counts:
         writers = "; ".join(f"{w.lost} of {w.received + w.lost}" for w in count.writers)
         if count.lost:
@@ -123,7 +122,7 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     _add_signals(parser)
     parser.add_argument(
         "--tolerance", action="append", default=[], metavar=GRAMMAR,
-        help="in rad, rad/s or Nm; the most specific one that fits decides; default 0: equal bits",
+        help="in rad, rad/s or Nm; the last one that fits decides; default 0: equal bits",
     )  # fmt: skip
     _add_topics(parser, "all")
     parser.add_argument("--from", dest="start", metavar="S", help="leave out stamps before this time in s")

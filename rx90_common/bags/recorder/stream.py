@@ -16,7 +16,7 @@ from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallb
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rosbags.interfaces import Qos
+from rosbags.interfaces import Connection, Qos
 from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -59,11 +59,11 @@ class TopicCount:
     """
 
     topic: str
-    received: int
-    repeated: int
-    lost: int
-    refused: int
-    writers: tuple[WriterCount, ...]
+    received: int = 0
+    repeated: int = 0
+    lost: int = 0
+    refused: int = 0
+    writers: tuple[WriterCount, ...] = ()
 
 
 class SequenceCounter:
@@ -170,23 +170,9 @@ class Streams:
         for stream in self:
             stream.counter.start()
 
-    def empty(self) -> list[str]:
-        """Return the topics of which no message has come."""
-        return [topic for topic, stream in self._found.items() if stream is None or not stream.counter.received]
-
     def counts(self) -> list[TopicCount]:
         """Return what was recorded of each topic."""
-        return [
-            TopicCount(
-                stream.topic,
-                stream.counter.received,
-                stream.repeated,
-                stream.counter.lost,
-                stream.refused(),
-                tuple(stream.counter.writers),
-            )
-            for stream in self
-        ]
+        return [TopicCount(topic) if stream is None else stream.count() for topic, stream in self._found.items()]
 
     def clear(self) -> None:
         """Give the subscriptions back."""
@@ -210,6 +196,7 @@ class Stream:
         source: of the log time of its messages.
         qos: quality of service that its publishers offer.
         counter: of its messages.
+        connection: in the bag, once it is announced there.
         repeated: messages that repeated the one before.
         sent_ns: time at which the newest message was sent, by its publisher's wall clock.
         taken_at: when messages were taken last, s, by a clock that is never set.
@@ -243,6 +230,7 @@ class Stream:
         self._matched = self._event(QoSSubscriptionEventType.RCL_SUBSCRIPTION_MATCHED)
         self._incompatible = self._event(QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)
         self.counter = SequenceCounter(self.matched, transient_local=latched)
+        self.connection: Connection | None = None
         self.repeated = 0
         self.sent_ns = 0
         self.taken_at = 0.0
@@ -290,9 +278,11 @@ class Stream:
         """Return how many publishers were ever matched."""
         return _total(self._matched)
 
-    def refused(self) -> int:
-        """Return how many publishers offer a quality of service that does not fit the first one's."""
-        return _total(self._incompatible)
+    def count(self) -> TopicCount:
+        """Return what was recorded."""
+        counter = self.counter
+        refused = _total(self._incompatible)
+        return TopicCount(self.topic, counter.received, self.repeated, counter.lost, refused, tuple(counter.writers))
 
 
 def _column(taken: Sequence[tuple[bytes, dict[str, int]]], name: str) -> Int64Array:

@@ -157,15 +157,11 @@ def test_what_only_one_has() -> None:
     assert compared(a, replace(a, stamp_ns=a.stamp_ns + 1)).verdict is Verdict.INCOMPARABLE
 
 
-def test_most_special_tolerance_decides() -> None:
-    """Joint of a topic before topic before joint of any topic before field; among equals the last."""
-    rules = ["position=1", "*:a:position=2", "t:position=3", "t:a:position=4", "position=5", "t:a:position=6"]
-    tolerances = Tolerances(*rules)
-    assert tolerances.of("/t", "a", "position") == 6
-    assert tolerances.of("/t", "b", "position") == 3
-    assert tolerances.of("/u", "a", "position") == 2
-    assert tolerances.of("/u", "b", "position") == 5
-    assert tolerances.of("/t", "a", "effort") == 0
+def test_the_last_tolerance_that_fits_decides() -> None:
+    """Each of topic, joint and field may be any."""
+    tolerances = Tolerances("position=1", "t:position=2", "*:a:position=3", "t:a:effort=4")
+    assert [tolerances.of(topic, joint, "position") for topic in ("/t", "/u") for joint in "ab"] == [3, 2, 3, 1]
+    assert [tolerances.of("/t", joint, "effort") for joint in "ab"] == [4, 0]
 
 
 @pytest.fixture(scope="module")

@@ -401,12 +401,12 @@ def test_a_definition_goes_into_its_bag_alone(tmp_path: Path) -> None:
 @pytest.mark.ros
 def test_a_type_that_is_not_there_leaves_no_bag(tmp_path: Path, node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     """The refusal comes once the topic is found: by then the bag's folder is there; it does not stay."""
-    from rx90_common.bags.recorder.recording import Recorder
+    from rx90_common.bags.recorder.recording import record as record_here
 
     node.create_publisher(String, "note", 1)
     monkeypatch.delattr("std_msgs.msg.String")
     with pytest.raises(BagError, match="/note has type std_msgs/msg/String, which the std_"):
-        Recorder(["note"], []).run(lambda: BagWriter(tmp_path / "new" / "bag"), StopRequest())
+        record_here(["note"], [], lambda: BagWriter(tmp_path / "new" / "bag"), StopRequest())
     assert not (tmp_path / "new" / "bag").exists()
 
 
