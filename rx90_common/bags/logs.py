@@ -153,11 +153,11 @@ def _cells(column: pa.ChunkedArray) -> Any:
 
 def _stamps_ns(path: Path, mapping: LogMapping, columns: Mapping[int | str, Any], count: int) -> Int64Array:
     """Return the times in ns, exactly if they are texts or whole numbers."""
+    stamps: Int64Array
     time = mapping.time
     if time is None:
         stamps = np.rint(np.arange(count) * (NANOSECONDS / (mapping.rate or 1.0))).astype(np.int64)
         return stamps
-    stamps: Int64Array
     cells = columns[time.column]
     unit_ns = TIME_UNITS[time.unit]
     if isinstance(cells, np.ndarray):
