@@ -146,7 +146,7 @@ def test_killed_sqlite3_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[s
     killed = tmp_path / "killed"
     shutil.copytree(tmp_path / "bag", killed)  # as a process leaves it that is killed now
     bag.close()
-    assert run("rx90_bag", ["info", str(killed / "bag.db3")]) == 2
+    assert run("rx90 bag", ["info", str(killed / "bag.db3")]) == 2
     assert "bag.db3 was not closed" in capsys.readouterr().err
     with sqlite3.connect(killed / "bag.db3") as database:
         database.execute("CREATE TABLE opened(x)")

@@ -120,7 +120,7 @@ def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captu
         assert kind_of(path, read_yaml(path, first=True)).name == kind, path
     odd = tmp_path / "odd.yaml"
     odd.write_text("mass: 1.0\n", encoding="utf-8")
-    assert run("rx90_config", ["check", str(odd)]) == 2
+    assert run("rx90 config", ["check", str(odd)]) == 2
     assert "odd.yaml: of no kind that its keys tell; accepted: --kind with drives, tool" in capsys.readouterr().err
     slip = tmp_path / "slip.yaml"
     for wrong, said in (

@@ -143,9 +143,9 @@ def test_a_plot_shows_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]
                         names=[f"j{k}" for k in range(6)], effort=None, gear=None, torque_constant=None,
                         zero=[0.1] * 6)  # fmt: skip
     picture = tmp_path / "page.html"
-    assert run("rx90_bag", ["plot", str(table), "--signals", str(signals), "-o", str(picture)]) == DONE
+    assert run("rx90 bag", ["plot", str(table), "--signals", str(signals), "-o", str(picture)]) == DONE
     assert "j5" in picture.read_text(encoding="utf-8")
-    assert run("rx90_bag", ["plot", str(table), "-o", str(tmp_path / "other.html")]) == REFUSED
+    assert run("rx90 bag", ["plot", str(table), "-o", str(tmp_path / "other.html")]) == REFUSED
     assert "no signal map arm.yaml beside it; accepted: that file, or --signals FILE" in capsys.readouterr().err
 
 
