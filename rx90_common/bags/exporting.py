@@ -75,7 +75,7 @@ def export_bag(
 def _write_csv(path: Path, series: JointSeries) -> None:
     """Write times in s with nine decimals, which are exact, and numbers with all digits needed to restore them.
 
-    A signal map is written beside it, with which `rx90_bag import` makes the bag again.
+    A signal map is written beside it, with which `rx90 bag import` makes the bag again.
     """
     from pyarrow.csv import WriteOptions, write_csv  # takes a while
 

@@ -1,4 +1,4 @@
-"""`rx90_bag plot`: what is drawn without options, of chosen topics and joints, and of two bags."""
+"""`rx90 bag plot`: what is drawn without options, of chosen topics and joints, and of two bags."""
 
 from __future__ import annotations
 
@@ -92,10 +92,10 @@ def test_one_command_makes_a_page_or_a_picture(
 ) -> None:
     """Without an option a page of the bag's name; a picture by the suffix; the page is as every report must be."""
     monkeypatch.chdir(tmp_path)
-    assert run("rx90_bag", ["plot", str(bags["first"]), str(bags["second"])]) == 0
+    assert run("rx90 bag", ["plot", str(bags["first"]), str(bags["second"])]) == 0
     assert capsys.readouterr().out == f"plot: {tmp_path / 'first.html'}\n"
     assert "second against first" in (tmp_path / "first.html").read_text(encoding="utf-8")
-    assert run("rx90_bag", ["plot", str(bags["first"]), "--output", "one.png", "--joint", "joint_1"]) == 0
+    assert run("rx90 bag", ["plot", str(bags["first"]), "--output", "one.png", "--joints", "joint_1"]) == 0
     assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
     check_report(tmp_path / "first.html")
 
@@ -111,6 +111,6 @@ def test_a_full_disk_leaves_the_old_page_or_picture(
         (tmp_path / name).write_bytes(content)
     for name in (*old, "new.html"):
         with files_up_to(1000):
-            assert run("rx90_bag", ["plot", str(bags["first"]), "--output", str(tmp_path / name), "--force"]) == 3
+            assert run("rx90 bag", ["plot", str(bags["first"]), "--output", str(tmp_path / name), "--force"]) == 3
         assert f"{name}: cannot be written (File too large)" in capsys.readouterr().err
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == old
