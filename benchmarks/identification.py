@@ -30,7 +30,6 @@ from benchmarks.synthetic_sweeps import (
     random_bristles,
     recorded,
     run_presliding,
-    sliding_covariance,
 )
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, make_plan
@@ -142,8 +141,7 @@ def presliding(sets: int) -> None:
             records = [recorded(setup, run, rng, Noise(level * Noise.torque)) for run in runs]
             known = measured_sliding(friction.elements, rng)
             began = time.perf_counter()
-            spreads = [sliding_covariance(one) for one in known]
-            fit = identify_presliding(records, arm, known, 0.0, spreads)
+            fit = identify_presliding(records, arm, known)
             elapsed = time.perf_counter() - began
             for one in outcomes(fit.estimates, friction.elements):
                 tallies[level, one.parameter].add(one.element, one.error, one.score)

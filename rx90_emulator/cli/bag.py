@@ -170,7 +170,7 @@ def _path(args: argparse.Namespace) -> None:
     """Print how far the tip was from the path of the bag's set-points, across and along it, and its orientation."""
     from rx90_common.description.robot import load_robot
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.identification.validation.recorded_path import recorded_accuracy
+    from rx90_emulator.measured_runs.recorded_path import recorded_accuracy
 
     files = RobotFiles.of_options(args)
     robot = load_robot(files.urdf, files.tool)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from rx90_common.base.quoting import one_line
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import MODEL_FILES, NO_TOOL
+from rx90_common.description.wall import Wall
 from rx90_emulator.cli.options import (
     FINITE,
     POSITIVE,
@@ -24,7 +25,7 @@ from rx90_emulator.cli.options import (
     node_of,
     whole_number,
 )
-from rx90_emulator.identification.experiments.options import QUICK, RANGES, ExcitationOptions, Wall
+from rx90_emulator.identification.experiments.options import QUICK, RANGES, ExcitationOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -29,9 +29,9 @@ from rx90_emulator.identification.options import (
     RECORDED,
     SLIDING_PARTS,
     MeasuredLayout,
-    MeasuredTolerances,
     RobotOptions,
 )
+from rx90_emulator.measured_runs.options import MeasuredTolerances
 
 if TYPE_CHECKING:
     from rx90_emulator.identification.experiments.plan import IdentificationBags
@@ -244,7 +244,7 @@ def _compare(options: argparse.Namespace) -> int:
     """A measured bag against the closed loop without ROS along the same set-points: torques, positions, a verdict."""
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.identification.job import run_comparison
+    from rx90_emulator.measured_runs.output import run_comparison
 
     layout = MeasuredLayout(
         topic=options.topic,

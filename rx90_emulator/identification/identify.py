@@ -22,7 +22,6 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
     NOT_IN_MODEL,
     PRESLIDING,
-    SLIDING,
     ElementEstimate,
     IdentifiedElement,
     ParameterEstimate,
@@ -299,7 +298,7 @@ def identify_records(
     Args:
         sliding: sweeps at constant velocity.
         presliding: micro-oscillations; without any, c0 and c1 are not identifiable.
-        robot: rigid-body model, fallback values and the torques' delay.
+        robot: rigid-body model and fallback values.
         progress: called with the name of each step before it.
         model: as in `identify_friction`.
 
@@ -317,9 +316,7 @@ def identify_records(
         bristles = {"c0": ParameterEstimate(1e4, 0.0), "c1": ParameterEstimate(0.0, 0.0)}
         pairs = zip(slides.estimates, fallback, strict=True)
         known = [_element(estimate, bristles, other, least) for estimate, other in pairs]
-        seven = len(SLIDING)  # presliding does not depend on a viscous exponent
-        covariances = [estimate.covariance()[:seven, :seven] for estimate in slides.estimates]
-        cycles = identify_presliding(presliding, arm, known, robot.options.torque_delay, covariances)
+        cycles = identify_presliding(presliding, arm, known)
     else:
         reason = "no bag with micro-oscillations was given"
         cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names))
@@ -330,7 +327,7 @@ def identify_records(
             element = with_passive_fading(element, None)
         sources = dict.fromkeys(second.parameters, second.sources) | dict.fromkeys(first.parameters, first.sources)
         estimates = {**first.parameters, **second.parameters}
-        elements.append(IdentifiedElement.of(element, estimates, sources, other))
+        elements.append(IdentifiedElement(element, estimates, sources))
     return FrictionIdentification(
         robot=robot, elements=tuple(elements), sliding=slides, presliding=cycles, alarms=slides.alarms
     )

@@ -21,13 +21,13 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
 from rx90_common.base.errors import LineError
+from rx90_common.description.joint_model import robot_of_urdf
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.plan import check_plan, describe_line, plan_line
 from rx90_controller.lines.task import TrapezoidalProfile
 from rx90_controller.paths.path import Path, Segment
 from rx90_controller.paths.profile import LimitedProfile, SpeedLimit
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.experiments.arms import robot_of_urdf
 from rx90_emulator.loop.line import followed_accuracy, path_accuracy, plan_path, run_path
 from rx90_emulator.loop.path_file import load_path, load_trajectory
 from rx90_emulator.loop.setup import Setup

@@ -14,15 +14,16 @@ from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import REFUSED, IdentificationError
+from rx90_common.description.wall import Wall
+from rx90_common.description.workspace import Workspace
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import excitation as identification
 from rx90_emulator.identification.excitation import identify_excitation
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.excitation import ExcitationSearch, plan_excitation
-from rx90_emulator.identification.experiments.options import ExcitationOptions, Wall
+from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, read_index, write_index
 from rx90_emulator.identification.experiments.series import run_on_engine
-from rx90_emulator.identification.experiments.workspace import Workspace
 from rx90_emulator.identification.options import RobotOptions
 from rx90_emulator.loop.setup import Setup
 

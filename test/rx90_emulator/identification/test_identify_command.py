@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-import resource
 import shutil
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 from foreign_arms import urdf_text, write
 from hinge_arm import CURVE, RATE, Hinge
+from processes import files_up_to
 
 import rx90_emulator as rx
 from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO, OutputError
@@ -22,6 +22,10 @@ from rx90_common.process.files import write_all
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import identify as identify_bags
 from rx90_emulator.identification import job as identify_job
+from rx90_emulator.identification.output.report import check_page
+from rx90_emulator.identification.output.summary import check_summary
+from rx90_emulator.identification.validation.prediction import Validation
+from rx90_emulator.identification.validation.verdict import TorquePrediction
 
 pytestmark = pytest.mark.slow
 
@@ -177,18 +181,33 @@ def test_an_interrupt_leaves_everything(
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
 
 
-@pytest.fixture
-def small_files() -> Iterator[int]:
-    """Let no file grow beyond what is returned, as on a disk that is full; more than the tests' own log may need."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size := 10_000_000, before[1]))
-    yield size
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
-def test_a_full_disk_leaves_everything(tmp_path: Path, small_files: int) -> None:
+def test_a_full_disk_leaves_everything(tmp_path: Path) -> None:
     """Where the second of two files does not fit, the first keeps its old content, and the line names the second."""
     first = filled(tmp_path / "a.yaml", "mine")
-    with pytest.raises(OutputError, match=r"b\.html: cannot be written \(File too large\)"):
-        write_all({first: b"new", tmp_path / "b.html": bytes(small_files + 1)})
+    most = 10_000_000  # more than the tests' own log may need
+    with files_up_to(most), pytest.raises(OutputError, match=r"b\.html: cannot be written \(File too large\)"):
+        write_all({first: b"new", tmp_path / "b.html": bytes(most + 1)})
     assert everything(tmp_path) == {first: b"mine"}
+
+
+def validation(error: float) -> Validation:
+    """Return a validation in which joint_1 moves and is off by a share of its torque, and joint_2 stands still."""
+    time = np.linspace(0.0, 1.0, 101)
+    recorded = np.stack([3.0 + np.cos(time), np.full(101, 2.0)], axis=1)
+    predicted = recorded * [1.0 + error, 5.0]
+    moves = np.stack([time >= 0.0, time < 0.0], axis=1)
+    torque = TorquePrediction(time, recorded, predicted, moves)
+    nothing = np.zeros(0)
+    return Validation(("joint_1", "joint_2"), torque, nothing, nothing, rx.ValidationTolerances(), "bag")
+
+
+@pytest.mark.parametrize(("error", "confirmed"), [(0.04, True), (0.06, False)])
+def test_a_joint_at_rest_does_not_decide(error: float, confirmed: bool) -> None:
+    """What a joint gives at rest is not compared; the verdict is on the joints that move, here 5 % of the torque."""
+    check = validation(error)
+    assert check.passed is confirmed
+    assert check.rms_share[0] == pytest.approx(error, rel=1e-12)
+    assert np.isnan([check.rms[1], check.rms_share[1], check.worst[1], check.worst_share[1]]).all()
+    assert f"{100.0 * error:.2f}" in check_page([check], "friction.yaml")
+    row = next(line for line in check_summary([check]).splitlines() if line.startswith("joint_2"))
+    assert row.split() == ["joint_2", "-", "-", "-", "-"]

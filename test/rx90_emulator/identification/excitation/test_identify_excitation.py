@@ -41,14 +41,11 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     bench.bag("later", 1, seconds=30.0, first=1600)
     bench.bag("short", 5, seconds=0.5)
     position, velocity = fourier(4, 20.0)
-    for name, moves in (("still", [0.0, 0.0]), ("half", [1.0, 0.0])):
-        motion = position * moves, velocity * moves
-        bench.write(name, motion, bench.torque(motion))
+    half = position * [1.0, 0.0], velocity * [1.0, 0.0]
+    bench.write("half", half, bench.torque(half))
     motion = fourier(6, 20.0)
-    bench.write("single", (motion[0][:1], motion[1][:1]), bench.torque(motion)[:1])
     dead = bench.torque(motion) * [1.0, 0.0] + bench.noise(motion, 7)
     for name, torque in (
-        ("negative", -bench.torque(motion)),
         ("one", bench.torque(motion) * [1.0, -1.0]),
         ("dead", dead),
         ("zero", dead * [1.0, 0.0]),
@@ -284,6 +281,17 @@ def test_a_joint_at_rest_is_assumed_and_the_others_are_written(
     elbow = elements["elbow"]
     expected = (0.7, 0.9, 0.3, 900.0) if fallback else (elements["shoulder"].tau_c.positive,) * 2 + (0.0, elbow.c0)
     assert (elbow.tau_c.positive, elbow.tau_s.positive, elbow.c2, elbow.c0) == expected
+
+
+def test_an_alarm_without_a_validation_is_said_as_one(
+    bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An effort has the wrong sign and no run is held against the result: exit code 1, and the alarm is the reason."""
+    words = ["excitation", bench.folder / "one", "--output", tmp_path / "out", "--model", "coulomb-viscous"]
+    assert bench.identify(*words) == VERDICT_NO
+    said = capsys.readouterr()
+    assert "alarm: wrong sign of the effort of elbow" in said.out
+    assert said.err.splitlines()[-1] == "rx90 identify: an alarm stands against the result"
 
 
 @pytest.mark.parametrize("bag", ["dead", "zero"])

@@ -16,9 +16,9 @@ from rx90_common.base.errors import BagError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.task import load_task
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.validation.recorded_path import recorded_accuracy
 from rx90_emulator.loop.line import path_accuracy
 from rx90_emulator.loop.setup import Setup
+from rx90_emulator.measured_runs.recorded_path import recorded_accuracy
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reference" / "reference_task"
 JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
