@@ -397,15 +397,14 @@ def _options(arm: Recording, folder: Path) -> list[object]:
 def _read(arm: Recording, folder: Path, name: str, signals: str = "signals.yaml") -> Log:
     """Read a table by its map, for the independent fit: the joints' angles and torques."""
     stated = yaml.safe_load((folder / signals).read_text(encoding="utf-8"))
-    one = next(iter(stated["topics"].values())) if "topics" in stated else stated
     table = np.genfromtxt(folder / f"{name}.csv", delimiter=",", names=True)
 
     def columns(key: str) -> Array:
-        return np.column_stack([table[column] for column in one[key]["columns"]])
+        return np.column_stack([table[column] for column in stated[key]["columns"]])
 
-    position = columns("position") * (math.pi / 180.0 if one["position"]["unit"] == "deg" else 1.0)
+    position = columns("position") * (math.pi / 180.0 if stated["position"]["unit"] == "deg" else 1.0)
     constant = np.asarray(stated.get("torque_constant", 1.0), dtype=float)
-    torque = columns("effort") * np.asarray(one["effort"].get("factor", 1.0), dtype=float) * constant
+    torque = columns("effort") * np.asarray(stated["effort"].get("factor", 1.0), dtype=float) * constant
     position = position - np.asarray(stated.get("zero", 0.0), dtype=float)
     if arm.robot:
         gear = _drives(config_path(f"robots/{arm.robot}/drives.yaml"), "gear")

@@ -103,7 +103,7 @@ class BagReader:
         if is_table(self.path):
             from rx90_common.bags.logs import read_log  # pyarrow takes a while
 
-            self.table = read_log(self.path, self._mapping).series
+            self.table = [read_log(self.path, self._mapping)]
             self.effort_units = {series.topic: series.effort_unit for series in self.table}
             return self
         with ExitStack() as stack:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rx90_common.bags.tolerance import GRAMMAR, Tolerances
-from rx90_common.bags.topics import FIELDS, SUITE_TOPICS
+from rx90_common.bags.topics import SUITE_TOPICS
 from rx90_common.base.errors import BagError, ConfigError, check_replaced
 from rx90_common.base.quoting import counted, listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
@@ -27,7 +27,7 @@ from rx90_emulator.cli.options import (
 
 if TYPE_CHECKING:
     from rx90_common.bags.mapping import LogMapping
-    from rx90_common.bags.recorder.recording import Recorder, TopicCount
+    from rx90_common.bags.recorder.stream import TopicCount
 
 _MAX_STAMP = 4_294_967_296  # s: stamps count so far, and two of them do not overflow 64 bits of ns
 _KINDS = ("csv", "parquet", "npz")
@@ -40,12 +40,10 @@ _TIP_FILES = ("urdf", "tool", "drives")  # files of a robot that say where a bag
 _MAPPING = """\
 a signal map (docs/howto/bags.md says more):
   time: {column: 1, unit: s}                # or, without a column of times: rate: 5000
-  topics:
-    joint_states:
-      names: [shoulder, elbow]
-      position: {columns: [2, 3], unit: deg}
-      velocity: {columns: [dq1, dq2], unit: rad/s}
-      effort: {columns: [i1, i2], unit: A}
+  names: [shoulder, elbow]
+  position: {columns: [2, 3], unit: deg}
+  velocity: {columns: [dq1, dq2], unit: rad/s}
+  effort: {columns: [i1, i2], unit: A}
 """
 
 
@@ -85,36 +83,28 @@ def _record(args: argparse.Namespace) -> int:
     from rx90_common.bags.writing import BagWriter
 
     prepare()
-    from rx90_common.bags.recorder.recording import Recorder
+    from rx90_common.bags.recorder.recording import record
 
-    recorder = Recorder(args.topics or SUITE_TOPICS, args.ros_args)
-    counts = recorder.run(lambda: BagWriter(args.output), stop)
-    return _report(recorder, counts, args.output, requested=bool(args.topics))
+    counts = record(args.topics or SUITE_TOPICS, args.ros_args, lambda: BagWriter(args.output), stop)
+    return _report(counts, args.output, requested=bool(args.topics))
 
 
-def _report(recorder: Recorder, counts: Sequence[TopicCount], output: Path, *, requested: bool) -> int:
+def _report(counts: Sequence[TopicCount], output: Path, *, requested: bool) -> int:
     """Print what was recorded, and what not; return the exit code. Requested topics may not stay empty."""
     repeated = sum(count.repeated for count in counts)
     received = sum(count.received for count in counts)
+    empty = [count.topic for count in counts if not count.received]
     left_out = f"; left out: {counted(repeated, 'repetition')} of the sample before" if repeated else ""
-    topics = counted(len(counts), "topic")
+    topics = counted(len(counts) - len(empty), "topic")
     print(f"recorded {counted(received - repeated, 'message')} of {topics} to {plain(output)}{left_out}")
     failures = []
-    if recorder.empty and (requested or not received):
+    if empty and (requested or not received):
         part = "not" if received else "nothing"
-        failures.append(f"{part} recorded: no message came on {listed(recorder.empty)}")
-    for stall in recorder.stalls:
-        failures.append(f"lost: an unknown number of messages, in {stall:.1f} s in which this process did not run")
+        failures.append(f"{part} recorded: no message came on {listed(empty)}")
     for count in counts:
-        if count.other_clock:
-            print(f"{count.topic}: {counted(count.other_clock, 'message')} with stamps of another clock, dated by when "
-                  "they came, by the clock of the bag")  # fmt: skip
         writers = "; ".join(f"{w.lost} of {w.received + w.lost}" for w in count.writers)
         if count.lost:
             failures.append(f"lost: {counted(count.lost, 'message')} of {count.topic} (by publisher: {writers})")
-        if count.missing:
-            failures.append(f"not recorded: {count.missing} of the trajectories of {count.topic} that the controller "
-                            "has accepted: sent before the recording was ready, or lost")  # fmt: skip
         if count.refused:
             failures.append(f"not recorded: {counted(count.refused, 'publisher')} of {count.topic}, whose quality of "
                             "service does not fit the first one's")  # fmt: skip
@@ -129,13 +119,9 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     _add_signals(parser)
     parser.add_argument(
         "--tolerance", action="append", default=[], metavar=GRAMMAR,
-        help="in rad, rad/s or Nm; the most specific one that fits decides; default 0: equal bits",
+        help="in rad, rad/s or Nm; the last one that fits decides; default 0: equal bits",
     )  # fmt: skip
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="compare only these")
-    parser.add_argument(
-        "--fields", nargs="+", choices=FIELDS, default=list(FIELDS), metavar="FIELD",
-        help=f"compare only these of {', '.join(FIELDS)}",
-    )  # fmt: skip
     parser.add_argument("--from", dest="start", metavar="S", help="leave out stamps before this time in s")
     parser.add_argument("--to", dest="end", metavar="S", help="leave out stamps after this time in s")
     parser.add_argument(
@@ -166,7 +152,6 @@ def _compare(args: argparse.Namespace) -> int:
     check_apart(args, ("json",), "path_error", "one of them")
     scope = Scope(
         topics=tuple(dict.fromkeys(args.topics)) if args.topics else None,
-        fields=tuple(args.fields),
         start_ns=None if args.start is None else _time("--from", args.start),
         end_ns=None if args.end is None else _time("--to", args.end),
         common_range=args.common_range,
@@ -284,8 +269,6 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="log to read, or a folder with those of an export")
     parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")
     _add_signals(parser)
-    parser.add_argument("--skip-corrupt", action="store_true",
-                        help="leave out damaged rows and say which; otherwise they are refused")  # fmt: skip
 
 
 def _import(args: argparse.Namespace) -> None:
@@ -293,15 +276,19 @@ def _import(args: argparse.Namespace) -> None:
 
     Of a folder that `rx90_bag export` has written it makes the bag again.
     """
-    from rx90_common.bags.logs import import_logs
+    from rx90_common.bags.logs import read_log
+    from rx90_common.bags.writing import write_joint_states
 
     folder = args.log.is_dir()
     logs = sorted(args.log.glob("*.csv")) if folder else [args.log]
     if not logs or (folder and args.signals):
         raise ConfigError(f"{plain(args.log)}: accepted: a folder with CSV files, each with its signal map, or a log")
     mapping = _signals(args)
-    done = import_logs([(log, mapping) for log in logs], args.bag, skip_corrupt=args.skip_corrupt)
-    print("\n".join([*(log.text for log in done), f"bag: {plain(args.bag)}"]))
+    tables = [read_log(log, mapping) for log in logs]
+    write_joint_states(args.bag, tables)
+    for series in tables:
+        print(f"{plain(series.topic)}: {counted(len(series.stamp_ns), 'message')}")
+    print(f"bag: {plain(args.bag)}")
 
 
 def _add_info(parser: argparse.ArgumentParser) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from rx90_emulator.cli.options import (
     add_message_arguments,
     add_robot_arguments,
     add_zero_argument,
+    is_given,
     place,
 )
 from rx90_emulator.identification.options import (
@@ -25,7 +27,6 @@ from rx90_emulator.identification.options import (
     EMULATED,
     MODEL_PARTS,
     RECORDED,
-    ExcitationTolerances,
     MeasuredLayout,
     MeasuredTolerances,
     RobotOptions,
@@ -82,8 +83,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     result = parser.add_argument_group("result")
     result.add_argument("--output", type=place, metavar="FILE", help="friction file to write (.yaml); with "
                         "--excitation a folder for robot files, report and parameters")  # fmt: skip
-    result.add_argument("--report", type=place, metavar="FILE", help="report to write (beside the friction file, "
-                        ".html; with --friction none)")  # fmt: skip
+    result.add_argument("--report", type=place, metavar="FILE", help="with --friction: report to write; that of an "
+                        "identification is beside its files")  # fmt: skip
     result.add_argument("--force", action="store_true", help="replace files that exist")
     own = "where a bag holds set-points of this project's controller"
     result.add_argument("--torque-tolerance", type=POSITIVE, metavar="SHARE",
@@ -94,66 +95,65 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_arm_arguments(parser)
 
 
-_WITHOUT = "without excitation runs"
-_UNUSED = (
-    ("excitation", "folder sliding presliding friction report", "with --excitation",
-     "--validation BAG ... alone, and --output FOLDER"),
-    ("check sweeps", "bristles bandwidth no_rotors", _WITHOUT, "with --excitation BAG ..."),
-    ("check", "folder sliding presliding output model", "with --friction",
-     "--validation BAG ... alone, for nothing is identified or written"),
-)  # fmt: skip
-"""What a command line is for, options that do not count for it, what it is with, and what is accepted instead."""
+_UNUSED = {
+    "excitation": ("folder", "sliding", "presliding", "friction", "report"),
+    "sweeps": ("bristles", "bandwidth", "no_rotors", "report"),
+    "check": ("folder", "sliding", "presliding", "output", "model", "bristles", "bandwidth", "no_rotors"),
+}
+"""Options without an effect, by what a command line is for."""
+_ACCEPTED = {
+    "excitation": "--excitation BAG ..., --validation BAG ..., and --output FOLDER",
+    "sweeps": "with --excitation BAG ..., or --report with --friction",
+    "check": "--friction FILE and --validation BAG ... alone, for nothing is identified or written",
+}
 
 
 def main(options: argparse.Namespace) -> int:
     """Return 0 where the validation confirms the result, or there is none, else 1."""
-    what = "excitation" if _holds_excitation(options) else "sweeps" if options.friction is None else "check"
-    for whats, names, how, accepted in _UNUSED:
-        given = next(filter(None, (_given(options, name) for name in names.split())), "")
-        if given and what in whats:
-            raise IdentificationError(f"{given} {how}; accepted: {accepted}")
-    if what != "check" and options.output is None:
-        other = "--output FOLDER, which the robot's files are written into"
-        asked = other if what == "excitation" else "--output FILE, the friction file to write"
-        raise IdentificationError(f"no --output; accepted: {asked}")
+    use = "excitation" if _holds_excitation(options) else "sweeps" if options.friction is None else "check"
+    given = next((name for name in _UNUSED[use] if is_given(options, name)), None)
+    if given is not None:
+        word = options.folder if given == "folder" else f"--{given.replace('_', '-')}"
+        raise IdentificationError(f"{word} with what is of {use} runs; accepted: {_ACCEPTED[use]}")
+    if use != "check" and options.output is None:
+        asked = "FOLDER, which the robot's files are written into" if use == "excitation" else "FILE, a friction file"
+        raise IdentificationError(f"no --output; accepted: --output {asked}")
     # Here, because --help must not wait for it.
-    from rx90_emulator.identification import job
+    from rx90_emulator.identification import excitation, identify, job
 
-    robot = RobotOptions(
-        **{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__ if hasattr(options, name)}
-    )
+    stated = {field.name for field in fields(RobotOptions)}
+    robot = RobotOptions(**{name: value for name, value in vars(options).items() if name in stated})
     limits = {"torque": options.torque_tolerance, "total": options.total_torque_tolerance}
     tolerances = {name: value for name, value in limits.items() if value is not None}
-    if what == "check":
-        confirmed = job.run_check(
+    whose = "the result"
+    if use == "check":
+        whose = options.friction
+        against = job.run_check(
             options.friction, options.validation, robot, tolerances, options.report, force=options.force
         )
-    elif what == "sweeps":
-        confirmed = job.run_identification(
-            _bags(options), robot, tolerances, options.output, options.report,
-            model=options.model, force=options.force,
-        )  # fmt: skip
+    elif use == "sweeps":
+        bags = _bags(options)
+        against = job.run_identification(
+            lambda step: identify.identify_friction(bags, robot, tolerances, step, model=options.model),
+            options.output,
+            folder=False,
+            force=options.force,
+        )
     else:
-        wider = ExcitationTolerances(tolerances.get("total", RECORDED.total), tolerances.get("torque", RECORDED.torque))
-        confirmed = job.run_excitation(
-            options.excitation, robot, options.validation, wider, options.output,
-            bristles=options.bristles, model=options.model, rotors=not options.no_rotors,
-            bandwidth=options.bandwidth, force=options.force,
+        against = job.run_identification(
+            lambda step: excitation.identify_excitation(
+                options.excitation, robot, options.validation, tolerances,
+                bristles=options.bristles, model=options.model, rotors=not options.no_rotors,
+                bandwidth=options.bandwidth, progress=step,
+            ),
+            options.output,
+            folder=True,
+            force=options.force,
         )  # fmt: skip
-    if confirmed:
+    if not against:
         return DONE
-    whose = options.friction if what == "check" else "the result"
-    print(one_line(f"rx90_identify: the validation does not confirm {whose}"), file=sys.stderr)
+    print(one_line(f"rx90_identify: {against} {whose}"), file=sys.stderr)
     return VERDICT_NO
-
-
-def _given(options: argparse.Namespace, name: str) -> str:
-    """Return an option as it was given, with its first value; "" where it was not."""
-    value = getattr(options, name)
-    if value in (None, False, []):
-        return ""
-    option = f"--{name.replace('_', '-')} " * (name != "folder")
-    return option.strip() if value is True else f"{option}{value[0] if isinstance(value, list) else value}"
 
 
 def _holds_excitation(options: argparse.Namespace) -> bool:

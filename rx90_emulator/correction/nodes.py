@@ -19,9 +19,9 @@ from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.node.trajectory_client import TrajectoryClient
 from rx90_controller.trajectory.correction import Correction
+from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.correction.learning import Learner, Measured
 from rx90_emulator.correction.recorded import CORRECTION, REFERENCE, TRACKING, measured
-from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.nodes import follow_trajectory
 
 # share of the joints' speeds; rad/s^2: as rx90_line's

@@ -105,37 +105,26 @@ class RigidArm:
             IdentificationError: for a URDF that cannot be used, an unknown joint or a wrong shape.
         """
         urdf = Path(urdf)
-        model = joint_model(urdf, joints, massless=massless)
-        names = tuple(str(name) for name in model.names)[1:]
-        if followed:
-            model = joint_model(urdf, joints, massless=massless, followed=followed)
-        n = len(names)
-
-        def checked(name: str, given: ArrayLike | None, usual: Array) -> Array:
-            value = usual if given is None else np.asarray(given, dtype=np.float64)
-            if value.shape != usual.shape or not np.isfinite(value).all():
-                reason = f"{name} has shape {value.shape}; accepted: finite numbers, shape {usual.shape}"
-                raise IdentificationError(reason)
-            return value
-
-        turns = checked("coupling", coupling, np.eye(n))
-        own_rotors = checked("rotor_inertia", rotor_inertia, np.zeros(n))
-        own_springs = checked("spring", spring, np.zeros(n))
+        alone = joint_model(urdf, joints, massless=massless)
+        model = joint_model(urdf, joints, massless=massless, followed=followed) if followed else alone
+        names = tuple(str(name) for name in alone.names)[1:]
+        everything = tuple(str(name) for name in model.names)[1:]
+        place = np.array([everything.index(name) for name in names])
+        turns = _checked("coupling", coupling, np.eye(len(names)))
         if abs(np.linalg.det(turns)) < 1e-9:
             raise IdentificationError(f"coupling: {turns.tolist()}; accepted: an invertible matrix")
-        together = [row for row in turns if np.count_nonzero(row) > 1]
-        elements = (*names, *(sum_name(names, row) for row in together))
-        everything = tuple(str(name) for name in model.names)[1:]
-        own = np.array([everything.index(name) for name in names])
-        rotors = np.zeros((len(everything),) * 2)
+        rotor = turns.T @ np.diag(_checked("rotor_inertia", rotor_inertia, np.zeros(len(names)))) @ turns
         springs = np.zeros(len(everything))
-        matrix = np.zeros((len(elements), len(everything)))
+        springs[place] = _checked("spring", spring, np.zeros(len(names)))
+        # Joints that follow turn alone, and no element acts on them.
         all_turns = np.eye(len(everything))
-        some = np.ix_(own, own)
-        all_turns[some] = turns
-        rotors[some] = turns.T @ np.diag(own_rotors) @ turns
-        springs[own] = own_springs
-        matrix[:, own] = np.vstack([np.eye(n), *together])
+        all_turns[np.ix_(place, place)] = turns
+        rotors = np.zeros_like(all_turns)
+        rotors[np.ix_(place, place)] = rotor
+        together = [row for row in turns if np.count_nonzero(row) > 1]
+        matrix = np.zeros((len(names) + len(together), len(everything)))
+        matrix[:, place] = np.vstack([np.eye(len(names)), *together])
+        elements = (*names, *(sum_name(names, row) for row in together))
         return cls(everything, elements, matrix, model, rotors, springs, all_turns)
 
     @property
@@ -145,11 +134,10 @@ class RigidArm:
 
     def related(self) -> tuple[str, ...]:
         """Return the joints that carry one of the identified, or are carried by one: their motion counts for it."""
-        model = self.model
-        chains = [set(model.supports[k].tolist()) for k in range(model.njoints)]
-        own = {k + 1 for k in np.flatnonzero(self.identified).tolist()}
-        above = set().union(*(chains[k] for k in own))
-        return tuple(str(model.names[k]) for k in range(1, model.njoints) if k in above or chains[k] & own)
+        chains = [set(chain.tolist()) for chain in self.model.supports]
+        moved = {joint + 1 for joint in np.flatnonzero(self.identified).tolist()}
+        above = set().union(*(chains[joint] for joint in moved))
+        return tuple(name for joint, name in enumerate(self.names, 1) if joint in above or chains[joint] & moved)
 
     def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return the torques of the drives at the joints without friction, Nm, all arrays of shape (m, n)."""
@@ -172,11 +160,14 @@ class RigidArm:
             if name not in self.names:
                 raise IdentificationError(f"joint {quoted(name)} is none of this arm; accepted: {listed(self.names)}")
         torques = [joints.get(name, JointTorques()) for name in self.names]
-        offset = np.array([joint.offset for joint in torques])
-        rotors = np.array([joint.rotor_inertia for joint in torques])
         spring = np.array([joint.spring for joint in torques])
-        rotor = self.coupling.T @ np.diag(rotors) @ self.coupling if rotors.any() else self.rotor
-        return replace(self, rotor=rotor, spring=spring if spring.any() else self.spring, offset=offset)
+        rotors = np.diag([joint.rotor_inertia for joint in torques])
+        return replace(
+            self,
+            rotor=self.coupling.T @ rotors @ self.coupling if rotors.any() else self.rotor,
+            spring=spring if spring.any() else self.spring,
+            offset=np.array([joint.offset for joint in torques]),
+        )
 
     def regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return the derivative of the torque by the links' inertial parameters, shape (m, n, 10 n).
@@ -184,13 +175,12 @@ class RigidArm:
         The parameters of a link are mass, first moment and inertia about the joint's origin, in Pinocchio's
         order (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz).
         """
-        model = self.model
         data = self.model.createData()
-        motion = zip(configurations(model, position), velocity, acceleration, strict=True)
-        found = np.empty((*position.shape, 10 * len(self.names)))
-        for k, row in enumerate(motion):
-            found[k] = pin.computeJointTorqueRegressor(model, data, *row)
-        return found
+        rows = zip(configurations(self.model, position), velocity, acceleration, strict=True)
+        columns = np.empty((*position.shape, 10 * len(self.names)))
+        for number, row in enumerate(rows):
+            columns[number] = pin.computeJointTorqueRegressor(self.model, data, *row)
+        return columns
 
     @property
     def inertial(self) -> Array:
@@ -232,34 +222,34 @@ def joint_model(
     model, root = _read_urdf(urdf)
     there = [str(name) for name in model.names][1:]
     requested = there if joints is None else list(joints)
-    for name in requested:
-        if name not in there:
-            raise IdentificationError(f"{urdf}: no movable joint {quoted(name)}; there are {listed(there) or 'none'}")
     in_order = [name for name in there if name in requested]
-    if requested != in_order:
-        raise IdentificationError(f"{urdf}: joints {listed(requested)}; accepted: from base to tip, {listed(in_order)}")
-    if not requested:
-        raise IdentificationError(f"{urdf}: no movable joint; accepted: one or more")
     bad = {}
     for joint in root.findall("joint"):
         mimic = joint.find("mimic")
-        kind = joint.get("type")
-        if kind not in _TURNING:
-            bad[joint.get("name")] = f"is {kind}"
+        if joint.get("type") not in _TURNING:
+            bad[joint.get("name")] = f"is {joint.get('type')}"
         elif mimic is not None:
             bad[joint.get("name")] = f"mimics {mimic.get('joint')}"
-    for name in requested:
-        if name in bad:
-            good = " ".join(other for other in there if other not in bad) or "(there are none)"
-            raise IdentificationError(
-                f"{urdf}: joint {quoted(name)} {plain(bad[name])}; accepted: revolute and continuous joints with a "
-                f"drive of their own, --joints {good}"
-            )
-    fixed_joints = [model.getJointId(name) for name in there if name not in requested and name not in followed]
-    reduced = pin.buildReducedModel(model, fixed_joints, pin.neutral(model)) if fixed_joints else model
+    wrong = ""
+    if unknown := [name for name in requested if name not in there]:
+        wrong = f"no movable joint {quoted(unknown[0])}; there are {listed(there) or 'none'}"
+    elif requested != in_order:
+        wrong = f"joints {listed(requested)}; accepted: from base to tip, {listed(in_order)}"
+    elif not requested:
+        wrong = "no movable joint; accepted: one or more"
+    elif unfit := [name for name in requested if name in bad]:
+        good = " ".join(name for name in there if name not in bad) or "(there are none)"
+        wrong = (
+            f"joint {quoted(unfit[0])} {plain(bad[unfit[0]])}; accepted: revolute and continuous joints with a drive "
+            f"of their own, --joints {good}"
+        )
+    if wrong:
+        raise IdentificationError(f"{urdf}: {wrong}")
+    fixed = [model.getJointId(name) for name in there if name not in (*requested, *followed)]
+    reduced = pin.buildReducedModel(model, fixed, pin.neutral(model)) if fixed else model
     data = reduced.createData()
     pin.computeSubtreeMasses(reduced, data)
-    for name, mass in zip(list(reduced.names)[1:], list(data.mass)[1:], strict=True):
+    for name, mass in zip(reduced.names, data.mass, strict=True):
         if name in requested and not massless and not mass > 0.0:
             raise IdentificationError(
                 f"{urdf}: joint {quoted(name)} moves a mass of {mass:g} kg; accepted: links with <inertial>"
@@ -293,24 +283,7 @@ def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
             model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
         if any(line.startswith("Error:") for line in lines):  # an inertial that cannot be read is left out
             raise ValueError
-        for joint in root.findall("joint"):
-            axis = joint.find("axis") if joint.get("type") in _TURNING else None
-            if axis is not None and not any(map(float, axis.get("xyz", "1").split())):
-                raise ValueError(f"axis of joint [{joint.get('name')}] is 0 0 0")
-        for link in root.findall("link"):
-            mass = link.find("inertial/mass")
-            weight = 0.0 if mass is None else float(mass.get("value", "0"))
-            if not 0.0 <= weight <= _MAX_MASS:
-                raise IdentificationError(
-                    f"{plain(urdf)}: the mass of link {quoted(link.get('name'))} is {weight:g} kg; accepted: 0 to "
-                    f"{_MAX_MASS:g} kg"
-                )
-        for element in (one for path in _NUMBERS for one in root.iterfind(path)):
-            for key, text in element.items():
-                if key in _KEYS and not all(abs(float(word)) <= _MAX_NUMBER for word in text.split()):
-                    raise IdentificationError(
-                        f"{plain(urdf)}: <{element.tag} {key}={quoted(text)}>; accepted: numbers up to {_MAX_NUMBER:g}"
-                    )
+        _check_numbers(urdf, root)
         return model, root
     except UnicodeDecodeError as error:
         raise IdentificationError(f"{plain(urdf)}: cannot be read ({error}); accepted: a URDF file") from error
@@ -318,6 +291,36 @@ def _read_urdf(urdf: Path) -> tuple[Any, ET.Element]:
         message = next((line.removeprefix("Error:") for line in lines if line.startswith("Error:")), str(error))
         reason = " ".join(message.split()) or type(error).__name__
         raise IdentificationError(f"{urdf}: no URDF that Pinocchio can read ({reason})") from error
+
+
+def _check_numbers(urdf: Path, root: ET.Element) -> None:
+    """Refuse axes of length 0, and masses, places and moments that no arm has."""
+    for joint in root.findall("joint"):
+        axis = joint.find("axis") if joint.get("type") in _TURNING else None
+        if axis is not None and not any(map(float, axis.get("xyz", "1").split())):
+            raise ValueError(f"axis of joint [{joint.get('name')}] is 0 0 0")
+    for link in root.findall("link"):
+        mass = link.find("inertial/mass")
+        weight = 0.0 if mass is None else float(mass.get("value", "0"))
+        if not 0.0 <= weight <= _MAX_MASS:
+            name = quoted(link.get("name"))
+            raise IdentificationError(
+                f"{plain(urdf)}: the mass of link {name} is {weight:g} kg; accepted: 0 to {_MAX_MASS:g} kg"
+            )
+    for path in _NUMBERS:
+        for element in root.iterfind(path):
+            for key, text in element.items():
+                if key in _KEYS and not all(abs(float(word)) <= _MAX_NUMBER for word in text.split()):
+                    raise IdentificationError(
+                        f"{plain(urdf)}: <{element.tag} {key}={quoted(text)}>; accepted: numbers up to {_MAX_NUMBER:g}"
+                    )
+
+
+def _checked(name: str, given: ArrayLike | None, usual: Array) -> Array:
+    value = usual if given is None else np.asarray(given, dtype=np.float64)
+    if value.shape != usual.shape or not np.isfinite(value).all():
+        raise IdentificationError(f"{name} has shape {value.shape}; accepted: finite numbers, shape {usual.shape}")
+    return value
 
 
 @contextmanager

@@ -86,6 +86,42 @@ class ParameterEstimate:
 
 
 @dataclass(frozen=True, eq=False)
+class FrictionCurve:
+    """Measured and identified friction torque of one element against its velocity.
+
+    Attributes:
+        velocity: of p measured points, rad/s, shape (p,).
+        torque: measured torque less the rigid arm's and the other elements', Nm, shape (p,).
+        deviation: standard deviation of its noise, Nm, shape (p,); 0 where it is not known.
+        fitted: torque by the identified parameters, Nm, shape (p,).
+        line: the identified curve over the measured speeds, in either direction: velocity, torque, and the standard
+            deviation of the torque due to the parameters, shape (3, k).
+    """
+
+    velocity: Array
+    torque: Array
+    deviation: Array
+    fitted: Array
+    line: Array
+
+    @property
+    def rms(self) -> float:
+        """Return the RMS residual torque, Nm."""
+        return float(np.sqrt(np.mean((self.torque - self.fitted) ** 2)))
+
+    @property
+    def share(self) -> float:
+        """Return the residual torque over the friction torque, RMS; NaN without friction."""
+        friction = float(np.sqrt(np.mean(self.torque**2)))
+        return self.rms / friction if friction > 0.0 else math.nan
+
+    @property
+    def chi2(self) -> float:
+        """Return the mean square of the residuals over what the samples' noise leaves; 1 for noise alone."""
+        return float(np.mean(((self.torque - self.fitted) / np.maximum(self.deviation, 1e-12)) ** 2))
+
+
+@dataclass(frozen=True, eq=False)
 class ElementEstimate:
     """The parameters of one friction element.
 

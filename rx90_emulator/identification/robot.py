@@ -172,13 +172,13 @@ def _array(values: Sequence[float] | None) -> Array | None:
 def topic_names(bag: Path, mapping: LogMapping | None = None) -> set[str]:
     """Return the absolute names of the topics of a bag or a table, without reading the table."""
     if is_table(bag):
-        return set(map(absolute, mapping_of(bag, mapping).by_topic))
+        return {absolute(mapping_of(bag, mapping).table_topic)}
     with BagReader(bag) as reader:
         return {topic.name for topic in reader.topics}
 
 
 def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None = None) -> str:
-    """Return the first of this project's topics that a bag has; the topic of a table that has a single one.
+    """Return the first of this project's topics that a bag has; or that of a table.
 
     Args:
         bag: the bag or table.
@@ -186,7 +186,7 @@ def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None 
         mapping: the columns of a table.
     """
     there = topic_names(bag, mapping)
-    if is_table(bag) and len(there) == 1:
+    if is_table(bag):
         return there.pop()
     for topic in topics:
         if absolute(topic) in there:
@@ -196,10 +196,9 @@ def recorded_topic(bag: Path, topics: Sequence[str], mapping: LogMapping | None 
 
 
 def message_names(log: Path, topic: str, mapping: LogMapping | None = None) -> tuple[str, ...]:
-    """Return the names in the first message of a JointState topic of a bag, or those of a table's topic."""
+    """Return the names in the first message of a JointState topic of a bag, or those of a table."""
     if is_table(log):
-        topics = mapping_of(log, mapping).by_topic.items()
-        return next((one.names or () for name, one in topics if absolute(name) == absolute(topic)), ())
+        return mapping_of(log, mapping).names or ()
     with BagReader(log) as reader:
         there = [one for one in reader.topics if one.name == absolute(topic) and one.is_joint_state]
         first = next(reader.messages(there), None) if there else None

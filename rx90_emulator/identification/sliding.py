@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -22,8 +21,8 @@ from rx90_emulator.identification.estimates import (
     SLIDING,
     VISCOUS_EXPONENT,
     ElementEstimate,
+    FrictionCurve,
     ParameterEstimate,
-    digits,
 )
 from rx90_emulator.identification.options import SLIDING_PARTS, model_parts
 from rx90_emulator.identification.records import BagSource, JointRecord
@@ -37,87 +36,8 @@ degree of freedom."""
 _SAME_SPEED_RATIO = 1.1  # of speeds, up to which they count as one
 _MOST_DIFFERENCE = 0.1  # deviation of the difference of two Coulomb torques, over their sum, that tells both
 _MAX_RELATIVE_SD = 0.3  # relative standard deviation up to which a parameter is identifiable
-_BANDS = 6  # of speed, of equal logarithmic width, by which residuals are reported
 _LINE_POINTS = 100
 _DOES_NOT_SLIDE = "does not slide at constant velocity; accepted: sweeps in both directions"
-
-
-@dataclass(frozen=True, eq=False)
-class CurvePoints:
-    """Measured and fitted friction torque of one element, a point for each row of a plateau.
-
-    Attributes:
-        velocity: rad/s, shape (p,).
-        torque: measured torque less the rigid arm's and the other elements', Nm, shape (p,).
-        deviation: standard deviation of its noise, Nm, shape (p,).
-        fitted: torque by the identified parameters, Nm, shape (p,).
-        time: in the series, s, shape (p,).
-        line: the identified curve over the measured speeds, in either direction: velocity, torque, and the standard
-            deviation of the torque due to the parameters, shape (3, k).
-    """
-
-    velocity: Array
-    torque: Array
-    deviation: Array
-    fitted: Array
-    time: Array
-    line: Array
-
-
-@dataclass(frozen=True, eq=False)
-class FitQuality:
-    """Goodness of fit of one element's curve.
-
-    Attributes:
-        rms: of the plateaus' residual torque, Nm.
-        friction: RMS friction torque, Nm.
-        chi2: mean square of the residuals over what the samples' noise leaves; 1 for noise alone.
-        bands: slowest and fastest speed, rad/s, mean residual along the motion, Nm; shape (k, 3).
-    """
-
-    rms: float
-    friction: float
-    chi2: float
-    bands: Array
-
-    @classmethod
-    def of(cls, curve: CurvePoints) -> FitQuality:
-        """Return the figures of one element with one plateau or more."""
-        residual = curve.torque - curve.fitted
-        speed = np.abs(curve.velocity)
-        along = np.sign(curve.velocity) * residual
-        edges = np.geomspace(speed.min(), speed.max(), _BANDS + 1)
-        band = np.searchsorted(edges[1:-1], speed)
-        rows = [band == k for k in np.unique(band).tolist()]
-        return cls(
-            rms=float(np.sqrt(np.mean(residual**2))),
-            friction=float(np.sqrt(np.mean(curve.torque**2))),
-            chi2=float(np.mean((residual / np.maximum(curve.deviation, 1e-12)) ** 2)),
-            bands=np.array([(speed[row].min(), speed[row].max(), along[row].mean()) for row in rows]),
-        )
-
-    @property
-    def share(self) -> float:
-        """Return the residual torque over the friction torque, RMS; NaN without friction."""
-        return self.rms / self.friction if self.friction > 0.0 else math.nan
-
-    def text(self, name: str) -> str:
-        """Return a line for an element."""
-        by_speed = ", ".join(f"{low:.3g}-{high:.3g}: {mean:+.2g}" for low, high, mean in self.bands.tolist())
-        return (
-            f"fit of {name}: residual {self.rms:.3g} Nm RMS, {self.share:.2%} of its friction, chi2 {self.chi2:.3g}; "
-            f"by speed, Nm at rad/s: {by_speed}"
-        )
-
-    @property
-    def content(self) -> dict[str, Any]:
-        """Return the figures as plain data, to four digits."""
-        return {
-            "rms": digits(self.rms, 4),
-            "share": digits(self.share, 4),
-            "chi2": digits(self.chi2, 4),
-            "residual_by_speed": [[digits(value, 4) for value in band] for band in self.bands.tolist()],
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,21 +53,16 @@ class SlidingFit:
         inertial_covariance: its covariance, the prior's along directions that sweeps do not observe, (10 n, 10 n).
         plateaus: number of stretches of constant velocity that were used.
         usage: what was used of each record, and why the rest was not.
-        doubt: which sign or zero looks wrong, in words; empty if none does.
+        alarms: which sign or zero looks wrong, a sentence each.
     """
 
     estimates: tuple[ElementEstimate, ...]
-    curves: tuple[CurvePoints | None, ...]
+    curves: tuple[FrictionCurve | None, ...]
     inertial: Array
     inertial_covariance: Array
     plateaus: int
     usage: tuple[BagUse, ...] = ()
-    doubt: str = ""
-
-    @property
-    def quality(self) -> tuple[FitQuality | None, ...]:
-        """Return the goodness of fit of each element; None where it could not be identified."""
-        return tuple(None if curve is None else FitQuality.of(curve) for curve in self.curves)
+    alarms: tuple[str, ...] = ()
 
 
 def identify_sliding(
@@ -175,7 +90,6 @@ def identify_sliding(
         raise IdentificationError(f"{where}: {name} {lacking[name]}")
     used = ~(~blocks.sliding[blocks.plateau] @ (arm.element_matrix != 0.0)) & arm.identified
     alarms = mistake_alarms(arm, Recorded(blocks.motion, blocks.torque, used, blocks.plateau), zero=zero)
-    doubt = "; ".join(alarms)
     rows = sweep_rows(blocks, arm, known)
     parts = None if model is None else model_parts(model, SLIDING_PARTS)
     shared = [int(e) >= len(arm.names) for e in known]
@@ -191,7 +105,7 @@ def identify_sliding(
         spread = deviations(result)
     sources = tuple(record.bag for record in records)
     estimates = [ElementEstimate.unknown(name, SLIDING, lacking.get(name, ""), sources) for name in names]
-    curves: list[CurvePoints | None] = [None] * len(names)
+    curves: list[FrictionCurve | None] = [None] * len(names)
     for k, e in enumerate(known.tolist()):
         place = places(laws)[k]
         law = laws[k]
@@ -200,15 +114,15 @@ def identify_sliding(
                 f"{where}: {names[e]}: the torque does not oppose the motion; accepted: efforts of the sign with which "
                 "the drive moves the joint (check the signs of gears and torque constants)"
             )
-            raise IdentificationError("; ".join(filter(None, (error, doubt))))
+            raise IdentificationError("; ".join((error, *alarms)))
         element = _Element(names[e], law, result.x[place], place, spread)
         estimates[e] = element.estimate(rows.friction.elements[k].speeds, parts, sources)
-        curves[e] = _curve(element, rows, k, result, blocks.time)
+        curves[e] = _curve(element, rows, k, result)
     scale = arm.inertial_scale()
     first = len(result.x)
     covariance = spread.covariance[first:, first:] * np.outer(scale, scale)
     count = len(np.unique(rows.plateau))
-    return SlidingFit(tuple(estimates), tuple(curves), scale * result.linear, covariance, count, usage, doubt)
+    return SlidingFit(tuple(estimates), tuple(curves), scale * result.linear, covariance, count, usage, alarms)
 
 
 def _lacking(blocks: Blocks, names: Sequence[str]) -> dict[str, str]:
@@ -316,7 +230,7 @@ class _Element:
         return ElementEstimate.of(self.name, estimates, covariance, sources)
 
 
-def _curve(element: _Element, rows: SweepRows, number: int, result: Fit, time: Array) -> CurvePoints:
+def _curve(element: _Element, rows: SweepRows, number: int, result: Fit) -> FrictionCurve:
     """Return the points of an element: what everything but it leaves of each row on which it acts."""
     steady = rows.friction.elements[number]
     assert isinstance(steady, SteadyRows)
@@ -328,11 +242,10 @@ def _curve(element: _Element, rows: SweepRows, number: int, result: Fit, time: A
     grid = np.sort(np.concatenate(sides))
     torque, slopes = element.law.curve(grid, element.x)
     deviation = np.sqrt(np.einsum("ki,ij,kj->k", slopes, element.covariance, slopes))
-    return CurvePoints(
+    return FrictionCurve(
         velocity=steady.velocity,
         torque=fitted + result.residual[steady.rows] / steady.gain,
         deviation=result.noise[rows.slopes[steady.rows]] / np.abs(steady.gain),
         fitted=fitted,
-        time=time[rows.plateau[steady.rows]],
         line=np.stack([grid, torque, deviation]),
     )

@@ -12,11 +12,12 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_common.base.quoting import listed
 from rx90_common.base.rates import Rates
+from rx90_common.description.poses import check_pose
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.exchange.topics import motor_names
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 from rx90_emulator.identification.arm import RigidArm, all_joints, joint_model
-from rx90_emulator.identification.experiments.plan import Experiment, Poses, check_pose
+from rx90_emulator.identification.experiments.plan import Experiment, poses_of
 from rx90_emulator.identification.output.assumed_files import FULL_SPEED_TIME
 from rx90_emulator.loop.setup import Setup
 
@@ -55,7 +56,7 @@ class PlannedArm:
     def from_setup(cls, setup: Setup, home: Sequence[float] | None = None) -> PlannedArm:
         """Return the arm of a setup; home is the given one, else that of the robot's poses, else mid-range."""
         if home is None and setup.files is not None and setup.files.poses is not None:
-            home = Poses.of(setup).home.position
+            home = poses_of(setup).home.position
         pose, remarks = _home(setup.robot, home)
         controller = setup.controller
         return cls(

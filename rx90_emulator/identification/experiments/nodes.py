@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -24,7 +25,7 @@ from rx90_common.friction.friction_file import load_friction
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.node.trajectory_client import NewestPositions, TrajectoryClient
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.experiments.motion import Motion
+from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.identification.experiments.plan import TOPICS, Experiment, write_emulated, write_index
 from rx90_emulator.loop.setup import Setup
 
@@ -59,20 +60,16 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
         trajectory.wait_for_controller()
         names = setup.robot.joint_names
         set_points = trajectory.set_points(names)
-        follow = partial(follow_trajectory, client, trajectory, names, set_points)
+        follow = partial(follow_trajectory, client, trajectory, set_points, names=names)
         motion = Motion(np.asarray(set_points.position))
         start = plan[0].points.position[0]
         if np.abs(start - motion.pose).max() > setup.controller.trajectory.start_tolerance:
             motion.move(start, setup.robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION)
             client.say(f"approach: {motion.duration:.1f} s")
-            follow(motion.points(names), lambda _: None)
+            follow(motion.points(names), show=lambda _: None)
         for number, experiment in enumerate(plan):
             bar.set_description_str(experiment.name)
-            before = bar.n
-
-            def show(elapsed: float, before: float = before) -> None:
-                bar.update(before + round(elapsed) - bar.n)
-
+            show = partial(_show, bar, bar.n)
             # Repeated if the recorder lost messages, because the machine was busy: experiments end where they begin.
             for attempt in range(1, _ATTEMPTS + 1):
                 fault = _record(recorders, experiment, folder, timeout, partial(follow, show=show))
@@ -85,6 +82,10 @@ def run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, control
             if not number:
                 _keep_emulated_friction(client, folder, setup.friction.names)
             write_index(folder, plan[: number + 1])
+
+
+def _show(bar: Any, before: int, elapsed: float) -> None:
+    bar.update(before + round(elapsed) - bar.n)
 
 
 def _keep_emulated_friction(client: ClientNode, folder: Path, elements: Sequence[str]) -> None:
@@ -126,28 +127,22 @@ def _record(
 def follow_trajectory(
     client: ClientNode,
     trajectory: TrajectoryClient,
-    names: Sequence[str],
     set_points: NewestPositions,
     points: TrajectoryPoints,
+    names: Sequence[str],
     show: Callable[[float], object],
 ) -> float:
     """Send a trajectory, wait until the controller's set-points are at its end, and return when it ended, s."""
-
-    def newest() -> tuple[float, Array, float]:
-        client.spin()
-        # The newest message suffices; in between the processor is left to the nodes.
-        time.sleep(POLL / 2.0)
-        assert set_points.position is not None
-        return set_points.time, set_points.position, time.monotonic()
-
     for _ in range(3):  # messages that arrived while the recorder started
-        begin, before, _ = newest()
-    run = FollowedTrajectory(points, before, client.timeout)
+        client.spin()
+    assert set_points.position is not None
+    run = FollowedTrajectory(points, set_points.position, client.timeout)
     trajectory.send(names, points)
-    run.see(begin, before, time.monotonic())
     while not run.done:
-        run.see(*newest())
+        run.see(set_points.time, set_points.position, time.monotonic())
         show(run.elapsed)
+        client.spin()
+        time.sleep(POLL / 2.0)  # the newest message suffices; in between the processor is left to the nodes
     return run.end
 
 

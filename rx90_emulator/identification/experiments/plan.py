@@ -17,18 +17,19 @@ from pydantic import Field
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.models import FileModel, Names, PerJoint, quantity, read_model
-from rx90_common.base.quoting import counted, listed, plain, quoted
+from rx90_common.base.models import FileModel, Names, read_model
+from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import DriveParameters
+from rx90_common.description.poses import Poses
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.files import file_stem, write_text
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.experiments.motion import Motion
+from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.loop.setup import Setup
 
 
@@ -66,60 +67,13 @@ class Experiment:
         return float(self.points.times[-1])
 
 
-class HomePose(FileModel):
-    """Where every experiment begins and ends."""
-
-    position: Annotated[PerJoint, quantity("rad", "Joint positions.")]
-
-
-class PoseList(FileModel):
-    """Where experiments take place."""
-
-    positions: Annotated[
-        tuple[PerJoint, ...], Field(strict=False, min_length=1), quantity("rad", "Joint positions of each pose.")
-    ]
-
-
-class Poses(FileModel):
-    """Where the experiments of an identification take place."""
-
-    home: HomePose
-    sweeps: Annotated[PoseList, Field(description="Where the sweeps take place.")]
-    validation: Annotated[PoseList, Field(description="Between which the validation moves.")]
-
-    @classmethod
-    def load(cls, file: Path) -> Poses:
-        """Read a poses file."""
-        return read_model(cls, file)
-
-    @classmethod
-    def of(cls, setup: Setup) -> Poses:
-        """Return the poses of a robot, checked to be within its limits."""
-        if setup.files is None:
-            raise IdentificationError("the setup was not read from files; accepted: one of load_setup")
-        poses = cls.load(setup.files.required("poses"))
-        poses.check(setup.robot)
-        return poses
-
-    def check(self, robot: RobotModel) -> None:
-        """Check that an arm reaches the poses."""
-        check_pose("home", self.home.position, robot)
-        for number, pose in enumerate(self.sweeps.positions, 1):
-            check_pose(f"pose {number}", pose, robot)
-        for number, pose in enumerate(self.validation.positions, 1):
-            check_pose(f"pose {number} of the validation", pose, robot)
-
-
-def check_pose(pose_name: str, pose: Sequence[float], robot: RobotModel) -> None:
-    """Check that an arm has a pose, rad, within its joints' ranges."""
-    count = len(robot.joint_names)
-    if len(pose) != count:
-        raise IdentificationError(f"{pose_name}: {counted(len(pose), 'number')}; accepted: {count}, one for each joint")
-    for name, value, low, high in zip(robot.joint_names, pose, robot.lower, robot.upper, strict=True):
-        if not low <= value <= high:
-            raise IdentificationError(
-                f"{pose_name}: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
-            )
+def poses_of(setup: Setup) -> Poses:
+    """Return the poses of a robot, checked to be within its limits."""
+    if setup.files is None:
+        raise IdentificationError("the setup was not read from files; accepted: one of load_setup")
+    poses = Poses.load(setup.files.required("poses"))
+    poses.check(setup.robot)
+    return poses
 
 
 _MIN_SPEEDS = 5  # with fewer the Stribeck curve is not determined
@@ -170,7 +124,7 @@ def plan_experiments(
         IdentificationError: for an unknown group or a number of speeds that is not acceptable.
         ConfigError: if the robot has no poses.
     """
-    options = PlanOptions(poses=Poses.of(setup), groups=tuple(groups))
+    options = PlanOptions(poses=poses_of(setup), groups=tuple(groups))
     if quick:
         pose = options.poses.replaced(sweeps={"positions": options.poses.sweeps.positions[:1]})
         options = replace(

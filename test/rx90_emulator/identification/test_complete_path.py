@@ -18,12 +18,12 @@ from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import DONE, INTERRUPTED
 from rx90_common.description.coupling import RX_WRIST
 from rx90_common.friction import load_friction
+from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments import nodes
 from rx90_emulator.identification.experiments import plan as plans
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.excitation import plan_excitation
-from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, read_emulated, read_index
 from rx90_emulator.loop.closed_loop import simulate

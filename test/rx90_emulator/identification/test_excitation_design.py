@@ -13,9 +13,9 @@ import pytest
 from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import DONE
+from rx90_common.base.errors import REFUSED, IdentificationError
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification import job as identification_job
+from rx90_emulator.identification import excitation as identification
 from rx90_emulator.identification.excitation import identify_excitation
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.excitation import ExcitationSearch, plan_excitation
@@ -257,8 +257,13 @@ def test_a_folder_of_excitation_runs_is_identified_as_such(
     (tmp_path / "excitation_1").mkdir()
     write_index(tmp_path, runs)
     seen: list[object] = []
-    monkeypatch.setattr(identification_job, "run_excitation", lambda *given, **_: seen.append(given) or True)
-    assert run("rx90_identify", [str(tmp_path), "--output", str(tmp_path / "out")]) == DONE
+
+    def refused(*given: object, **_: object) -> None:
+        seen.append(given)
+        raise IdentificationError("enough")
+
+    monkeypatch.setattr(identification, "identify_excitation", refused)
+    assert run("rx90_identify", [str(tmp_path), "--output", str(tmp_path / "out")]) == REFUSED
     (given,) = seen
     assert (given[0], given[2]) == ((tmp_path / "excitation_1",), (tmp_path / "unseen",))  # type: ignore[index]
 

@@ -11,16 +11,16 @@ import pytest
 from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.base.errors import ConfigError, ExchangeError, IdentificationError
 from rx90_common.description.robot_files import RobotFiles
+from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.identification.experiments.arms import PlannedArm
-from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import (
     Experiment,
     Kind,
     PlanOptions,
-    Poses,
     directions,
     make_plan,
     plan_experiments,
+    poses_of,
     read_index,
     sweep_speeds,
 )
@@ -34,7 +34,7 @@ HOME = (0.0,) * 6
 def test_the_plan_keeps_every_limit(shipped: Setup) -> None:
     """Each experiment of the default plan stays within ranges, speeds and torques, by the controller's own check."""
     for experiment in make_plan(shipped.robot, shipped.drives):
-        assert np.allclose(experiment.points.position[[0, -1]], Poses.of(shipped).home.position, atol=1e-12)
+        assert np.allclose(experiment.points.position[[0, -1]], poses_of(shipped).home.position, atol=1e-12)
         used = PlannedArm.from_setup(shipped).check(experiment)
         assert all(share <= 1.0 for share, _ in used.values())
 

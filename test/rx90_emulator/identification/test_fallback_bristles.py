@@ -84,7 +84,9 @@ def test_bristles_go_with_c0(hinge: Hinge, tmp_path: Path, monkeypatch: pytest.M
     c0 = ParameterEstimate(2e4, 1e2) if known else ParameterEstimate.unknown("too small")
     cycles = ElementEstimate("hinge", {"c0": c0, "c1": c0}, np.eye(2), ())
     slides = ElementEstimate("hinge", dict.fromkeys(SLIDING, ParameterEstimate(1.0, 0.1)), np.eye(7), ())
-    monkeypatch.setattr(identification, "identify_sliding", lambda *_, **__: SimpleNamespace(estimates=[slides]))
+    monkeypatch.setattr(
+        identification, "identify_sliding", lambda *_, **__: SimpleNamespace(estimates=[slides], alarms=())
+    )
     monkeypatch.setattr(identification, "identify_presliding", lambda *_: SimpleNamespace(estimates=[cycles]))
     (one,) = identify_records([], [None], robot).elements  # type: ignore[list-item]
     assert one.element.bristles == (None if known else PARTS[0])

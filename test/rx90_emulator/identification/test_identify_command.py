@@ -143,7 +143,7 @@ def test_the_difference_is_that_of_the_friction(hinge: Hinge, tmp_path: Path) ->
     [
         ("read_record", signal.SIGTERM),
         ("identify_records", signal.SIGINT),
-        ("report_page", signal.SIGTERM),
+        ("identification_page", signal.SIGTERM),
         ("write_all", signal.SIGINT),
         ("write_all", signal.SIGTERM),
     ],
@@ -168,7 +168,7 @@ def test_an_interrupt_leaves_everything(
         whole = Path.write_bytes
         monkeypatch.setattr(Path, "write_bytes", lambda *a, **k: (whole(*a, **k), interrupted()))
     else:
-        monkeypatch.setattr(identify_job if place == "report_page" else identify_bags, place, interrupted)
+        monkeypatch.setattr(identify_job if place == "identification_page" else identify_bags, place, interrupted)
     words = ["--sliding", hinge.bag, "--fallback", hinge.fallback, "--output", output, "--force"]
     assert checked(hinge, *words) == INTERRUPTED
     assert capsys.readouterr().err.splitlines()[-1] == "rx90_identify: interrupted; nothing was written"

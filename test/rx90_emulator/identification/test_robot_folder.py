@@ -7,6 +7,7 @@ import math
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from datetime import datetime, timezone
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -45,6 +46,7 @@ pytestmark = pytest.mark.slow
 
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(5)
+DATE = datetime(2026, 1, 1, tzinfo=timezone.utc)
 SEEN = 12.0  # rad/s^2, of the second joint in the runs
 FIXED = """<link name="tool"><inertial><origin xyz="0 0 0.1"/><mass value="1.5"/>
 <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
@@ -89,7 +91,9 @@ def identified(
     consistency, bags = SimpleNamespace(inertias=inertias), (("excitation", source),)
     given = {"problem": problem, "robot": robot, "consistency": consistency, "elements": elements, "bags": bags}
     ranges = ((0.05, 2.0),) * len(elements)
-    return SimpleNamespace(**given, unit="Nm", element_notes={}, notes=(), fitted=SimpleNamespace(speeds=ranges))
+    return SimpleNamespace(
+        **given, arm=arm, unit="Nm", element_notes={}, notes=(), fitted=SimpleNamespace(speeds=ranges)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +138,7 @@ def case(tmp_path_factory: pytest.TempPathFactory, source: BagSource) -> Case:
     inertias = consistent_inertias(estimate_of(columns, values), prior)
     elements = tuple(element_of(one, source) for one in true.friction.elements)
     result = identified(arm, inertias, columns, elements, source, "other.yaml")
-    for name, text in robot_texts(result, base.urdf, FolderBase.of(base)).items():
+    for name, text in robot_texts(result, base.urdf, FolderBase.of(base), DATE).items():
         (place / name).write_text(text)
     return Case(true, before, columns, inertias.parameters, RobotFiles.named(str(place)))
 
@@ -167,7 +171,7 @@ def test_folder_says_where_its_values_come_from(case: Case) -> None:
     assert 90.0 < drives["spring"]["torque"][1] < 120.0
     assert drives["brake"] == yaml.safe_load(shipped.drives.read_text())["brake"]
     assert law["feed_forward"]["provenance"]["coulomb_torque"] == "derived"
-    assert law["feed_forward"]["provenance"]["others"] == "assumed"
+    assert law["feed_forward"]["provenance"]["coulomb_velocity"] == "assumed"
     assert law["servo"] == yaml.safe_load(shipped.controller.read_text())["servo"]
     assert "model" not in law, "the controller's model is the arm of the folder, not the base's"
     assert friction["provenance"] == "identified"
@@ -228,7 +232,7 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     base, why = folder_base(arm, file)
     assert base is None
     assert why.startswith("URDF and friction file alone, no robot folder: ")
-    texts = robot_texts(result, file, None)
+    texts = robot_texts(result, file, None, DATE)
     assert set(texts) == {"robot.urdf", "friction.yaml"}
     friction = yaml.safe_load(texts["friction.yaml"])
     assert list(friction["elements"]) == ["provenance", "a", "b", "c"]
@@ -293,9 +297,9 @@ def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
 def test_no_absurd_friction_is_written(source: BagSource, parameter: str, value: float, deviation: float) -> None:
     """A friction value that no arm has, or a deviation that is absurd or no number, is refused by name in one line."""
     good = element_of(FrictionElement(tau_c=1.0, tau_s=1.5, omega_s=0.05, delta=1.0, c0=1e4, c1=1.0, c2=0.5), source)
-    assert "tau_c: 1.0" in elements_text(["a"], [good], None)
+    assert "tau_c: 1.0" in elements_text(["a"], [good])
     estimates = {**good.estimates, parameter: ParameterEstimate(value, deviation)}
     bad = replace(good, element=good.element.with_parameters({parameter: value}), estimates=estimates)
     said = rf"^a: {parameter} came out as .*accepted: up to |a\.{parameter}\.deviation is 1e\+48, so the file is not"
     with pytest.raises(Rx90Error, match=said):
-        elements_text(["a"], [bad], None)
+        elements_text(["a"], [bad])

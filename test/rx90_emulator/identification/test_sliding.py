@@ -19,7 +19,7 @@ from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import SLIDING, ElementEstimate
-from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, Poses, directions, make_plan
+from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, directions, make_plan, poses_of
 from rx90_emulator.identification.identify import identify_records
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.summary import identification_summary
@@ -231,7 +231,7 @@ def test_the_wrists_friction_comes_back_from_the_engine(shipped: Setup, arm: Rig
     One pose leaves the weight on joint 5 uncertain, which its Coulomb torques tell by their deviations.
     """
     names = directions(shipped.robot.joint_names, shipped.drives.turning)
-    poses = Poses.of(shipped)
+    poses = poses_of(shipped)
     options = PlanOptions(
         speeds=9, travel=0.2, poses=poses.replaced(sweeps={"positions": poses.sweeps.positions[:1]}),
         groups=tuple(name for name in names if {"5", "6"} & set(name)),
