@@ -12,11 +12,8 @@ from queue import Queue
 import pytest
 
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.vplus.arm import ProgrammedArm
 from rx90_emulator.vplus.cell import Cell, Engine
-from rx90_emulator.vplus.monitor import Monitor
-from rx90_emulator.vplus.motion import MotionQueue
-from rx90_emulator.vplus.serving import Lines, serve
+from rx90_emulator.vplus.monitor import Monitor, serve
 
 Talk = Callable[..., str]
 
@@ -24,15 +21,12 @@ Talk = Callable[..., str]
 @pytest.fixture
 def talk(shipped: Setup, tmp_path: Path) -> Talk:
     """Return what types a line, lets beats pass until the monitor takes the next one, and returns what was shown."""
-    arm = ProgrammedArm(shipped)
-    cell = Cell(arm, Engine(shipped, arm.ready, keep=False), MotionQueue(arm, arm.ready))
     shown: list[str] = []
-    monitor = Monitor(cell, tmp_path, shown.append)
-    lines = Lines(monitor, shown.append)
+    monitor = Monitor(Cell(shipped, Engine(shipped, keep=False)), tmp_path, shown.append)
 
     def type_line(line: str, beats: int = 0) -> str:
         shown.clear()
-        lines.take(line.encode() + b"\r\n")
+        monitor.receive(line.encode() + b"\r\n")
         for _ in range(beats):
             monitor.beat()
         while monitor.is_busy:
@@ -60,11 +54,11 @@ NUMBER = r"\s+-?\d+\.\d{3}"
         (["HERE o"], rf"HERE o\r\n.*\r\n({NUMBER}){{6}}\r\nChange\? "),
         (["HERE o", "1,,3", ""], r"\r\n\."),
         (["HERE o", "1,,3", "", "listl o"], r".*\r\n.*\r\no +1.000 +-?0.000 +3.000 .*\r\n\."),
-        (["do x = 4", "listr x"], r"listr x\r\nx = 4\r\n\."),
+        (["do x = 4", "listr x"], r"listr x\r\nx = 4.0\r\n\."),
         (['do $s = "a"', "lists"], r'lists\r\n\$s = "a"\r\n\.'),
         (["nonsense"], r"nonsense\r\n\*Unknown command\*\r\n\."),
         (["do x = y"], r"do x = y\r\n\*Undefined value\* y\r\n\."),
-        (["do move trans(5000)"], r".*\r\n\*Location out of range\*\r\n\."),
+        (["do move trans(5000)"], r".*\r\n\*Location out of range\* 5.000 m from the shoulder\r\n\."),
         (["do if x then"], r".*\r\n\*Illegal monitor command\*\r\n\."),
         (["exec nobody"], r".*\r\n\*Undefined program or variable name\* nobody\r\n\."),
         (["abort"], r"abort\r\n\."),
@@ -109,7 +103,9 @@ def test_a_program_is_edited_run_stored_and_loaded(talk: Talk) -> None:
 def test_a_client_talks_over_tcp(shipped: Setup, tmp_path: Path) -> None:
     """A relative motion along the tool is done while the client asks where the arm is."""
     names: Queue[str] = Queue()
-    threading.Thread(target=serve, args=(shipped, tmp_path, 0, names.put), daemon=True).start()
+    cell = Cell(shipped, Engine(shipped, keep=False))
+    words = {"port": 0, "baud": None, "waits": True}
+    threading.Thread(target=serve, args=(cell, tmp_path, names.put), kwargs=words, daemon=True).start()
     port = int(names.get(timeout=60).rpartition(":")[2])
     with socket.create_connection(("127.0.0.1", port), timeout=30) as line:
         stream = line.makefile("rwb", buffering=0)
