@@ -201,7 +201,7 @@ def _add_plot(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", type=Path, **_BAG)
     parser.add_argument("second", type=Path, nargs="?", metavar="BAG2", help="bag to draw over it")
     _add_signals(parser)
-    add_output(parser, place, ".html, .png, .svg or .pdf (the bag's name with .html, here)", metavar="FILE")
+    add_output(parser, place, "page (the bag's name with .html, here)", metavar="FILE")
     add_force(parser)
     _add_topics(parser, "joint_states, friction, tracking error")
     add_joints_argument(parser, "joints (all)")
@@ -210,21 +210,22 @@ def _add_plot(parser: argparse.ArgumentParser) -> None:
 
 
 def _plot(args: argparse.Namespace) -> None:
-    """Draw joint states of a bag, or of two bags and their difference: a page to zoom in, or a picture.
+    """Draw joint states of a bag, or of two bags over each other: a page to zoom in.
 
-    The suffix of --output says which: .html, .png, .svg or .pdf. Without options it shows joint states, friction and
-    tracking error, as far as the bag has them.
+    Without options it shows joint states, friction and tracking error, as far as the bag has them.
     """
-    from rx90_common.bags.plot_files import write_plots
-    from rx90_common.bags.plotting import plot_bags
+    from rx90_common.bags.plotting import plot_bags, plot_page
+    from rx90_common.process.files import write_text
 
     if args.align is not None and args.second is None:
         raise ConfigError(f"--align {plain(args.align)} with one bag; accepted: with two")
     output: Path = args.output or place(f"{args.bag.resolve().name}.html")
+    if output.suffix.lower() != ".html":
+        raise ConfigError(f"--output {plain(output)}; accepted: a page, .html")
     check_replaced(output, force=args.force)
     paths = [args.bag] if args.second is None else [args.bag, args.second]
     align = alignment(args.align or "0")
-    write_plots(paths, plot_bags(paths, args.topics, args.joints, align, _signals(args)), output)
+    write_text(output, plot_page(paths, plot_bags(paths, args.topics, args.joints, align, _signals(args))))
     print(f"plot: {plain(output.resolve())}")
 
 
@@ -232,7 +233,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted=_NOTHING_WRITTEN)
     parser.add_argument("bag", type=Path, **_BAG)
     _add_signals(parser)
-    text = "FILE.csv, FILE.parquet (one topic), FILE.npz, or a folder; must not exist"
+    text = "FILE.csv, .parquet or .npz of one topic, or a folder; must not exist"
     add_output(parser, new_folder, text, metavar="FILE|FOLDER", required=True)
     _add_topics(parser, "all")
     parser.add_argument("--format", choices=_KINDS, help=f"of the files in a folder ({_KINDS[0]})")
@@ -307,7 +308,7 @@ _VERBS = (
     (_add_record, _record, "record topics to a new bag; a lost message is a non-zero exit, and so is an empty bag"),
     (_add_compare, _compare, "compare two bags; exit 0 same, 1 differs, 2 cannot be compared"),
     (_add_path, _path, "print how far the tip was from the path of its set-points"),
-    (_add_plot, _plot, "draw one bag, or two and their difference, as a page or a picture"),
+    (_add_plot, _plot, "draw one bag, or two over each other, as a page"),
     (_add_export, _export, "write a bag as CSV, Parquet or NPZ"),
     (_add_import, _import, "make a bag from a CSV log; a file says what its columns hold"),
     (_add_info, _info, "summarise a bag"),

@@ -14,6 +14,7 @@ from rx90_emulator.cli.options import (
     FINITE,
     POSITIVE,
     URDF,
+    Verb,
     add_joints_argument,
     add_node_arguments,
     add_output,
@@ -27,7 +28,7 @@ from rx90_emulator.cli.options import (
 from rx90_emulator.identification.experiments.options import QUICK, RANGES, ExcitationOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from rx90_emulator.identification.experiments.arms import PlannedArm
     from rx90_emulator.identification.experiments.plan import Experiment
@@ -50,11 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_sliding(parser: argparse.ArgumentParser) -> None:
-    add_verbs(parser, (
-        (_add_sliding_plan, _plan, "show the experiments, their time and number of runs; moves nothing"),
-        (_add_sliding_engine, _engine, "run them in the closed loop without ROS, fast, and write a bag of each"),
-        (_add_sliding_nodes, _nodes, "run them on the controller node, in its time, and record a bag of each"),
-    ))  # fmt: skip
+    add_verbs(parser, _verbs(_add_sliding_options))
 
 
 def _sliding(_: argparse.Namespace) -> None:
@@ -62,51 +59,39 @@ def _sliding(_: argparse.Namespace) -> None:
 
 
 def _add_excitation(parser: argparse.ArgumentParser) -> None:
-    add_verbs(parser, (
-        (_add_excitation_plan, _plan, "show the runs, and their time; moves nothing"),
-        (_add_excitation_engine, _engine, "run them in the closed loop without ROS, fast, and write a bag of each"),
-        (_add_excitation_nodes, _nodes, "run them on the controller node, in its time, and record a bag of each"),
-        (_add_any, _any, "plan them for any arm, of which no more is known than its URDF"),
-    ))  # fmt: skip
+    any_arm = (_add_any, _any, "plan them for any arm, of which no more is known than its URDF")
+    add_verbs(parser, (*_verbs(_add_robot_excitation), any_arm))
 
 
 def _excitation(_: argparse.Namespace) -> None:
     """A Fourier series of all joints at once, for rx90 identify excitation."""
 
 
-def _add_sliding_plan(parser: argparse.ArgumentParser) -> None:
-    _add_sliding_options(parser)
-    _add_motions(parser)
+def _verbs(add_options: Callable[[argparse.ArgumentParser], None]) -> tuple[Verb, ...]:
+    """Return the verbs of a kind of experiments, whose own options `add_options` adds."""
+
+    def add_plan(parser: argparse.ArgumentParser) -> None:
+        add_options(parser)
+        _add_motions(parser)
+
+    def add_engine(parser: argparse.ArgumentParser) -> None:
+        add_options(parser)
+        _add_bags(parser)
+
+    def add_nodes(parser: argparse.ArgumentParser) -> None:
+        add_engine(parser)
+        add_node_arguments(parser, _TIMEOUT)
+
+    return (
+        (add_plan, _plan, "show the experiments, their time and number of runs; moves nothing"),
+        (add_engine, _engine, "run them in the closed loop without ROS, fast, and write a bag of each"),
+        (add_nodes, _nodes, "run them on the controller node, in its time, and record a bag of each"),
+    )
 
 
-def _add_sliding_engine(parser: argparse.ArgumentParser) -> None:
-    _add_sliding_options(parser)
-    _add_bags(parser)
-
-
-def _add_sliding_nodes(parser: argparse.ArgumentParser) -> None:
-    _add_sliding_options(parser)
-    _add_bags(parser)
-    add_node_arguments(parser, _TIMEOUT)
-
-
-def _add_excitation_plan(parser: argparse.ArgumentParser) -> None:
+def _add_robot_excitation(parser: argparse.ArgumentParser) -> None:
     _add_excitation_options(parser)
     add_robot_arguments(parser, *MODEL_FILES, "poses")
-    _add_motions(parser)
-
-
-def _add_excitation_engine(parser: argparse.ArgumentParser) -> None:
-    _add_excitation_options(parser)
-    add_robot_arguments(parser, *MODEL_FILES, "poses")
-    _add_bags(parser)
-
-
-def _add_excitation_nodes(parser: argparse.ArgumentParser) -> None:
-    _add_excitation_options(parser)
-    add_robot_arguments(parser, *MODEL_FILES, "poses")
-    _add_bags(parser)
-    add_node_arguments(parser, _TIMEOUT)
 
 
 def _add_any(parser: argparse.ArgumentParser) -> None:
@@ -188,10 +173,8 @@ def _any(options: argparse.Namespace) -> None:
 def _engine(options: argparse.Namespace) -> None:
     """Run the experiments in the closed loop without ROS, and write a bag of each."""
     from rx90_emulator.identification.experiments import series
-    from rx90_emulator.identification.experiments.arms import PlannedArm
 
-    setup = _setup(options)
-    plan = _described(options, setup, PlannedArm.from_setup(setup, options.home))
+    setup, plan = _planned(options)
     series.record_on_engine(setup, plan, options.output)
     print(one_line(f"bags: {options.output}"))
 
@@ -199,12 +182,18 @@ def _engine(options: argparse.Namespace) -> None:
 def _nodes(options: argparse.Namespace) -> None:
     """Run the experiments on the controller node, and record a bag of each."""
     from rx90_emulator.identification.experiments import series
+
+    setup, plan = _planned(options)
+    series.record_on_nodes(setup, plan, options.output, node_of(options), options.timeout or _TIMEOUT)
+    print(one_line(f"bags: {options.output}"))
+
+
+def _planned(options: argparse.Namespace) -> tuple[Setup, Sequence[Experiment]]:
+    """Return the setup of a robot, and the experiments, which are shown."""
     from rx90_emulator.identification.experiments.arms import PlannedArm
 
     setup = _setup(options)
-    plan = _described(options, setup, PlannedArm.from_setup(setup, options.home))
-    series.record_on_nodes(setup, plan, options.output, node_of(options), options.timeout or _TIMEOUT)
-    print(one_line(f"bags: {options.output}"))
+    return setup, _described(options, setup, PlannedArm.from_setup(setup, options.home))
 
 
 def _setup(options: argparse.Namespace) -> Setup:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, cast
 
@@ -110,7 +110,7 @@ def check_count(position: Sequence[float] | None, setup: Setup) -> None:
         raise ConfigError(f"--initial-position has {given}; accepted: {joints}, one for each joint")
 
 
-def finish(simulate: Callable[..., RunResult], start: Sequence[float], options: argparse.Namespace) -> None:
+def finish(simulate: Callable[..., RunResult], start: Iterable[float], options: argparse.Namespace) -> None:
     """Run a trajectory, show how well it was followed, write what was asked for."""
     from rx90_emulator.loop.line import followed_accuracy
 

@@ -141,7 +141,8 @@ def _drawn(_arm: Arm, page: Path) -> None:
     for shown, text in zip(figures, shown_texts, strict=True):
         shown.line([0.0, 1.0], [0.0, 1.0], name=text)
     drawn = [[shown] for shown in figures]
-    named = {"title": TEXTS[0], "paths": TEXTS, "topics": [*TEXTS, "heat"], "figures": drawn}
+    topics = dict(zip([*TEXTS, "heat"], drawn, strict=True))
+    named = {"title": TEXTS[0], "paths": TEXTS, "topics": topics}
     page.write_text(render_page("rx90_common.bags", "bag.html.j2", **named), encoding="utf-8")
 
 

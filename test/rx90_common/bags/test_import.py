@@ -223,8 +223,8 @@ def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureF
         np.testing.assert_array_equal(series.effort, POSITION * 1e-3)
         label = f"effort [{unit.removeprefix('m')}]"
         assert series.quantities["effort"] == series.take(slice(0, 2)).select(["b"]).quantities["effort"] == label
-        (plot,) = plot_bags([folder / "bag"])
-        assert plot.panels[0].label == label.replace(" [", ", ").removesuffix("]")
+        (drawn,) = plot_bags([folder / "bag"])["/joint_states"]
+        assert drawn.yaxis.axis_label.text == label.replace(" [", ", ").removesuffix("]")
         tables, again = folder / "tables", folder / "again"
         export_bag(folder / "bag", tables)
         assert (tables / "joint_states.csv").read_text().splitlines()[0] == f"time [s],a {label},b {label}"
