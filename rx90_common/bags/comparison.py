@@ -205,14 +205,14 @@ def compare_bags(
 
 def _read(path: Path | str, scope: Scope, mapping: LogMapping | None) -> JointBag:
     with BagReader(path, mapping) as bag:
-        return bag.joint_states(bag.series_topics(scope.topics, filled=False))
+        return bag.joint_states(bag.joint_topics(scope.topics))
 
 
 def _part(bag: JointBag, topic: str, scope: Scope) -> JointSeries | None:
     """Return what is compared of a topic, None where there is no message."""
     if not bag.series.get(topic):
         return None
-    part = scope.cut(bag.one(topic, remedy="accepted: the same joints in all messages of a topic, or other --topics"))
+    part = scope.cut(bag.one(topic))
     return part if len(part.stamp_ns) else None
 
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rx90_emulator.cli.options import add_node_arguments, add_robot_arguments, check_needs, node_of, whole_from
+from rx90_emulator.cli.options import CONTROLLER, add_robot_arguments, whole_from
 
 if TYPE_CHECKING:
     from rx90_emulator.loop.setup import Setup
@@ -26,22 +26,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", type=whole_from(0, 65535), metavar="N", help="TCP port of 127.0.0.1; 0: any free one")
     parser.add_argument("--folder", type=Path, default=Path(), help="where LOAD and STORE find files (the present one)")
     parser.add_argument("--baud", type=whole_from(300, 115200), metavar="N", help="pace of the line, 8N1 (none)")
-    nodes = parser.add_argument_group("running nodes")
-    nodes.add_argument("--nodes", action="store_true", help="move the arm of rx90_sim and rx90_controller")
-    add_node_arguments(nodes, _TIMEOUT)
+    parser.add_argument(
+        "--nodes",
+        nargs="?",
+        const=CONTROLLER,
+        metavar="NAME",
+        help=f"move the arm of a running controller ({CONTROLLER})",
+    )
     add_robot_arguments(parser)
 
 
 def main(options: argparse.Namespace) -> None:
     """Serve the monitor until Ctrl-C."""
-    check_needs(options, ("node", "timeout"), ("nodes",))
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.loop.setup import Setup
     from rx90_emulator.vplus.cell import Cell, Engine
 
     setup = Setup.load(RobotFiles.of_options(options))
-    if options.nodes:
+    if options.nodes is not None:
         _serve_on_nodes(options, setup)
     else:
         _serve(options, Cell(setup, Engine(setup, keep=False)))
@@ -50,7 +53,7 @@ def main(options: argparse.Namespace) -> None:
 def _serve(options: argparse.Namespace, cell: Cell) -> None:
     from rx90_emulator.vplus.monitor import serve
 
-    serve(cell, options.folder, _announce, options.port, options.baud, waits=not options.nodes)
+    serve(cell, options.folder, _announce, options.port, options.baud, waits=options.nodes is None)
 
 
 def _announce(line: str) -> None:
@@ -65,8 +68,8 @@ def _serve_on_nodes(options: argparse.Namespace, setup: Setup) -> None:
     from rx90_controller.node.program_client import ProgramClient
     from rx90_emulator.vplus.cell import Cell
 
-    with client_node("rx90_monitor", options.timeout or _TIMEOUT, print, options.ros_args) as client:
-        nodes = ProgramClient(client, node_of(options), setup.robot.joint_names)
+    with client_node("rx90_monitor", _TIMEOUT, print, options.ros_args) as client:
+        nodes = ProgramClient(client, options.nodes, setup.robot.joint_names)
         cell = Cell(setup, nodes)
         cell.publish = nodes.signals(cell.receive)
         _serve(options, cell)
