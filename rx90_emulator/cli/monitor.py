@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const=CONTROLLER,
         metavar="NAME",
-        help=f"move the arm of a running controller ({CONTROLLER})",
+        help=f"use the arm of a running controller ({CONTROLLER})",
     )
     add_robot_arguments(parser)
 
