@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
+import yaml
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
 from rx90_controller.trajectory import TrajectoryPoints
@@ -27,6 +27,7 @@ PERIOD: Final = 16e-3
 """Of set-points, s, from one beat to the next."""
 _INPUTS: Final = frozenset(range(1001, 2001))
 _OUTPUTS: Final = frozenset([*range(1, 1001), *range(2001, 4001)])
+_ACCEPTED_INPUTS: Final = "inputs from 1001 to 2000, and times >= 0 at which each goes on, off and so on, s, increasing"
 
 
 class Change(NamedTuple):
@@ -44,15 +45,14 @@ def load_inputs(file: Path) -> list[Change]:
         ConfigError: naming the value and what is accepted.
     """
     changes: list[Change] = []
-    for key, value in read_yaml(file, "a mapping from inputs to times, s").items():
-        times = value if isinstance(value, list) else [value]
-        numbers = [time for time in times if type(time) in (int, float) and 0.0 <= time < 1e9]
-        if key not in map(str, _INPUTS) or numbers != times or numbers != sorted(set(numbers)):
-            raise ConfigError(
-                f"{plain(file)}: {quoted(key)}: {quoted(value)}; accepted: an input from {min(_INPUTS)} to "
-                f"{max(_INPUTS)}, and times >= 0 at which it goes on, off and so on, s, increasing"
-            )
-        changes += [Change(float(time), int(key), turn % 2 == 0) for turn, time in enumerate(times)]
+    try:
+        for signal, value in yaml.safe_load(file.read_text(encoding="utf-8")).items():
+            times = np.array(value, dtype=np.float64).ravel()
+            if signal not in _INPUTS or not (np.diff(times, prepend=-1e-9) > 0.0).all():
+                raise ValueError(f"{quoted(signal)}: {quoted(value)}")
+            changes += [Change(float(time), signal, turn % 2 == 0) for turn, time in enumerate(times)]
+    except (OSError, AttributeError, TypeError, ValueError, yaml.YAMLError) as error:
+        raise ConfigError(f"{plain(file)}: {plain(error)}; accepted: {_ACCEPTED_INPUTS}") from None
     return sorted(changes)
 
 

@@ -239,6 +239,7 @@ def _name(text: str) -> str:
 
 
 def _here(monitor: Monitor, text: str) -> Dialogue:
+    yield from _do(monitor, "BREAK")
     yield from _do(monitor, f"HERE {text}")
     yield from _point(monitor, text)
 

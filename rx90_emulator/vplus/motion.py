@@ -280,24 +280,22 @@ def plan(arm: ProgrammedArm, motion: Motion, chosen: Mapping[str, float], scaled
     line = motion.line
     if line is None:
         arm.check_range(motion.end)
-        way = np.degrees(np.abs(motion.end - motion.start))
-        factor = np.full(6, chosen["SPEED"]) / 100.0
-        limits = np.array([full.joint_speed, full.joint_acceleration])
+        turns = np.degrees(np.abs(motion.end - motion.start)).tolist()
+        percents = [chosen["SPEED"]] * len(turns)
+        ways = [*zip(turns, full.joint_speed, full.joint_acceleration, percents, strict=True)]
     else:
-        way = np.array([np.linalg.norm(line.way), math.degrees(line.angle)])
-        factor = np.array([chosen["SPEED"], chosen["ROTARY"]]) / 100.0
-        limits = np.array(
-            [[full.linear_speed, full.rotary_speed], [full.linear_acceleration, full.rotary_acceleration]]
-        )
-    moves = way > _SHORTEST_WAY
-    if not moves.any():
+        length = float(np.linalg.norm(line.way))
+        angle = math.degrees(line.angle)
+        ways = [(length, full.linear_speed, full.linear_acceleration, chosen["SPEED"])]
+        ways += [(angle, full.rotary_speed, full.rotary_acceleration, chosen["ROTARY"])]
+    ways = [row for row in ways if row[0] > _SHORTEST_WAY]
+    if not ways:
         return
-    limits[0] *= factor
-    limits[1] *= factor if scaled else 1.0
-    speed, acceleration = np.min(limits[:, moves] / way[moves], axis=1).tolist()
-    up = acceleration * chosen["UP"] / 100.0
-    down = acceleration * chosen["DOWN"] / 100.0
-    motion.profile = Profile.fastest(speed, up, down, chosen["SMOOTH"] != 0.0, chosen["DURATION"])
+    fastest = min(speed * percent / way for way, speed, _, percent in ways) / 100.0
+    steepest = min(rate * (percent if scaled else 100.0) / way for way, _, rate, percent in ways) / 10_000.0
+    up = steepest * chosen["UP"]
+    down = steepest * chosen["DOWN"]
+    motion.profile = Profile.fastest(fastest, up, down, chosen["SMOOTH"] != 0.0, chosen["DURATION"])
     if line is not None:
         _check_line(arm, motion, line)
 

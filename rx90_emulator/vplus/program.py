@@ -57,8 +57,8 @@ def _function(name: str, *arguments: Tree) -> Function:
 
 def _line(word: str, *arguments: Tree, modifiers: tuple[str, ...] = ()) -> Line:
     word = word.upper()
-    if word in REFUSED:
-        raise SyntaxError(f"{word} is not there: {REFUSED[word]}")
+    if word.rstrip("()=") in REFUSED:
+        raise SyntaxError(f"{word} is not there: {REFUSED[word.rstrip('()=')]}")
     entry = INSTRUCTIONS.get(word)
     if entry is None:
         raise SyntaxError("*Unknown instruction*")
@@ -374,7 +374,8 @@ def _resolve(program: Program) -> Iterator[tuple[int, str]]:
                 yield step.line, f"there is no label {number[0]:g}"
             step.target = program.labels.get(int(number[0]), 0)
     for start in blocks:
-        yield steps[start].line, f"{steps[start].word} without {_INSIDE[steps[start].word][-1]}"
+        word = steps[start].word
+        yield steps[start].line, f"{word.partition('_')[0]} without {_INSIDE[word][-1]}"
 
 
 def _close(steps: list[Step], start: int, end: int) -> None:

@@ -10,7 +10,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.description.rotations import axis_rotation
 
 _X, _Y, _Z = np.eye(3)
-_ALIGNED = 1e-9
+_SMALLEST = 1e-9
+_UPRIGHT = 5e-6
 """Sine of the pitch below which yaw and roll are about one axis: the yaw is 0 then, and the roll has all."""
 
 
@@ -35,7 +36,7 @@ def trans(*numbers: float | None) -> Array:
 def six_numbers(place: Array) -> tuple[float, ...]:
     """Return x, y, z, yaw, pitch in 0 to 180, roll."""
     yaw = 0.0
-    if math.hypot(place[0, 2], place[1, 2]) > _ALIGNED:
+    if math.hypot(place[0, 2], place[1, 2]) > _UPRIGHT:
         yaw = math.degrees(math.atan2(place[1, 2], place[0, 2]))
     level = turned(_Z, -yaw) @ place
     pitch = math.degrees(math.atan2(abs(level[0, 2]), level[2, 2]))
@@ -57,7 +58,7 @@ def frame(origin: Array, on_x: Array, beside: Array, place: Array) -> Array:
     """
     x = on_x[:3, 3] - origin[:3, 3]
     z = np.cross(x, beside[:3, 3] - origin[:3, 3])
-    if not np.linalg.norm(z) > _ALIGNED:
+    if not np.linalg.norm(z) > _SMALLEST:
         raise ValueError
     axes = np.column_stack([x, np.cross(z, x), z])
     return placed(axes / np.linalg.norm(axes, axis=0), place[:3, 3])
@@ -69,7 +70,7 @@ def aligned(place: Array) -> Array:
     nearest = np.sign(z) * np.eye(3)[np.argmax(np.abs(z))]
     normal = np.cross(z, nearest)
     sine = float(np.linalg.norm(normal))
-    if sine < _ALIGNED:
+    if sine < _SMALLEST:
         return place
     turn = axis_rotation(normal / sine, math.asin(min(sine, 1.0)))
     return placed(turn @ place[:3, :3], place[:3, 3])
