@@ -4,7 +4,7 @@
 
 grid: whole measurements on a grid of emulated rigs with the real firmware, in virtual time, each with a noise of its
 own; also prints what the source's f_c is high by. random: rigs with Coulomb-viscous and with LuGre joints, with
-friction, inertia and noise of their own, measured as the command `friction_ramp` does it, without and with the joint,
+friction, inertia and noise of their own, measured as the command `rx90 rig ramp` does it, without and with the joint,
 ramps planned from the first one; prints what the source's formula f_c = m b / a gives on the same ramps, and every
 refusal. spread: whole measurements on the source's rig, whose torque and joint differ from ramp to ramp. The ramps of
 random and spread are run without firmware and line: the same plant and the same staircase, compiled, so that a ramp
@@ -233,7 +233,7 @@ class Outcome:
 
 
 def measure(rig: Rig, seed: int) -> list[RampRecord]:
-    """Return all ramps of a measurement as `friction_ramp` runs them."""
+    """Return all ramps of a measurement as `rx90 rig ramp` runs them."""
     quick = QuickRig(rig, seed)
     records: list[RampRecord] = []
     for loaded in (False, True):

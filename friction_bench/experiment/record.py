@@ -23,9 +23,7 @@ from rx90_common.base.text_lines import read_lines
 from rx90_common.process.files import atomic_files
 
 CSV_COLUMNS = ("time", "counts", "torque", "measured_torque")
-TEXT_KINDS = ("increments", "counts", "velocity")
-VELOCITIES = ("mean", "instantaneous")
-INSTANTANEOUS = "instantaneous velocity"
+INSTANTANEOUS = "instantaneous-velocity"
 MOVED_COUNTS = 2.0
 MOVED_SHARE = 1e-3
 """Break-away is certain after two counts (one may be jitter at an edge) and this share of the ramp's angle

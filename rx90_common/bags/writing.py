@@ -10,18 +10,18 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import cache
-from itertools import chain
+from itertools import chain, pairwise
+from mmap import mmap
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 from zlib import crc32
 
 import numpy as np
 from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
@@ -35,16 +35,16 @@ from rx90_common.bags.topics import (
     absolute,
 )
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_bag_name
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.process.files import hidden_folder
 
+_Encode = Callable[[Int64Array], list[bytes]]
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _MESSAGES_AT_ONCE = 10_000  # in memory while arrays are written
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
 _INTEGER = 2  # of rcl_interfaces/ParameterType
-_VALUE_ARRAYS = {"byte": np.uint8, "bool": np.bool_, "integer": np.int64, "double": np.float64}
 # Of mcap: op codes, and bytes.
 _MESSAGE = 0x05
 _CHUNK_BYTES: Final = 1 << 20  # a chunk that is larger is closed, as rosbags does
@@ -55,9 +55,9 @@ _MESSAGE_HEAD: Final = np.dtype(
         "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8"],
     }
 )
-# at the end of a file; a checksum of 4 bytes ends the footer
-_FOOTER_BYTES = 20
-_MAGIC_BYTES = 8
+# At the end of a file, before 8 bytes that say what it is: where the summary begins, and its checksum.
+_SUMMARY_BEGIN = slice(-28, -20)
+_SUMMARY_CRC = slice(-12, -8)
 
 
 class _McapBatches(McapWriter):
@@ -65,34 +65,36 @@ class _McapBatches(McapWriter):
 
     def write_many(self, channel: Int64Array, log_ns: Int64Array, messages: list[bytes]) -> None:
         """Write messages, in this order, of the channels with these numbers, int64 (n,)."""
-        length = np.fromiter(map(len, messages), np.int64, len(messages))
-        heads = np.zeros(len(messages), _MESSAGE_HEAD)
-        heads["code"] = _MESSAGE
-        heads["length"] = _MESSAGE_HEAD.itemsize - _RECORD_HEAD + length
-        heads["channel"] = channel
-        heads["log_ns"] = log_ns
-        heads["published_ns"] = log_ns
-        records = [*chain.from_iterable(zip(heads.view(f"V{heads.itemsize}").tolist(), messages, strict=True))]
-        ends = np.cumsum(_MESSAGE_HEAD.itemsize + length)
-        starts = ends - length - _MESSAGE_HEAD.itemsize
+        lengths = np.fromiter(map(len, messages), np.int64, len(messages)) + _MESSAGE_HEAD.itemsize
+        ends = np.cumsum(lengths)
         begin = 0
         while begin < len(messages):
-            moved = self.chunk.bio.tell() - starts[begin]
-            end = min(int(np.searchsorted(ends + moved, _CHUNK_BYTES, side="right")) + 1, len(messages))
-            self.chunk.bio.write(b"".join(records[2 * begin : 2 * end]))
-            times = log_ns[begin:end]
-            for noted in (self, self.chunk):
-                noted.message_start_time = min(int(times.min()), noted.message_start_time)
-                noted.message_end_time = max(int(times.max()), noted.message_end_time)
-            numbers = channel[begin:end]
-            places = starts[begin:end] + moved
-            for number in dict.fromkeys(numbers.tolist()):  # in the order of their first messages
-                those = numbers == number
-                self.chunk.msgs[number] += zip(times[those].tolist(), places[those].tolist(), strict=True)
-                self.channel_stats[number] += int(those.sum())
+            room = _CHUNK_BYTES - self.chunk.bio.tell() + ends[begin] - lengths[begin]
+            end = int(np.searchsorted(ends, room, side="right")) + 1
+            rows = slice(begin, end)
+            self._append(channel[rows], log_ns[rows], messages[rows], lengths[rows])
             if self.chunk.bio.tell() > _CHUNK_BYTES:
                 self.close_chunk()
             begin = end
+
+    def _append(self, channel: Int64Array, log_ns: Int64Array, messages: list[bytes], lengths: Int64Array) -> None:
+        """Write messages, whose records have these lengths, into the pending chunk."""
+        heads = np.zeros(len(messages), _MESSAGE_HEAD)
+        heads["code"] = _MESSAGE
+        heads["length"] = lengths - _RECORD_HEAD
+        heads["channel"] = channel
+        heads["log_ns"] = log_ns
+        heads["published_ns"] = log_ns
+        places = self.chunk.bio.tell() + np.cumsum(lengths) - lengths
+        records = zip(heads.view(f"V{heads.itemsize}").tolist(), messages, strict=True)
+        self.chunk.bio.write(b"".join(chain.from_iterable(records)))
+        for noted in (self, self.chunk):
+            noted.message_start_time = min(int(log_ns.min()), noted.message_start_time)
+            noted.message_end_time = max(int(log_ns.max()), noted.message_end_time)
+        for number in dict.fromkeys(channel.tolist()):  # in the order of their first messages
+            those = channel == number
+            self.chunk.msgs[number] += zip(log_ns[those].tolist(), places[those].tolist(), strict=True)
+            self.channel_stats[number] += int(those.sum())
 
     def checkpoint(self) -> None:
         """Write pending data to the file."""
@@ -105,20 +107,16 @@ class _McapBatches(McapWriter):
         crc = crc32(self.chunk.bio.getbuffer())
         start = self.bio.tell()
         super().close_chunk()
-        end = self.bio.tell()
         self.bio.seek(start + _RECORD_HEAD + 24)
         self.bio.write(crc.to_bytes(4, "little"))
-        self.bio.seek(end)
+        self.bio.seek(0, os.SEEK_END)
 
     def close(self, version: int, metadata: str) -> None:
         """Write the summary and its checksum, and close the file."""
         super().close(version, metadata)
-        with self.path.open("r+b") as stream:
-            stream.seek(-_FOOTER_BYTES - _MAGIC_BYTES, 2)
-            stream.seek(int.from_bytes(stream.read(8), "little"))  # where the summary begins
-            crc = crc32(stream.read()[: -4 - _MAGIC_BYTES])
-            stream.seek(-4 - _MAGIC_BYTES, 2)
-            stream.write(crc.to_bytes(4, "little"))
+        with self.path.open("r+b") as stream, mmap(stream.fileno(), 0) as content:
+            summary = content[int.from_bytes(content[_SUMMARY_BEGIN], "little") : _SUMMARY_CRC.start]
+            content[_SUMMARY_CRC] = crc32(summary).to_bytes(4, "little")
 
 
 class _BatchWriter(Writer):
@@ -154,7 +152,7 @@ class BagWriter:
 
     Args:
         path: folder to make; must not exist.
-        named: final name of a bag that is renamed when it is complete; an incomplete one is removed.
+        named: the name that it will get, for messages.
 
     Raises:
         BagWriteError: if the disk is full.
@@ -163,19 +161,12 @@ class BagWriter:
     def __init__(self, path: Path | str, *, named: Path | None = None) -> None:
         self.path = Path(path)
         self._named = named or self.path
-        self._stays = named is None
-        check_bag_name(self.path)
         self._second = 0  # of the newest log time
-        self._opened = False
-        self._closed = False
-        self._has_messages = False
-        self._above = [folder for folder in self.path.parents if not folder.exists()]  # made with it
-        with self._failures():
-            self._writer = _BatchWriter(
-                self.path, version=_BatchWriter.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP
-            )
+        check_bag_name(self._named)
+        with _failures(self._named):
+            self._writer = _BatchWriter(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
             self._writer.open()
-        self._opened = True
+        self._storage: Any = self._writer.storage
 
     def __enter__(self) -> BagWriter:
         return self
@@ -186,31 +177,27 @@ class BagWriter:
         else:
             with suppress(BagError):  # the first error is the one to report
                 self.close()
-            if not self._has_messages:
+            if not any(self._storage.channel_stats.values()):
                 shutil.rmtree(self.path, ignore_errors=True)
-                with suppress(OSError):
-                    for folder in self._above:
-                        folder.rmdir()
 
-    def add_topic(self, topic: str, msgtype: str, qos: Sequence[Qos] = (), definition: str = "") -> Connection:
+    def add_topic(
+        self, topic: str, msgtype: str, qos: Sequence[Qos] = (), types: Typestore | None = None
+    ) -> Connection:
         """Announce a topic and return its connection, whose `id` `write_many` wants.
 
         Args:
             topic: its name.
-            msgtype: a type of the common interfaces, or of the definition.
+            msgtype: name of its type.
             qos: quality of service that its publishers offer.
-            definition: the text of its .msg file, and behind it of those that it uses, as bags have it.
+            types: knows the type; by default the common interfaces.
 
         Raises:
             BagWriteError: if the disk is full.
         """
-        types = typestore()
-        if definition and msgtype not in types.fielddefs:
-            types = get_typestore(Stores.ROS2_JAZZY)
-            types.register(get_types_from_msg(definition, msgtype))
+        types = types or typestore()
         if msgtype not in types.fielddefs:
             raise BagError(f"{absolute(topic)} has type {msgtype}; accepted: types of ROS 2's common interfaces")
-        with self._failures():
+        with _failures(self._named):
             return self._writer.add_connection(absolute(topic), msgtype, typestore=types, offered_qos_profiles=qos)
 
     def say_unit(self, topic: str, effort_unit: str) -> None:
@@ -219,46 +206,29 @@ class BagWriter:
             self._writer.set_custom_data(f"{EFFORT_UNIT}{absolute(topic)}", effort_unit)
 
     def write_many(self, number: Int64Array, log_ns: Int64Array, messages: list[bytes]) -> None:
-        """Write serialised messages in this order; a checkpoint follows the first one of each second.
+        """Write serialised messages in the order of log time; a checkpoint follows the first one of each second.
 
         Args:
             number: of the connection of each, as in its `id`, int64 (n,).
             log_ns: log times, int64 (n,).
-            messages: n messages.
+            messages: n messages, at least one.
 
         Raises:
-            BagWriteError: if the disk is full or nearly so, or writing fails otherwise.
+            BagWriteError: if the disk is full or nearly so.
         """
-        second = np.maximum.accumulate(np.append(self._second, log_ns // NANOSECONDS))
-        stops = np.flatnonzero(np.diff(second)) + 1
-        writer = self._writer
-        storage: Any = writer.storage
-        begin = 0
-        for end in dict.fromkeys([*stops.tolist(), len(messages)]):
-            rows = slice(begin, end)
-            begin = end
-            if not messages[rows]:
-                continue
-            self._has_messages = True
-            with self._failures():
-                storage.write_many(number[rows], log_ns[rows], messages[rows])
-                writer.min_timestamp = min(writer.min_timestamp, int(log_ns[rows].min()))
-                writer.max_timestamp = max(writer.max_timestamp, int(log_ns[rows].max()))
-                for connection, count in zip(*np.unique(number[rows], return_counts=True), strict=True):
-                    writer.counts[int(connection)] += int(count)
-                if end in stops:
-                    storage.checkpoint()
-                self._check_space(int(log_ns[end - 1]))
-        self._second = int(second[-1])
-
-    def _check_space(self, last_ns: int) -> None:
-        free = shutil.disk_usage(self.path).free
+        seconds = log_ns // NANOSECONDS
+        checkpoints = np.flatnonzero(np.diff(seconds, prepend=self._second)) + 1
+        self._second = int(seconds[-1])
+        with _failures(self._named):
+            for begin, end in pairwise([0, *checkpoints.tolist(), len(messages)]):
+                if begin > 0:
+                    self._storage.checkpoint()
+                self._storage.write_many(number[begin:end], log_ns[begin:end], messages[begin:end])
+            free = shutil.disk_usage(self.path).free
         if free < _RESERVE_BYTES:
-            whole = "; what was written is whole" if self._stays else ""
-            raise BagWriteError(
-                f"{plain(self._named)}: stopped at t = {last_ns / NANOSECONDS:.6f} s, as the disk is nearly "
-                f"full ({free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more){whole}"
-            )
+            room = f"{free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more"
+            when = f"t = {log_ns[-1] / NANOSECONDS:.6f} s"
+            raise BagWriteError(f"{plain(self._named)}: stopped at {when}, as the disk is nearly full ({room})")
 
     def close(self) -> None:
         """Write index and metadata. A second call does nothing.
@@ -266,85 +236,71 @@ class BagWriter:
         Raises:
             BagWriteError: if that fails; data written before stay.
         """
-        if self._closed:
+        if self._writer.storage is None:
             return
-        self._closed = True
-        with self._failures():
+        self._writer.counts.update(self._storage.channel_stats)
+        self._writer.min_timestamp = self._storage.message_start_time
+        self._writer.max_timestamp = self._storage.message_end_time
+        with _failures(self._named):
             try:
                 self._writer.close()
-            except (WriterError, OSError):
-                with suppress(OSError):
-                    self._writer.abort()
-                raise
-
-    @contextmanager
-    def _failures(self) -> Iterator[None]:
-        try:
-            yield
-        except WriterError as error:
-            raise BagError(plain(error, 1000)) from error
-        except OSError as error:
-            # What is refused before anything is written is the user's to mend: another folder, another name.
-            failed = self._opened or error.errno in DISK_ERRORS
-            half = "; what was written before stays" if self._opened and self._stays else ""
-            text = f"{plain(self._named)}: cannot be written ({error.strerror}){half}"
-            raise (BagWriteError if failed else BagError)(text) from error
+            finally:
+                self._writer.abort()
 
 
-@dataclass(frozen=True)
-class RawMessage:
-    """A message of any type for `write_joint_states`.
+@contextmanager
+def _failures(path: Path) -> Iterator[None]:
+    """Say in a line why a bag or a table cannot be written."""
+    try:
+        yield
+    except (FileExistsError, WriterError) as error:
+        raise BagError(f"{plain(path)} exists already, not overwriting.") from error
+    except OSError as error:
+        kind = BagWriteError if error.errno in DISK_ERRORS else BagError
+        raise kind(f"{plain(path)}: cannot be written ({error.strerror})") from error
 
-    Attributes:
-        topic: topic name.
-        msgtype: e.g. std_msgs/msg/String.
-        log_ns: log time in ns.
-        cdr: the serialised message.
-        transient_local: whether its publisher keeps it for those who come late.
-    """
+
+class SingleMessage(NamedTuple):
+    """A latched message of any type, as rosbags makes it, for `write_joint_states`; log time in ns."""
 
     topic: str
-    msgtype: str
     log_ns: int
-    cdr: bytes
-    transient_local: bool = False
+    message: Any
+
+    @property
+    def cdr(self) -> bytes:
+        """Return the serialised message."""
+        return bytes(typestore().serialize_cdr(self.message, self.message.__msgtype__))
 
 
-def _latched(topic: str, msgtype: str, log_ns: int, message: Any) -> RawMessage:
-    return RawMessage(topic, msgtype, log_ns, bytes(typestore().serialize_cdr(message, msgtype)), transient_local=True)
+def string_message(topic: str, text: str) -> SingleMessage:
+    """Return a std_msgs/String, such as robot_description."""
+    return SingleMessage(topic, 0, typestore().types[STRING](data=text))
 
 
-def string_message(topic: str, text: str) -> RawMessage:
-    """Return a latched std_msgs/String, such as robot_description."""
-    return _latched(topic, STRING, 0, typestore().types[STRING](data=text))
-
-
-def parameters_message(topic: str, node: str, values: Mapping[str, int]) -> RawMessage:
-    """Return the latched rcl_interfaces/ParameterEvent of a node with whole numbers at the start of its run."""
+def parameters_message(topic: str, node: str, values: Mapping[str, int]) -> SingleMessage:
+    """Return the rcl_interfaces/ParameterEvent of a node with whole numbers at the start of its run."""
     types = typestore().types
-    empty: dict[str, Any] = {f"{kind}_array_value": np.zeros(0, dtype) for kind, dtype in _VALUE_ARRAYS.items()}
+    no_arrays = [np.empty(0)] * 4
     new = []
     for name, number in values.items():
-        value = types["rcl_interfaces/msg/ParameterValue"](
-            type=_INTEGER, bool_value=False, integer_value=number, double_value=0.0, string_value="",
-            string_array_value=[], **empty,
-        )  # fmt: skip
+        value = types["rcl_interfaces/msg/ParameterValue"](_INTEGER, False, number, 0.0, "", *no_arrays, [])
         new.append(types["rcl_interfaces/msg/Parameter"](name, value))
-    message = types[PARAMETER_EVENT](types["builtin_interfaces/msg/Time"](0, 0), node, new, [], [])
-    return _latched(topic, PARAMETER_EVENT, 0, message)
+    zero = types["builtin_interfaces/msg/Time"](0, 0)
+    return SingleMessage(topic, 0, types[PARAMETER_EVENT](zero, node, new, [], []))
 
 
-def trajectory_message(topic: str, start_ns: int, content: dict[str, Any]) -> RawMessage:
-    """Return a latched trajectory_msgs/JointTrajectory that starts at `start_ns`, from its content as YAML has it."""
+def trajectory_message(topic: str, start_ns: int, content: dict[str, Any]) -> SingleMessage:
+    """Return a trajectory_msgs/JointTrajectory that starts at `start_ns`, from its content as YAML has it."""
     types = typestore().types
     points = []
     for values in content["points"]:
-        vectors = (np.array(values.get(name) or [], dtype=np.float64) for name in POINT_FIELDS)
+        vectors = [np.array(values.get(name) or [], dtype=np.float64) for name in POINT_FIELDS]
         since = types["builtin_interfaces/msg/Duration"](**values["time_from_start"])
         points.append(types["trajectory_msgs/msg/JointTrajectoryPoint"](*vectors, since))
     stamp = types["builtin_interfaces/msg/Time"](*divmod(start_ns, NANOSECONDS))
-    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-    return _latched(topic, JOINT_TRAJECTORY, start_ns, types[JOINT_TRAJECTORY](header, content["joint_names"], points))
+    header = types["std_msgs/msg/Header"](stamp, "")
+    return SingleMessage(topic, start_ns, types[JOINT_TRAJECTORY](header, content["joint_names"], points))
 
 
 @contextmanager
@@ -354,40 +310,28 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
     Raises:
         BagWriteError: if the disk is full.
     """
-    missing_folders = [folder for folder in path.parents if not folder.exists()]
-    try:
-        if os.path.lexists(path):
-            raise FileExistsError
+    with _failures(path):
+        _check_new(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         with hidden_folder(path) as folder:
             yield folder
-            for made in folder.iterdir():
-                target = path.parent / made.name
-                try:
-                    if made.is_dir():
-                        made.rename(target)
-                    else:  # a file that another process has written meanwhile stays
-                        os.link(made, target)
-                except OSError:  # also of a file system without hard links
-                    if os.path.lexists(target):
-                        raise
-                    made.rename(target)
-    except OSError as error:
-        if os.path.lexists(path):  # also if somebody else was faster
-            raise BagError(f"{plain(path)} exists already, not overwriting.") from error
-        kind = BagWriteError if error.errno in DISK_ERRORS else BagError
-        raise kind(f"{plain(path)}: cannot be written ({error.strerror})") from error
-    finally:
-        with suppress(OSError):  # the folders of the new file
-            for folder in missing_folders:
-                folder.rmdir()
+            targets = {made: path.parent / made.name for made in folder.iterdir()}
+            _check_new(*targets.values())  # somebody else may have been faster
+            for made, target in targets.items():
+                made.rename(target)
+
+
+def _check_new(*paths: Path) -> None:
+    for path in paths:
+        if os.path.lexists(path):
+            raise FileExistsError
 
 
 def write_joint_states(
     path: Path | str,
     series: Sequence[JointSeries],
     *,
-    messages: Sequence[RawMessage] = (),
+    messages: Sequence[SingleMessage] = (),
 ) -> None:
     """Write a bag as if nodes had published these series and the recorder had recorded them.
 
@@ -410,26 +354,23 @@ def write_joint_states(
     path = Path(path)
     topics = [absolute(part.topic) for part in series]
     if len(set(topics)) != len(topics):
-        raise BagError(f"{path}: topics {', '.join(topics)}; accepted: each topic once")
-    check_bag_name(path)
+        raise BagError(f"{plain(path)}: topics {listed(topics)}; accepted: each topic once")
     with named_at_the_end(path) as folder, BagWriter(folder / path.name, named=path) as bag:
         numbers = [bag.add_topic(topic, JOINT_STATE, [offered_qos()]).id for topic in topics]
         for part in series:
             bag.say_unit(part.topic, part.effort_unit)
-        numbers_of: dict[str, int] = {}
-        for message in messages:
-            if message.topic not in numbers_of:
-                qos = offered_qos(transient_local=message.transient_local)
-                numbers_of[message.topic] = bag.add_topic(message.topic, message.msgtype, [qos]).id
-        encoders: list[Callable[[Int64Array], list[bytes]]] = [*map(_encoder, series)]
-        encoders.append(lambda rows: [messages[row].cdr for row in rows.tolist()])
-        stamps = [*(part.stamp_ns for part in series), np.array([message.log_ns for message in messages], np.int64)]
-        counts = [len(stamp) for stamp in stamps]
+        latched: dict[str, int] = {}
+        for single in messages:
+            if single.topic not in latched:
+                qos = offered_qos(transient_local=True)
+                latched[single.topic] = bag.add_topic(single.topic, single.message.__msgtype__, [qos]).id
+        encoders: list[_Encode] = [*map(_encoder, series), lambda rows: [messages[row].cdr for row in rows]]
+        stamps = [*(part.stamp_ns for part in series), np.array([single.log_ns for single in messages], np.int64)]
+        counts = [len(stamp_ns) for stamp_ns in stamps]
         log_ns = np.concatenate(stamps)
+        number = np.array([*np.repeat(numbers, counts[:-1]), *(latched[single.topic] for single in messages)])
         source = np.repeat(np.arange(len(counts)), counts)
         row = np.concatenate([np.arange(count) for count in counts])
-        number = np.repeat(numbers, counts[:-1])
-        number = np.concatenate([number, [numbers_of[message.topic] for message in messages]]).astype(np.int64)
         order = np.argsort(log_ns, kind="stable")
         for begin in range(0, len(order), _MESSAGES_AT_ONCE):
             rows = order[begin : begin + _MESSAGES_AT_ONCE]
@@ -439,7 +380,7 @@ def write_joint_states(
             bag.write_many(number[rows], log_ns[rows], block.tolist())
 
 
-def _encoder(series: JointSeries) -> Callable[[Int64Array], list[bytes]]:
+def _encoder(series: JointSeries) -> _Encode:
     """Return a function that returns the messages of some rows of a series."""
     codec = JointStateCodec(series.names)
 

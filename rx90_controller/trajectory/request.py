@@ -279,6 +279,11 @@ class TrajectoryRequest:
         return "goal" if self.is_goal else "trajectory"
 
     @property
+    def replaces(self) -> str:
+        """Return why what it replaces ends."""
+        return "pre-empted by a new goal" if self.is_goal else "replaced by a trajectory on the topic"
+
+    @property
     def long(self) -> bool:
         """Return whether to check it against the limits may take longer than a tick."""
         points = self.points

@@ -13,9 +13,11 @@ from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_emulator.cli.options import (
     POSITIVE,
     add_node_arguments,
+    add_output,
+    add_plot,
     add_robot_arguments,
-    check_apart,
-    check_needs,
+    add_slow_only,
+    add_verbs,
     check_picture,
     new_file,
     new_folder,
@@ -42,11 +44,37 @@ _PERIODS = (1, 2, 4, 8, 16)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's options."""
+    """Add the verbs and their options."""
+    add_verbs(parser, _VERBS)
+
+
+def _add_engine(parser: argparse.ArgumentParser) -> None:
+    _add_program(parser)
+    parser.set_defaults(interrupted="only what is named above was written")
+    add_output(parser, new_folder, "bag folder to write; must not exist", metavar="FOLDER")
+    add_slow_only(parser)
+    parser.add_argument("--report", type=new_file, metavar="FILE", help="page to write (.html); must not exist")
+    add_plot(parser, new_file, "picture of the tool's path to write")
+
+
+def _add_nodes(parser: argparse.ArgumentParser) -> None:
+    _add_program(parser)
+    parser.set_defaults(ros_args=[])
+    add_node_arguments(parser, _TIMEOUT)
+
+
+def _add_check(parser: argparse.ArgumentParser) -> None:
+    _add_file(parser)
+
+
+def _add_file(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.set_defaults(interrupted="only what is named above was written", ros_args=[])
     parser.add_argument("file", metavar="FILE", type=Path, help="file or folder of programs")
+
+
+def _add_program(parser: argparse.ArgumentParser) -> None:
+    _add_file(parser)
     parser.add_argument("name", metavar="NAME", nargs="?", default="", help="program (the first one)")
     parser.add_argument("arguments", metavar="ARG", nargs="*", help="its arguments: numbers, other words are strings")
     parser.add_argument("--inputs", type=Path, metavar="FILE", help="YAML of times at which inputs change")
@@ -65,63 +93,78 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reading", action="append", default=[], metavar="NAME=VALUE", help="another reading of an uncertain part"
     )
-    nodes = parser.add_argument_group("running nodes")
-    nodes.add_argument(
-        "--nodes", action="store_true", help="run on rx90_sim and rx90_controller, from where the arm is"
-    )
-    add_node_arguments(nodes, _TIMEOUT)
-    parser.add_argument("--check", action="store_true", help="read and check the files, run nothing")
-    parser.add_argument("--output", type=new_folder, help="bag folder to write; must not exist")
-    parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of the bag")
-    parser.add_argument("--report", type=new_file, metavar="FILE", help="page to write (.html); must not exist")
-    parser.add_argument("--plot", type=new_file, metavar="FILE", help="picture of the tool's path to write")
     add_robot_arguments(parser)
 
 
-def main(options: argparse.Namespace) -> None:
-    """Run the program, show what it did, write what was asked for."""
-    check_needs(options, ("slow_only",), ("output",))
-    check_needs(options, ("node", "timeout"), ("nodes",))
-    for name in ("output", "report", "plot"):
-        check_apart(options, (name,), "nodes", "a recorder beside the nodes, rx90_bag record")
+def _engine(options: argparse.Namespace) -> None:
+    """Run a program in the closed loop without ROS, show what it did, write what was asked for."""
     if options.plot is not None:
         check_picture(options.plot)
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.loop.setup import Setup
-    from rx90_emulator.vplus.errors import LoadError
-    from rx90_emulator.vplus.run import Options, load_programs, run_program
+    from rx90_emulator.vplus.run import run_program
     from rx90_emulator.vplus.signals import load_inputs
 
     inputs = load_inputs(options.inputs) if options.inputs is not None else []
+    memory = _load(options.file)
+    setup = Setup.load(RobotFiles.of_options(options))
+    chosen = _chosen(options, record_fast=options.output is not None and not options.slow_only)
+    began = time.perf_counter()
+    arguments = tuple(options.arguments)
+    run = run_program(setup, memory, options.name, arguments=arguments, inputs=inputs, options=chosen, show=_show)
+    _tell(run, time.perf_counter() - began)
+    _write(run, options)
+    if run.error is not None:
+        raise run.error
+
+
+def _nodes(options: argparse.Namespace) -> None:
+    """Run a program on rx90_sim and rx90_controller, from where the arm is; rx90 bag record records it."""
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_emulator.loop.setup import Setup
+    from rx90_emulator.vplus.signals import load_inputs
+
+    inputs = load_inputs(options.inputs) if options.inputs is not None else []
+    memory = _load(options.file)
+    setup = Setup.load(RobotFiles.of_options(options))
+    began = time.perf_counter()
+    run = _on_nodes(options, setup, memory, inputs, _chosen(options, record_fast=False))
+    _tell(run, time.perf_counter() - began)
+    if run.error is not None:
+        raise run.error
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Read and check files of programs; nothing runs."""
+    memory = _load(options.file)
+    print(f"{len(memory.programs)} programs without faults: {', '.join(memory.programs)}")
+
+
+def _load(file: Path) -> Memory:
+    """Return the programs of a file or folder; of several faults all but the last are shown before it is raised."""
+    from rx90_emulator.vplus.errors import LoadError
+    from rx90_emulator.vplus.run import load_programs
+
     try:
-        memory = load_programs(options.file)
+        return load_programs(file)
     except LoadError as error:
         for fault in error.faults[1:]:
             print(one_line(fault))
         raise
-    if options.check:
-        print(f"{len(memory.programs)} programs without faults: {', '.join(memory.programs)}")
-        return
-    setup = Setup.load(RobotFiles.of_options(options))
-    chosen = Options(
+
+
+def _chosen(options: argparse.Namespace, *, record_fast: bool) -> Options:
+    from rx90_emulator.vplus.run import Options
+
+    return Options(
         monitor_speed=options.monitor_speed,
         period=options.planning * 1e-3,
         idle=options.idle,
         longest=options.longest,
         readings=_readings(options.reading),
-        record_fast=options.output is not None and not options.slow_only,
+        record_fast=record_fast,
     )
-    began = time.perf_counter()
-    arguments = tuple(options.arguments)
-    if options.nodes:
-        run = _on_nodes(options, setup, memory, inputs, chosen)
-    else:
-        run = run_program(setup, memory, options.name, arguments=arguments, inputs=inputs, options=chosen, show=_show)
-    _tell(run, time.perf_counter() - began)
-    _write(run, options)
-    if run.error is not None:
-        raise run.error
 
 
 def _tell(run: ProgramRun, taken: float) -> None:
@@ -187,3 +230,10 @@ def _readings(words: list[str]) -> Readings:
         except ValueError:
             raise ConfigError(f"--reading {quoted(word)}; accepted: true, false or a number behind the =") from None
     return Readings().replaced(**given)
+
+
+_VERBS = (
+    (_add_engine, _engine, "run a program in the closed loop without ROS"),
+    (_add_nodes, _nodes, "run a program on the running nodes"),
+    (_add_check, _check, "read and check files, run nothing"),
+)

@@ -15,11 +15,12 @@ from rx90_common.base.config import read_yaml
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.models import FileModel
 from rx90_common.base.quoting import listed, nearest, one_line, plain, quoted
+from rx90_common.description.poses import Poses
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_controller.lines.task import load_task
 from rx90_emulator.configuration.kinds import KINDS, NODE_PARAMETERS, FileKind
-from rx90_emulator.identification.experiments.plan import INDEX, Poses
+from rx90_emulator.identification.experiments.plan import INDEX
 from rx90_emulator.loop.line import plan_path
 from rx90_emulator.loop.setup import Setup
 

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import Rates
 from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.servo.events import Cancel, Offer
+from rx90_controller.servo.states import Holding
 from rx90_controller.trajectory import TrajectoryGenerator
 from rx90_controller.trajectory.request import (
     GoalOptions,
@@ -80,6 +82,7 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
     )
     outputs: Any = mock.Mock()
     loop = ServoLoop(cs7b, outputs, 60.0, 1)
+    loop.state = Holding()
     tolerances = GoalTolerances.of_parameters(NAMES)
     active: TrajectoryRequest | None = None
     now, handed_over, reasons, path = 1000, 0, [], []
@@ -100,7 +103,7 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
             cs7b.position_tick = now
             plan = plan if plan is not None and plan.fits(now) else None
             with mock.patch.object(follower, "join", wraps=follower.join) as joined:
-                loop._follow(goal, plan)
+                loop.post(Offer(goal, plan))
             if not goal.reason:
                 handed_over += not joined.called
                 assert active is None or active.reason
@@ -113,7 +116,7 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
         count = int(generator.integers(0, 400))
         cs7b.position_tick = now
         if generator.random() < 0.1 and active is not None:
-            loop.cancel(active)
+            loop.post(Cancel(active))
         if generator.random() < 0.1:
             follower.set_speed_scaling(float(generator.choice([0.0, 0.3, 1.0, 1.0])), now)
         path.append(follower.setpoints(now, count))

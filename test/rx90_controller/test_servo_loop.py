@@ -70,7 +70,7 @@ def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: R
     rig.position = np.full(6, 3.0)
     assert rig.run(0, 3) == [False] * 3
     rig.loop.receive(rig.trajectory(0.2))
-    assert rig.loop.rejected == 1
+    assert rig.loop.servo.rejected == 1
     assert "the controller is disabled" in rig.around.lines[-1]
     rig.loop.enable(True)
     assert rig.run(3, 8) == [True] * 8
@@ -103,7 +103,7 @@ def test_a_trajectory_right_after_the_torque_is_on_again_waits_for_the_next_tick
     rig.loop.enable(True)
     assert rig.run(4016, 8) == [False] + [True] * 7
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
-    assert rig.loop.rejected == 0
+    assert rig.loop.servo.rejected == 0
 
 
 def test_a_long_goal_that_is_joined_while_the_torque_goes_off_and_on_moves_the_arm(
@@ -139,12 +139,12 @@ def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
     assert line.startswith("joint_2: following error -0.301 rad at 0.001 s; accepted: up to 0.3 rad; torque off")
     assert sum("following error" in each for each in rig.around.lines) == 1
     assert rig.around.published[-1] == 4 * rig.period  # what has led to it can be seen
-    assert rig.loop.fault is not None
+    assert rig.loop.state.switch.fault is not None
     rig.loop.receive(rig.trajectory(0.2))
-    assert rig.loop.rejected == 1
+    assert rig.loop.servo.rejected == 1
     rig.loop.enable(True)
     assert rig.run(402, 8) == [True] * 8
-    assert rig.loop.fault is None
+    assert rig.loop.state.switch.fault is None
     assert rig.cs7b.reference()[0][1] == pytest.approx(0.301)
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 

@@ -1,4 +1,4 @@
-"""`rx90_bag plot`: what is drawn without options, of chosen topics and joints, and of two bags."""
+"""`rx90 bag plot`: what is drawn without options, of chosen topics and joints, and of two bags."""
 
 from __future__ import annotations
 
@@ -100,14 +100,14 @@ def test_one_command_makes_a_page(
     """Without an option a page of the bag's name, as every report must be; where the disk is full the old one stays."""
     monkeypatch.chdir(tmp_path)
     words = ["plot", str(bags["first"]), str(bags["second"])]
-    assert run("rx90_bag", words) == 0
+    assert run("rx90 bag", words) == 0
     page = tmp_path / "first.html"
     assert capsys.readouterr().out == f"plot: {page}\n"
     text = page.read_text(encoding="utf-8")
     assert "second against first" in text
     check_report(page)
     with files_up_to(1000):
-        assert run("rx90_bag", [*words, "--force"]) == 3
+        assert run("rx90 bag", [*words, "--force"]) == 3
     assert "first.html: cannot be written (File too large)" in capsys.readouterr().err
     assert page.read_text(encoding="utf-8") == text
-    assert run("rx90_bag", [*words, "--output", "one.png"]) == 2
+    assert run("rx90 bag", [*words, "--output", "one.png"]) == 2

@@ -203,14 +203,14 @@ def test_time_that_goes_back(tmp_path: Path) -> None:
 def test_table_and_json_agree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The printed table and the JSON carry the same counts and times; a repeated time is reported."""
     write_joint_states(tmp_path / "bag", [series(11)])
-    assert run("rx90_bag", ["info", str(tmp_path / "bag")]) == 0
+    assert run("rx90 bag", ["info", str(tmp_path / "bag")]) == 0
     out = capsys.readouterr().out
     expected = ["/joint_states", "sensor_msgs/msg/JointState", "11", "1000.000", "0.000000", "0.010000"]
     assert out.splitlines()[2].split() == expected
     assert "repeated time" not in out
-    assert run("rx90_bag", ["info", "--json", str(tmp_path / "bag")]) == 0
+    assert run("rx90 bag", ["info", "--json", str(tmp_path / "bag")]) == 0
     content = json.loads(capsys.readouterr().out)
     assert (content["count"], content["topics"][0]["last_ns"]) == (11, 10_000_000)
     write_joint_states(tmp_path / "twice", [series(11).take([0, 1, 1, 2])])
-    assert run("rx90_bag", ["info", str(tmp_path / "twice")]) == 0
+    assert run("rx90 bag", ["info", str(tmp_path / "twice")]) == 0
     assert "1 repeated time" in capsys.readouterr().out

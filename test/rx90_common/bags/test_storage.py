@@ -110,10 +110,10 @@ def test_each_damage_is_one_line(tmp_path: Path, damage: str, capsys: pytest.Cap
     spoil, complaint = DAMAGES[damage]
     spoil(bad)
     for words in (["info", str(bad)], ["compare", str(good), str(bad)]):
-        assert run("rx90_bag", words) == 2
+        assert run("rx90 bag", words) == 2
         out, err = capsys.readouterr()
         assert (out, err.count("\n")) == ("", 1)
-        assert err.startswith(f"rx90_bag: {bad}: ")
+        assert err.startswith(f"rx90 bag: {bad}: ")
         assert complaint in err
 
 
@@ -124,13 +124,13 @@ def test_bags_without_joint_states(tmp_path: Path, capsys: pytest.CaptureFixture
     write_joint_states(tmp_path / "text", [], messages=[string_message("robot_description", "x")])
     os.mkfifo(tmp_path / "pipe")
     for name, complaint in (
-        ("empty", "holds no messages\n"),
-        ("text", "holds no JointState topic, only /robot_description\n"),
+        ("empty", "holds no joint states, only /joint_states\n"),
+        ("text", "holds no joint states, only /robot_description\n"),
         ("pipe", "no bag, or without metadata.yaml"),
     ):
         for pair in (("good", name), (name, "good")):
-            assert run("rx90_bag", ["compare", *(str(tmp_path / n) for n in pair)]) == 2
-            assert capsys.readouterr().err.startswith(f"rx90_bag: {tmp_path / name}: {complaint}")
+            assert run("rx90 bag", ["compare", *(str(tmp_path / n) for n in pair)]) == 2
+            assert capsys.readouterr().err.startswith(f"rx90 bag: {tmp_path / name}: {complaint}")
 
 
 def test_killed_sqlite3_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -146,12 +146,12 @@ def test_killed_sqlite3_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[s
     killed = tmp_path / "killed"
     shutil.copytree(tmp_path / "bag", killed)  # as a process leaves it that is killed now
     bag.close()
-    assert run("rx90_bag", ["info", str(killed / "bag.db3")]) == 2
+    assert run("rx90 bag", ["info", str(killed / "bag.db3")]) == 2
     assert "bag.db3 was not closed" in capsys.readouterr().err
     with sqlite3.connect(killed / "bag.db3") as database:
         database.execute("CREATE TABLE opened(x)")
     database.close()
-    assert run("rx90_bag", ["info", str(killed / "bag.db3")]) == 0
+    assert run("rx90 bag", ["info", str(killed / "bag.db3")]) == 0
     assert " 1001 messages" in capsys.readouterr().out
 
 
@@ -365,9 +365,9 @@ def test_types_that_cannot_be_parsed_and_compressed_bags(
         read = read_joint_bag(path).series
         assert read["/joint_states"][0].stamp_ns.tolist() == STAMPS
         assert (read["/old"][0].names, read["/old"][0].stamp_ns.tolist()) == (("b",), [9])
-    assert run("rx90_bag", ["compare", str(bag), str(bag)]) == 0
+    assert run("rx90 bag", ["compare", str(bag), str(bag)]) == 0
     assert "; 1 other topic not compared\n" in capsys.readouterr().out
-    assert run("rx90_bag", ["info", str(bag)]) == 0
+    assert run("rx90 bag", ["info", str(bag)]) == 0
     assert f"{bag}: {kind}, " in capsys.readouterr().out
 
 
@@ -434,8 +434,8 @@ def test_names_in_a_bag_forge_no_line(tmp_path: Path, capsys: pytest.CaptureFixt
     """A topic with line breaks in its name, or of thousands of characters, is one short row of the summary."""
     hostile = "/a\n[INFO] [rx90_sim]: all is well\u202e" + "x" * 100_000
     write_joint_states(tmp_path / "bag", [series(3, topic=hostile)])
-    assert run("rx90_bag", ["info", str(tmp_path / "bag")]) == 0
-    assert run("rx90_bag", ["compare", "--topics", "/b", "--", *[str(tmp_path / "bag")] * 2]) == 2
+    assert run("rx90 bag", ["info", str(tmp_path / "bag")]) == 0
+    assert run("rx90 bag", ["compare", "--topic", "/b", "--", *[str(tmp_path / "bag")] * 2]) == 2
     out, err = capsys.readouterr()
     assert (out.count("\n"), err.count("\n")) == (3, 1)
     assert max(len(out), len(err)) < 1500

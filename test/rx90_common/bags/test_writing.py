@@ -22,7 +22,7 @@ from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.bags.writing import (
     BagWriter,
-    RawMessage,
+    SingleMessage,
     named_at_the_end,
     offered_qos,
     string_message,
@@ -90,7 +90,7 @@ def test_bag_opens_elsewhere(tmp_path: Path) -> None:
     """
     fast, slow = series(40, topic="/motor_states"), series(10, topic="joint_states", step_ns=4_000_000)
     text = string_message("robot_description", "<robot/>")
-    note = RawMessage("note", text.msgtype, 5_500_000, text.cdr)
+    note = SingleMessage("note", 5_500_000, text.message)
     paths = [tmp_path / name / "bag" for name in ("one", "other")]
     for path in paths:
         write_joint_states(path, [fast, slow], messages=[text, note])
@@ -117,7 +117,7 @@ def test_bag_opens_elsewhere(tmp_path: Path) -> None:
     assert found == sorted(expected, key=lambda entry: (entry[0], order.index(entry[1])))
     assert all(q.reliability is QosReliability.RELIABLE for q in qos.values())
     durable = [qos[topic].durability is QosDurability.TRANSIENT_LOCAL for topic in order]
-    assert durable == [False, False, True, False]
+    assert durable == [False, False, True, True]
 
 
 @pytest.mark.parametrize(
@@ -147,17 +147,16 @@ def test_bag_is_whole_when_the_disk_is_nearly_full(tmp_path: Path, monkeypatch: 
     with pytest.raises(BagWriteError, match=r"nearly full \(5 MiB left; accepted: 64 MiB or more\)$") as failure:
         write_joint_states(tmp_path / "new" / "bag", [written])
     assert failure.value.exit_code == FAILED
-    assert list(tmp_path.iterdir()) == []
+    assert list((tmp_path / "new").iterdir()) == []
     bag = BagWriter(tmp_path / "bag")
     numbers = np.full(3000, bag.add_topic("joint_states", JOINT_STATE, [offered_qos()]).id)
     codec = JointStateCodec(written.names)
     messages = [*map(bytes, codec.encode_many(written.stamp_ns, *written.fields.values()))]
-    with pytest.raises(BagWriteError, match=r"64 MiB or more\); what was written is whole"):
-        bag.write_many(numbers, written.stamp_ns, messages)
+    with pytest.raises(BagWriteError, match=r"64 MiB or more\)$"):
+        bag.write_many(numbers[:2000], written.stamp_ns[:2000], messages[:2000])
     bag.close()
     read = read_joint_states(tmp_path / "bag", "joint_states")
-    assert 0 < len(read.stamp_ns) < 3000
-    np.testing.assert_array_equal(read.stamp_ns, written.stamp_ns[: len(read.stamp_ns)])
+    np.testing.assert_array_equal(read.stamp_ns, written.stamp_ns[:2000])
 
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

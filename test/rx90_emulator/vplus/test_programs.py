@@ -287,18 +287,18 @@ def test_a_pallet_of_twelve_parts_runs_fast(shipped: Setup) -> None:
 def test_the_command_writes_what_it_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Bag, page and picture are there; faults of files and of programs have their exit codes."""
     words = ["--output", str(tmp_path / "bag"), "--report", str(tmp_path / "p.html"), "--plot", str(tmp_path / "p.png")]
-    assert run("rx90_program", [str(CASES / "c08_strings.v2"), "C08.STRINGS", *words]) == 0
+    assert run("rx90 program engine", [str(CASES / "c08_strings.v2"), "C08.STRINGS", *words]) == 0
     said = capsys.readouterr().out
     assert "head of 3: MOV code  77" in said
     assert "c08.strings:19" in said
     assert (tmp_path / "p.png").stat().st_size > 1000
     assert "c08.strings" in (tmp_path / "p.html").read_text(encoding="utf-8")
-    assert run("rx90_run", ["--from-bag", str(tmp_path / "bag")]) == 0  # the bag's trajectory runs again
+    assert run("rx90 replay", [str(tmp_path / "bag")]) == 0  # the bag's trajectory runs again
     (tmp_path / "a.v2").write_text(".PROGRAM a(x, $y)\nTYPE x, $y\nx = y\n.END\n.PROGRAM b()\nFOO\nBAR\n.END\n")
-    assert run("rx90_program", [str(tmp_path / "a.v2")]) == 2
+    assert run("rx90 program engine", [str(tmp_path / "a.v2")]) == 2
     assert "a.v2:7" in capsys.readouterr().out
     (tmp_path / "a.v2").write_text(".PROGRAM a(x, $y)\nTYPE x, $y\nx = z\n.END\n")
-    assert run("rx90_program", [str(tmp_path), "a", "3", "four"]) == 3
+    assert run("rx90 program engine", [str(tmp_path), "a", "3", "four"]) == 3
     said, complaint = capsys.readouterr()
     assert "3four" in said
     assert "*Undefined value* (-401, number from memory): z; Program task 0 stopped at a, step 2, line 3" in complaint

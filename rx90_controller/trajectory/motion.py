@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
@@ -17,6 +18,7 @@ _QUINTIC_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # times distance over time s
 _RAMP_PEAK_ACCELERATION = 1.5  # of a quintic from rest to a velocity, times the mean acceleration
 _KNOT_ANGLE = 0.55  # of the fastest sine between knots, rad: quintics between exact knots miss it by 1e-6 of its size
 _LONGEST_KNOT_PERIOD = 0.02  # s, for the fades
+_FADE = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # from 0 to 1, with neither slope nor bend at both ends
 
 
 class Motion:
@@ -83,12 +85,11 @@ class Motion:
         s_dot = np.cos(phase) @ (amplitude * omega)
         s_ddot = -np.sin(phase) @ (amplitude * omega**2)
         quarter = whole / 4.0
-        x = np.clip(np.minimum(time, whole - time) / quarter, 0.0, 1.0)
-        sign = np.where(time < whole / 2.0, 1.0, -1.0) / quarter
-        inside = x < 1.0
-        w = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
-        w_dot = np.where(inside, 30.0 * x**2 * (1.0 - x) ** 2, 0.0) * sign
-        w_ddot = np.where(inside, 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x), 0.0) * sign**2
+        share = np.clip(np.minimum(time, whole - time) / quarter, 0.0, 1.0)
+        rate = np.where(time < whole / 2.0, 1.0, -1.0) / quarter
+        w = _FADE(share)
+        w_dot = _FADE.deriv()(share) * rate
+        w_ddot = _FADE.deriv(2)(share) * rate**2
         faded = (w * s, w_dot * s + w * s_dot, w_ddot * s + 2.0 * w_dot * s_dot + w * s_ddot)
         way, velocity, acceleration = (values[:, None] * direction for values in faded)
         way[-1] = 0.0
