@@ -96,7 +96,8 @@ class LogOrder:
         self._held: list[Dated] = []
         self._undated: list[Arrived] = []
         self._next_release_ns = 0  # as `now_ns` of `release`
-        self._due = -1  # newest log time at the last release: messages up to it have come
+        self._come = -1  # newest log time at the last call of `release`: messages up to it have come by the next one
+        self._released = -1  # log time up to which messages have been released
 
     def date_by_reception(self) -> None:
         """Use the times of reception from now on, if no topic has given the time."""
@@ -129,10 +130,10 @@ class LogOrder:
             return self.release_all()
         if self._clock is None or now_ns < self._next_release_ns:
             return None
-        due = min(self._due, self._newest - _HOLD_NS)
-        self._due = self._newest
+        self._released = min(self._come, self._newest - _HOLD_NS)
+        self._come = self._newest
         self._next_release_ns = now_ns + _RESEND_NS
-        return self._cut(due)
+        return self._cut(self._released)
 
     def release_all(self) -> Dated | None:
         """Return all that is held, if there is any."""
@@ -182,7 +183,7 @@ class LogOrder:
             return batch.received_ns
         received_ns, log_ns = self._clock
         newest = log_ns[np.maximum(np.searchsorted(received_ns, batch.received_ns) - 1, 0)]
-        if batch.source.latched and self._due < 0:
+        if batch.source.latched and self._released < 0:
             newest = np.full_like(newest, self._first)
         stamps = stamps_ns(batch.messages, batch.source.stamp_at)
         by_stamp = stamps + self._newest_ahead

@@ -92,10 +92,15 @@ def test_a_latched_message_has_the_first_time() -> None:
         add(order, clock(0), [message(stamp * MS)], (5000 + stamp) * MS)
     add(order, Source(1, latched=True), [b"early"], 6000 * MS)
     assert not entries(order.release(7000 * MS))
+    add(order, Source(1, latched=True), [b"late"], 7500 * MS)
     released = entries(order.release(8000 * MS))
     add(order, Source(1, latched=True), [b"after a release"], 8000 * MS)
     released += entries(order.release_all())
-    assert [(e.log_ns, e.message) for e in released if e.topic] == [(0, b"early"), (950 * MS, b"after a release")]
+    assert [(e.log_ns, e.message) for e in released if e.topic] == [
+        (0, b"early"),
+        (0, b"late"),
+        (950 * MS, b"after a release"),
+    ]
     order = LogOrder()
     order.date_by_reception()
     add(order, Source(0), [b"first"], 9000 * MS)
