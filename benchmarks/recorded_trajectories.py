@@ -2,9 +2,9 @@
 
     python -m benchmarks.recorded_trajectories [--runs 100] [--busy 2]
 
-In each run simulation, controller and recorder start anew, `rx90_line` sends a line once the recorder is ready, and the
+In each run simulation, controller and recorder start anew, `rx90 line` sends a line once the recorder is ready, and the
 recorder is interrupted as soon as the controller has accepted it, while so many other processes use the processors.
-A bag without the trajectory is a fault only where `rx90_line` and recorder have ended with 0.
+A bag without the trajectory is a fault only where `rx90 line` and recorder have ended with 0.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ def run(folder: Path) -> str:
     """Record one run; return what the bag lacks, and what the processes said of it."""
     with ProcessGroup(folder, grace=30.0) as group:
         cell = group.start("cell", executable("rx90_cell"))
-        recorder = group.start("recorder", executable("rx90_bag", "record", "--output", folder / "bag"))
+        recorder = group.start("recorder", executable("rx90 bag", "record", "--output", folder / "bag"))
         recorder.wait_for("ready: all")
-        line = group.start("line", executable("rx90_line", *LINE))
+        line = group.start("line", executable("rx90 line", *LINE))
         sent = line.wait()
         if sent == 0:
             cell.wait_for("trajectory accepted")
@@ -42,7 +42,7 @@ def run(folder: Path) -> str:
     if counts.get(ACCEPTED) and sent == recorded == 0:
         return "complete"
     lacks = "complete" if counts.get(ACCEPTED) else f"lacks {ACCEPTED}"
-    return f"{lacks}; rx90_line ended with {sent}, the recorder with {recorded}"
+    return f"{lacks}; rx90 line ended with {sent}, the recorder with {recorded}"
 
 
 def main() -> int:

@@ -102,19 +102,21 @@ if TYPE_CHECKING:
     )
     from rx90_emulator.identification.job import (
         write_identification as write_identification,
-        write_measured as write_measured,
     )
     from rx90_emulator.identification.options import (
         MeasuredLayout as MeasuredLayout,
-        MeasuredTolerances as MeasuredTolerances,
         RobotOptions as RobotOptions,
         ValidationTolerances as ValidationTolerances,
     )
     from rx90_emulator.identification.output.summary import (
         identification_summary as identification_summary,
-        measured_summary as measured_summary,
     )
-    from rx90_emulator.identification.validation.measured import compare_measured as compare_measured
+    from rx90_emulator.measured_runs.compare import compare_measured as compare_measured
+    from rx90_emulator.measured_runs.options import MeasuredTolerances as MeasuredTolerances
+    from rx90_emulator.measured_runs.output import (
+        measured_summary as measured_summary,
+        write_measured as write_measured,
+    )
     from rx90_emulator.loop.closed_loop import simulate as simulate
     from rx90_emulator.loop.line import (
         followed_accuracy as followed_accuracy,

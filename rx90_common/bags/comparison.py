@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.mapping import LogMapping
-from rx90_common.bags.reading import BagReader, JointBag
+from rx90_common.bags.reading import JointBag, read_joint_bag
 from rx90_common.bags.recorded import START, TRAJECTORY, time_shift
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.base.arrays import Array
@@ -155,12 +154,9 @@ class Scope:
 
     def cut(self, series: JointSeries) -> JointSeries:
         """Return the part of a series that is compared."""
-        part = series
-        if self.start_ns is not None:
-            part = part.take(part.stamp_ns >= self.start_ns)
-        if self.end_ns is not None:
-            part = part.take(part.stamp_ns <= self.end_ns)
-        return part
+        start_ns = series.stamp_ns.min(initial=0) if self.start_ns is None else self.start_ns
+        end_ns = series.stamp_ns.max(initial=0) if self.end_ns is None else self.end_ns
+        return series.take((series.stamp_ns >= start_ns) & (series.stamp_ns <= end_ns))
 
 
 def compare_bags(
@@ -185,8 +181,8 @@ def compare_bags(
     tolerances = tolerances or Tolerances()
     scope = scope or Scope()
     check_type(tolerances=(tolerances, Tolerances), scope=(scope, Scope))
-    first = _read(path_a, scope, mapping)
-    second = _read(path_b, scope, mapping)
+    first = read_joint_bag(path_a, scope.topics, mapping=mapping, all_there=True)
+    second = read_joint_bag(path_b, scope.topics, mapping=mapping, all_there=True)
     shift = time_shift(scope.align, first, second)
     second = second.moved(shift)
     topics = sorted({*first.series, *second.series})
@@ -194,36 +190,25 @@ def compare_bags(
     tolerances.check(topics, joints)
     results = []
     for topic in topics:
-        parts_a = _parts(first, topic, scope)
-        parts_b = _parts(second, topic, scope)
-        if parts_a or parts_b:
-            results.append(_compare_topic(topic, parts_a, parts_b, tolerances, scope))
+        a = _part(first, topic, scope)
+        b = _part(second, topic, scope)
+        if a is not None and b is not None:
+            results.append(compare_series(a, b, tolerances, scope))
+        elif a is not None or b is not None:
+            where = "second" if a is None else "first"
+            results.append(_incomparable(topic, f"only the {where} bag has messages of it"))
     if not results:
         raise BagError(f"neither {plain(first.path)} nor {plain(second.path)} has a JointState message in the window")
     others = {topic.name for topic in (*first.topics, *second.topics) if not topic.is_joint_state}
     return BagComparison(first.path, second.path, tuple(results), tuple(sorted(others)), shift)
 
 
-def _read(path: Path | str, scope: Scope, mapping: LogMapping | None) -> JointBag:
-    with BagReader(path, mapping) as bag:
-        return bag.joint_states(bag.series_topics(scope.topics, filled=False))
-
-
-def _parts(bag: JointBag, topic: str, scope: Scope) -> list[JointSeries]:
-    """Return what is compared of a topic: a series for each set of joints that it has."""
-    parts = [scope.cut(series) for series in bag.series.get(topic, ())]
-    return [part for part in parts if len(part.stamp_ns)]
-
-
-def _compare_topic(
-    topic: str, a: Sequence[JointSeries], b: Sequence[JointSeries], tolerances: Tolerances, scope: Scope
-) -> TopicComparison:
-    for where, parts in (("first", a), ("second", b)):
-        if not parts:
-            return _incomparable(topic, f"the {where} bag has no message of it")
-        if len(parts) > 1:
-            return _incomparable(topic, f"its messages in the {where} bag are not all of the same joints")
-    return compare_series(a[0], b[0], tolerances, scope)
+def _part(bag: JointBag, topic: str, scope: Scope) -> JointSeries | None:
+    """Return what is compared of a topic, None where there is no message."""
+    if not bag.series.get(topic):
+        return None
+    part = scope.cut(bag.one(topic))
+    return part if len(part.stamp_ns) else None
 
 
 def compare_series(

@@ -12,7 +12,7 @@ import numpy as np
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.mapping import LogMapping, exported_mapping
-from rx90_common.bags.reading import BagReader, Progress, silent
+from rx90_common.bags.reading import Progress, read_joint_bag, silent
 from rx90_common.bags.writing import named_at_the_end
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
@@ -52,30 +52,26 @@ def export_bag(
     if kind not in FORMATS:
         raise BagError(f"{plain(output)}: the suffix says the format; accepted: {listed(FORMATS)}, or none")
     write = FORMATS[kind]
-    with BagReader(path, mapping) as bag:
-        chosen = bag.series_topics(topics)
-        counts = {topic.name: topic.count for topic in chosen}
-        if single and len(chosen) > 1:
-            what = f"{plain(output)} would hold {len(chosen)} topics, {listed(counts)}"
-            raise BagError(f"{what}; accepted: one, with --topic, or the name of a folder")
-        with named_at_the_end(output) as folder:
-            read = bag.joint_states(chosen, progress)
-            remedy = "accepted for a table: the same in all messages; leave the topic out with --topic"
-            tables = [read.one(topic, remedy=remedy) for topic in counts]
-            if single:
-                write(folder / output.name, tables[0])
-            else:
-                (folder / output.name).mkdir()
-                for series in tables:
-                    name = f"{series.topic.removeprefix('/').replace('/', '.')}{kind}"
-                    write(folder / output.name / name, series)
-    return counts
+    read = read_joint_bag(path, topics, progress, mapping, all_there=True)
+    tables = [read.one(topic) for topic, sets in read.series.items() if sets or topics is not None]
+    if single and len(tables) > 1:
+        topics = [series.topic for series in tables]
+        raise BagError(f"{plain(output)} would hold {listed(topics)}; accepted: one topic in a file, more in a folder")
+    with named_at_the_end(output) as folder:
+        target = folder / output.name
+        if single:
+            write(target, tables[0])
+        else:
+            target.mkdir()
+            for series in tables:
+                write(target / f"{series.topic.removeprefix('/').replace('/', '.')}{kind}", series)
+    return {series.topic: len(series.stamp_ns) for series in tables}
 
 
 def _write_csv(path: Path, series: JointSeries) -> None:
     """Write times in s with nine decimals, which are exact, and numbers with all digits needed to restore them.
 
-    A signal map is written beside it, with which `rx90_bag import` makes the bag again.
+    A signal map is written beside it, with which `rx90 bag import` makes the bag again.
     """
     from pyarrow.csv import WriteOptions, write_csv  # takes a while
 

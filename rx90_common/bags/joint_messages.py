@@ -18,7 +18,6 @@ from rx90_common.exchange.cdr_stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN, 
 
 _BLOCK = 8192  # messages; a few MB at a time, whatever the bag's size
 _MAX_LAYOUTS = 8  # in a block; messages of further ones are deserialised one by one
-_MAX_SLACK = 15  # unused bytes that serialisers may leave at the end
 
 
 class _Content(NamedTuple):
@@ -103,7 +102,7 @@ class SeriesBuilder:
         layouts = 0
         while len(remaining):
             first = remaining[0]
-            message = self._message(messages[first])
+            message = self._deserialize(messages[first])
             content, stamp_ns, values = self._content(message)
             alike = remaining[:1]
             others = remaining[1:]
@@ -139,15 +138,6 @@ class SeriesBuilder:
         content = _Content(names, tuple(field for field, array in arrays.items() if len(array)))
         numbers = np.concatenate([np.asarray(array, dtype=np.float64) for array in arrays.values()])
         return content, np.array([stamp_ns], dtype=np.int64), numbers
-
-    def _message(self, raw: bytes) -> Any:
-        """Return the message as rosbags builds it, which tolerates 3 unused bytes at its end."""
-        for unused in range(0, _MAX_SLACK, 4):
-            try:
-                return self._deserialize(raw[: len(raw) - unused])
-            except BagError as error:
-                refusal = error
-        raise refusal
 
 
 def _places(frame_id: str, content: _Content) -> tuple[list[int], list[int]]:

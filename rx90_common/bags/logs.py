@@ -155,9 +155,7 @@ def _stamps_ns(path: Path, mapping: LogMapping, columns: Mapping[int | str, Any]
     """Return the times in ns, exactly if they are texts or whole numbers."""
     time = mapping.time
     if time is None:
-        stamps = np.rint(np.arange(count) * (NANOSECONDS / (mapping.rate or 1.0))).astype(np.int64)
-        return stamps
-    stamps: Int64Array
+        return np.asarray(np.rint(np.arange(count) * (NANOSECONDS / (mapping.rate or 1.0))), dtype=np.int64)
     cells = columns[time.column]
     unit_ns = TIME_UNITS[time.unit]
     if isinstance(cells, np.ndarray):
@@ -167,7 +165,7 @@ def _stamps_ns(path: Path, mapping: LogMapping, columns: Mapping[int | str, Any]
         inside = (cells >= 0) & (cells < _LAST_NS / unit_ns)  # a NaN is not
         times = np.where(inside, cells, 0)
         whole = np.issubdtype(cells.dtype, np.integer)
-        stamps = times * unit_ns if whole else np.rint(times * float(unit_ns)).astype(np.int64)
+        stamps: Int64Array = times * unit_ns if whole else np.rint(times * float(unit_ns)).astype(np.int64)
     else:
         stamps = np.array([_stamp_ns(cell, mapping.decimal, unit_ns) for cell in cells.to_pylist()], dtype=np.int64)
         inside = stamps >= 0

@@ -167,7 +167,7 @@ class SignalMapFile(FileModel):
     torque_delay: Annotated[
         float | None,
         quantity(
-            "s", "How much later a torque acted than in the sample period that ends at its stamp.", ge=-0.05, le=0.05
+            "s", "How much later torques acted than their stamps say; negative if recorded late.", ge=-0.2, le=0.2
         ),
     ] = None
     record_time: Annotated[bool, Field(description="Whether a bag's times of recording replace the stamps.")] = False

@@ -66,10 +66,10 @@ class Entry(NamedTuple):
 class LogOrder:
     """Assigns log times to messages and releases them in the order of log time, then of their topics, then of arrival.
 
-    Messages with a stamp get that one, others the newest one of a topic that gives the time. So do messages whose stamp
-    is of another clock. Messages before the first one that gives the time get that one's, and so do latched ones
-    without a stamp as long as nothing has been released. Without a topic that gives the time, log time is that of
-    reception.
+    Messages with a stamp get that one, others the newest one of a topic that gives the time. So do messages of topics
+    that do not give the time whose stamp is of another clock. Messages before the first one that gives the time get
+    that one's, and so do latched ones without a stamp as long as nothing has been released. Without a topic that gives
+    the time, log time is that of reception.
 
     Log time never goes back, because a reader, which sorts by it, would mix two runs: if stamps go back, after a reset
     of the simulation, log time continues from its last value, and is ahead of them from then on.
@@ -88,8 +88,8 @@ class LogOrder:
         self._first = 0  # log time
         self._newest = 0  # log time
         self._stamps: dict[int, int] = {}  # newest of each topic that gives the time
-        self._epochs: dict[int, int] = {}  # of each of these: how often its stamps went back
-        self._offsets = [0]  # log time less stamp, for each epoch
+        self._ahead: dict[int, int] = {}  # of each of these: log time less stamp
+        self._newest_ahead = 0  # of the topics that have gone back most often
         self._by_reception = False
         self._held: list[Entry] = []
         self._arrivals = count()
@@ -106,9 +106,8 @@ class LogOrder:
         round_clock = None
         for batch in (batch for batch in arrived if batch.messages):
             self.held_bytes += sum(map(len, batch.messages))
-            stamps = stamps_ns(batch.messages, batch.source.stamp_at)
-            if batch.source.gives_time and not self._by_reception and self._is_of_this_clock(batch, int(stamps[0])):
-                log_ns = self._by_stamps(batch.source.topic, stamps)
+            if batch.source.gives_time and not self._by_reception:
+                log_ns = self._by_stamps(batch)
                 round_clock = round_clock or (batch.received_ns, log_ns)
                 self._hold(batch, log_ns)
             else:
@@ -152,29 +151,23 @@ class LogOrder:
         entries = zip(log_ns.tolist(), repeat(batch.source.topic), self._arrivals, batch.messages)
         self._held += map(Entry._make, entries)
 
-    def _is_of_this_clock(self, batch: Arrived, stamp: int) -> bool:
-        newest_stamp = self._newest - self._offsets[-1]
-        is_known = not self._stamps or batch.source.topic in self._stamps
-        return is_known or abs(stamp - newest_stamp) < _OTHER_CLOCK_NS
-
-    def _by_stamps(self, topic: int, stamps: Int64Array) -> Int64Array:
+    def _by_stamps(self, batch: Arrived) -> Int64Array:
         """Return log times of messages of a topic that gives the time, and go on by them."""
+        topic = batch.source.topic
+        stamps = stamps_ns(batch.messages, batch.source.stamp_at)
         if not self._stamps:
             self._first = self._newest = int(stamps[0])
         log_ns = np.empty_like(stamps)
         set_backs = np.flatnonzero(np.diff(stamps) < 0) + 1
         for rows in np.split(np.arange(len(stamps)), set_backs):
             first = int(stamps[rows[0]])
-            # Topics go back one after the other, each with its own next message.
-            epoch = self._epochs.get(topic, len(self._offsets) - 1)
             if first < self._stamps.get(topic, first):
-                epoch = epoch + 1
-            if epoch == len(self._offsets):
-                self.set_backs.append((self._newest - self._offsets[-1], first))
-                self._offsets.append(self._newest + 1 - first)
-            self._epochs[topic] = epoch
+                if self._ahead[topic] == self._newest_ahead:  # other topics follow, each with its own next message
+                    self.set_backs.append((self._newest - self._newest_ahead, first))
+                    self._newest_ahead = self._newest + 1 - first
+                self._ahead[topic] = self._newest_ahead
             self._stamps[topic] = int(stamps[rows[-1]])
-            log_ns[rows] = stamps[rows] + self._offsets[epoch]
+            log_ns[rows] = stamps[rows] + self._ahead.setdefault(topic, self._newest_ahead)
             self._newest = max(self._newest, int(log_ns[rows[-1]]))
         return log_ns
 
@@ -187,7 +180,7 @@ class LogOrder:
         if batch.source.latched and self._due < 0:
             newest = np.full_like(newest, self._first)
         stamps = stamps_ns(batch.messages, batch.source.stamp_at)
-        by_stamp = stamps + self._offsets[-1]
+        by_stamp = stamps + self._newest_ahead
         return np.where((stamps > 0) & (np.abs(by_stamp - newest) < _OTHER_CLOCK_NS), by_stamp, newest)
 
 

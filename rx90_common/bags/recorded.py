@@ -111,7 +111,7 @@ def read_trajectories(path: Path | str) -> list[RecordedTrajectory]:
         if not fitting or not fitting[0].count:
             raise BagError(
                 f"{plain(path)}: no trajectory in it; accepted: a bag with rx90_controller/{TRAJECTORY_ACCEPTED}, "
-                "which rx90_bag record and rx90_run write"
+                "which rx90 bag record and rx90 run write"
             )
         found = [bag.deserialize(topic, data) for topic, _, data in bag.messages(fitting)]
     trajectories = [RecordedTrajectory(message_time_ns(m.header.stamp), m) for m in found]

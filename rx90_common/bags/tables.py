@@ -91,12 +91,11 @@ def summary_text(summary: BagSummary) -> str:
 
 def _topic_row(topic: TopicSummary) -> tuple[str, ...]:
     remarks = []
-    if topic.longest_gap_ns is not None:
-        where = _seconds(topic.longest_gap_at_ns)
-        remarks.append(f"longest gap {topic.longest_gap_ns / NANOSECONDS:.6f} s after t = {where} s")
+    if topic.gaps:
+        remarks.append(f"longest gap {_seconds(topic.longest_gap_ns)} s")
     if topic.backward:
         remarks.append(f"time goes back {counted(topic.backward, 'time')}")
-    if topic.repeated and topic.time == "stamp":  # by log time, messages of one moment are no fault
+    if topic.repeated:
         remarks.append(counted(topic.repeated, "repeated time"))
     if topic.effort_unit:
         remarks.append(f"effort in {topic.effort_unit}")

@@ -99,10 +99,10 @@ def identify_excitation(
     by_use = {"excitation": [Path(bag) for bag in bags], "validation": [Path(bag) for bag in validation]}
     everything = [*by_use["excitation"], *by_use["validation"]]
     if not by_use["excitation"]:
-        raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
+        raise IdentificationError("no excitation run; accepted: bags of such runs, or their folder")
     check_given_once(by_use)
     parts = _requested_parts(bristles=bristles, model=model)
-    _check_robot(robot, rotors=rotors)
+    _check_rotors(robot, rotors=rotors)
     source = RecordedRobot.load(robot, everything, massless=True, follow=True)
     records = read_records(by_use, source, progress, currents=True)
     progress("filters and equations")
@@ -150,12 +150,12 @@ def _validation(
 ) -> Validation:
     """Return the verdict of a run that the identification did not use, all predictions on the same rows."""
     bandwidths = validation_bandwidths(record, result.problem.runs[0].bandwidths)
-    other = result.problem.other(filtered_runs(record, result.robot, bandwidths))
+    unseen = result.problem.other(filtered_runs(record, result.robot, bandwidths))
 
     def torques(predicted: Array) -> RunTorques:
-        return run_torques(other, predicted)[0]
+        return run_torques(unseen, predicted)[0]
 
-    files = torques(written_torque(other, arm, result.friction.elements))
+    files = torques(written_torque(unseen, arm, result.friction.elements))
     return Validation(
         names=files.names,
         torque=files,
@@ -166,8 +166,8 @@ def _validation(
         alarms=result.alarms,
         unit=record.unit,
         assumed_bristles=result.assumed_bristles,
-        fitted=torques(result.fitted.predicted(other)),
-        simplest=torques(simplest.predicted(other)),
+        fitted=torques(result.fitted.predicted(unseen)),
+        simplest=torques(simplest.predicted(unseen)),
     )
 
 
@@ -203,12 +203,8 @@ def _requested_parts(*, bristles: bool, model: Sequence[str] | None) -> tuple[Pa
     return tuple(part for part in Part if part.value in names)
 
 
-def _check_robot(robot: RobotOptions, *, rotors: bool) -> None:
-    """Refuse late torques, and a model without rotors if the drives' torques accelerate them."""
-    if robot.torque_delay:
-        raise IdentificationError(
-            f"torque_delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
-        )
+def _check_rotors(robot: RobotOptions, *, rotors: bool) -> None:
+    """Refuse a model without rotors if the drives' torques accelerate them."""
     if not rotors and (robot.urdf is None or robot.rotor_inertia is not None):
         given = "without --urdf" if robot.urdf is None else "with --rotor-inertia"
         raise IdentificationError(f"--no-rotors {given}; accepted: with --urdf, for torques measured behind the gears")
@@ -316,7 +312,8 @@ def predict_torque(
     arm = RecordedRobot.load(robot).arm
     at = np.asarray(time, dtype=np.float64)
     angle = np.asarray(position, np.float64)
-    if at.ndim != 1 or len(at) < 3 or not np.allclose(np.diff(at), at[1] - at[0], rtol=1e-3) or at[1] <= at[0]:
+    even = at.ndim == 1 and len(at) > 2 and np.allclose(np.diff(at), at[1] - at[0], rtol=1e-3)
+    if not even or at[1] <= at[0]:
         raise IdentificationError(f"time has shape {at.shape}; accepted: three or more even, increasing times")
     speed = np.gradient(angle, at, axis=0) if velocity is None else np.asarray(velocity, dtype=np.float64)
     change = np.gradient(speed, at, axis=0) if acceleration is None else np.asarray(acceleration, dtype=np.float64)

@@ -213,7 +213,7 @@ def identified_elements(
     for number, own in enumerate(estimates):
         other = None if fallback is None else fallback[number]
         element = _element(fitted, number, other, min(known, default=0.0))
-        elements.append(IdentifiedElement.of(element, own, dict.fromkeys(own, sources), other))
+        elements.append(IdentifiedElement(element, own, dict.fromkeys(own, sources)))
     return tuple(elements)
 
 

@@ -22,7 +22,6 @@ from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.estimates import (
     NOT_IN_MODEL,
     PRESLIDING,
-    SLIDING,
     ElementEstimate,
     IdentifiedElement,
     ParameterEstimate,
@@ -67,7 +66,7 @@ def identify_friction(
     """Identify the friction of a robot from recorded bags (section 4 of Aarts, Jonker and Waiboer).
 
     Args:
-        bags: by use, or a folder that `rx90_experiment` wrote.
+        bags: by use, or a folder that `rx90 experiment` wrote.
         robot: that the bags come from; by default this project's.
         tolerances: what counts as agreement with the validation bags; by default, value by value, as in
             `check_friction`.
@@ -87,7 +86,9 @@ def identify_friction(
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(Path(bags))
     by_use = {use: getattr(chosen, use) for use in ("sliding", "presliding", "validation")}
     if not chosen.sliding:
-        raise IdentificationError("no bag with sweeps at constant velocity; accepted: a folder, or --sliding BAG ...")
+        raise IdentificationError(
+            "no bag with sweeps at constant velocity; accepted: such bags, or a folder that rx90 experiment wrote"
+        )
     if model is not None:
         model_parts(model, SLIDING_PARTS)  # refused before any bag is read
     check_given_once(by_use)
@@ -136,7 +137,7 @@ def check_friction(
     """
     by_use = {"validation": [Path(bag) for bag in bags]}
     if not bags:
-        raise IdentificationError("no bag to hold the friction against; accepted: --validation BAG ...")
+        raise IdentificationError("no bag to hold the friction against; accepted: bags of the arm")
     check_given_once(by_use)
     source = RecordedRobot.load(robot, by_use["validation"], follow=True)
     file, lugre, arm = with_friction(source.arm, friction, "a validation by recorded torques")
@@ -297,7 +298,7 @@ def identify_records(
     Args:
         sliding: sweeps at constant velocity.
         presliding: micro-oscillations; without any, c0 and c1 are not identifiable.
-        robot: rigid-body model, fallback values and the torques' delay.
+        robot: rigid-body model and fallback values.
         progress: called with the name of each step before it.
         model: as in `identify_friction`.
 
@@ -315,9 +316,7 @@ def identify_records(
         bristles = {"c0": ParameterEstimate(1e4, 0.0), "c1": ParameterEstimate(0.0, 0.0)}
         pairs = zip(slides.estimates, fallback, strict=True)
         known = [_element(estimate, bristles, other, least) for estimate, other in pairs]
-        seven = len(SLIDING)  # presliding does not depend on a viscous exponent
-        covariances = [estimate.covariance()[:seven, :seven] for estimate in slides.estimates]
-        cycles = identify_presliding(presliding, arm, known, robot.options.torque_delay, covariances)
+        cycles = identify_presliding(presliding, arm, known)
     else:
         reason = "no bag with micro-oscillations was given"
         cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names))
@@ -328,7 +327,7 @@ def identify_records(
             element = with_passive_fading(element, None)
         sources = dict.fromkeys(second.parameters, second.sources) | dict.fromkeys(first.parameters, first.sources)
         estimates = {**first.parameters, **second.parameters}
-        elements.append(IdentifiedElement.of(element, estimates, sources, other))
+        elements.append(IdentifiedElement(element, estimates, sources))
     return FrictionIdentification(
         robot=robot, elements=tuple(elements), sliding=slides, presliding=cycles, alarms=slides.alarms
     )

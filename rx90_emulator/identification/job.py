@@ -1,30 +1,25 @@
-"""What `rx90_identify` and `rx90_compare_measured` do once their options have been checked: slow to import."""
+"""What `rx90 identify` does once its options have been checked: slow to import."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 
 from tqdm import tqdm
 
-from rx90_common.base.errors import IdentificationError, check_place, check_replaced, write_error
-from rx90_common.description.robot import load_robot
-from rx90_common.description.robot_files import FILES, MODEL_FILES, RobotFiles
-from rx90_common.process.files import write_all, write_text
-from rx90_controller.law.parameters import load_controller
+from rx90_common.base.errors import IdentificationError, check_place, check_replaced
+from rx90_common.description.robot_files import FILES
+from rx90_common.process.files import made_folder, write_all, write_text
 from rx90_emulator.identification.identify import check_friction
-from rx90_emulator.identification.options import GivenTolerances, MeasuredLayout, MeasuredTolerances, RobotOptions
-from rx90_emulator.identification.output.assumed_files import weight_warning
+from rx90_emulator.identification.options import GivenTolerances, RobotOptions
 from rx90_emulator.identification.output.friction_file import friction_text
-from rx90_emulator.identification.output.report import check_page, identification_page, measured_page
+from rx90_emulator.identification.output.report import check_page, identification_page
 from rx90_emulator.identification.output.robot_files import folder_base, parameters_text, robot_files
-from rx90_emulator.identification.output.summary import check_summary, identification_summary, measured_summary
+from rx90_emulator.identification.output.summary import check_summary, identification_summary
 from rx90_emulator.identification.result import ExcitationIdentification, FrictionIdentification, objection
-from rx90_emulator.identification.validation.measured import MeasuredComparison, compare_measured, simulated_setup
-from rx90_emulator.loop.setup import Setup
 
 REPORT = "report.html"
 PARAMETERS = "parameters.yaml"
@@ -53,9 +48,6 @@ def check_targets(*files: Path | None, force: bool) -> None:
             kind = "a folder" if file.is_dir() else "no regular file"
             raise IdentificationError(f"{file} is {kind}; accepted: the name of a file")
         check_replaced(file, force=force, kind=IdentificationError)
-        folder = file.absolute().parent
-        if not folder.is_dir():
-            raise IdentificationError(f"{file}: the folder {folder} does not exist; accepted: a file in one that does")
 
 
 def identification_targets(output: Path, *, folder: bool, force: bool) -> None:
@@ -105,17 +97,8 @@ def write_identification(
     texts = {output / name: text for name, text in robot.items()}
     texts |= {output / REPORT: page, output / PARAMETERS: parameters_text(result, date)}
     identification_targets(output, folder=True, force=force)
-    new = not output.is_dir()
-    try:
-        output.mkdir(exist_ok=True)
+    with made_folder(output):
         write_all({file: text.encode() for file, text in texts.items()})
-    except BaseException as error:
-        if new:
-            with suppress(OSError):
-                output.rmdir()
-        if isinstance(error, OSError):
-            raise write_error(output, error) from error
-        raise
     return tuple(texts)
 
 
@@ -141,12 +124,7 @@ def run_identification(
     print(identification_summary(result))
     print(f"files: {', '.join(sorted(map(str, files)))}")
     if isinstance(result, ExcitationIdentification) and result.robot.setup is None:
-        base, note = folder_base(result.arm, Path(str(result.robot.options.urdf)))
-        print(f"{output}: {note}")
-        if base is not None:
-            law = load_controller(output / FILES["controller"])
-            if lost := weight_warning(load_robot(output / FILES["urdf"]), base.turning, law):
-                print(f"warning: {output}: {lost}")
+        print(f"{output}: {folder_base(result.arm, Path(str(result.robot.options.urdf)))[1]}")
     return objection(result.validations, result.alarms)
 
 
@@ -172,47 +150,3 @@ def run_check(
         lines.append(f"report: {report}")
     print("\n".join(lines))
     return objection(checks)
-
-
-def write_measured(result: MeasuredComparison, setup: Setup, page: Path | str, *, force: bool = False) -> Path:
-    """Write the report of a comparison and return its name.
-
-    Args:
-        result: the comparison.
-        setup: the arm that was simulated.
-        page: HTML file.
-        force: whether an existing file is replaced.
-
-    Raises:
-        IdentificationError: for a file that exists without `force`, or whose folder is missing.
-        OutputError: for a file that cannot be written.
-    """
-    page = Path(page)
-    check_targets(page, force=force)
-    files = () if setup.files is None else tuple(setup.files.text(role) for role in MODEL_FILES)
-    write_text(page, measured_page(result, files))
-    return page
-
-
-def run_comparison(
-    bag: Path,
-    files: RobotFiles,
-    layout: MeasuredLayout,
-    tolerances: MeasuredTolerances,
-    bandwidth: float | None = None,
-    page: Path | None = None,
-    *,
-    force: bool = False,
-) -> bool:
-    """Compare with a progress bar, write the report if requested, print a table, and return the verdict.
-
-    The arguments are those of `compare_measured`, with the files of the robot; the report's place is checked first.
-    """
-    check_targets(page, force=force)
-    setup = simulated_setup(files)
-    with steps() as step:
-        result = compare_measured(bag, setup, layout, tolerances, bandwidth=bandwidth, progress=step)
-    print(measured_summary(result))
-    if page is not None:
-        print(f"report: {write_measured(result, setup, page, force=force)}")
-    return result.passed

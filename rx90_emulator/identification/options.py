@@ -25,8 +25,8 @@ def model_parts(model: Sequence[str], accepted: Sequence[str] = MODEL_PARTS) -> 
     """Return the parts of a model beside Coulomb and viscous friction, which every model has."""
     unknown = [name for name in model if name not in (COULOMB_VISCOUS, *accepted)]
     if unknown or not model:
-        found = quoted(unknown[0]) if unknown else "no part"
-        raise ConfigError(f"--model: {found}; accepted: {', '.join((COULOMB_VISCOUS, *accepted))}")
+        wrong = quoted(unknown[0]) if unknown else "no part"
+        raise ConfigError(f"--model: {wrong}; accepted: {', '.join((COULOMB_VISCOUS, *accepted))}")
     return tuple(name for name in accepted if name in model)
 
 
@@ -92,7 +92,7 @@ class RobotOptions(MeasuredLayout):
 SHIPPED_ROBOT = RobotOptions()
 
 
-class _Tolerances:
+class Tolerances:
     """Limits for agreement: positive numbers."""
 
     def __post_init__(self) -> None:
@@ -102,7 +102,7 @@ class _Tolerances:
 
 
 @dataclass(frozen=True)
-class ValidationTolerances(_Tolerances):
+class ValidationTolerances(Tolerances):
     """Limits for agreement in a validation.
 
     Attributes:
@@ -129,18 +129,3 @@ RECORDED = ValidationTolerances(torque=0.3, worst_torque=math.inf)
 GivenTolerances: TypeAlias = ValidationTolerances | Mapping[str, float]
 """All limits, or some by the names of the attributes; the others are then those of EMULATED or RECORDED."""
 NO_TOLERANCES: Mapping[str, float] = MappingProxyType({})
-
-
-@dataclass(frozen=True)
-class MeasuredTolerances(_Tolerances):
-    """Limits for agreement of a simulated run with a measured one.
-
-    Attributes:
-        torque: RMS difference of a joint's torque over its RMS measured torque.
-        total_torque: the same for all joints together.
-        position: largest difference of a joint's position, rad.
-    """
-
-    torque: float = 0.25
-    total_torque: float = 0.1
-    position: float = 5e-3

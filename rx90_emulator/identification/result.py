@@ -114,7 +114,7 @@ class Identification:
     @property
     def friction(self) -> FrictionSet:
         """Return the friction to simulate this project's robot with."""
-        return FrictionSet(self.arm.element_names, tuple(one.element for one in self.elements))
+        return FrictionSet(self.arm.element_names, tuple(identified.element for identified in self.elements))
 
     @property
     def assumed_bristles(self) -> bool:
@@ -242,7 +242,9 @@ class ExcitationIdentification(Identification):
         poor = unexplained(self.torques)
         last = [arm.names[np.flatnonzero(row)[-1]] for row in arm.element_matrix]
         notes = {name: poor[joint] for name, joint in zip(arm.element_names, last, strict=True) if joint in poor}
-        return notes | {name: "; ".join(filter(None, (text, notes.get(name)))) for name, text in self._assumed.items()}
+        for name, text in self._assumed.items():
+            notes[name] = f"{text}; {notes[name]}" if name in notes else text
+        return notes
 
     @cached_property
     def _assumed(self) -> dict[str, str]:

@@ -27,85 +27,80 @@ _QUIET_S = 1.0  # without a message after the stop request: a lost one is sent a
 _MAX_DRAIN_S = 5.0
 
 
-class Recorder:
-    """Records topics to a new bag until it is stopped.
+def record(
+    topics: Sequence[str], ros_args: Sequence[str], make_writer: Callable[[], BagWriter], stop: StopRequest
+) -> list[TopicCount]:
+    """Record topics to a new bag until `stop` is set; return what was recorded of each.
 
     Args:
         topics: names, relative or absolute, each once.
         ros_args: --ros-args and what follows it (namespace, remappings), or nothing.
+        make_writer: makes the bag, once the topics' names are known to be good.
+        stop: ends the recording.
 
-    Attributes:
-        empty: topics of which no message has come, once the recording has ended.
+    Raises:
+        BagWriteError: if the bag cannot be written on.
     """
-
-    def __init__(self, topics: Sequence[str], ros_args: Sequence[str]) -> None:
-        self._names = topics
-        self._ros_args = ros_args
-        self._numbers: dict[int, int] = {}  # of topics in the bag, by their places
-        self._order = LogOrder()
-        self.empty: list[str] = []
-
-    def run(self, make_writer: Callable[[], BagWriter], stop: StopRequest) -> list[TopicCount]:
-        """Record until `stop` is set; the bag is made once the topics' names are known to be good.
-
-        Raises:
-            BagWriteError: if the bag cannot be written on.
-        """
-        context = Context()
+    context = Context()
+    try:
+        start_ros(ros_args, context)
+        node = rclpy.create_node(
+            "rx90_bag_recorder", context=context, enable_rosout=False, start_parameter_services=False
+        )
+        streams = Streams(node, topics)
         try:
-            start_ros(self._ros_args, context)
-            node = rclpy.create_node(
-                "rx90_bag_recorder", context=context, enable_rosout=False, start_parameter_services=False
-            )
-            streams = Streams(node, self._names)
-            try:
-                with make_writer() as writer:
-                    self._record(streams, writer, stop)
-                    drain(streams, self._order)
-                    self._write(streams, writer, self._order.release_all())
-                self.empty = streams.empty()
-                return streams.counts()
-            finally:
-                streams.clear()
-                node.destroy_node()
+            with make_writer() as writer:
+                order = LogOrder()
+                _record(streams, order, writer, stop)
+                drain(streams, order)
+                _write(streams, writer, order.release_all())
+            return streams.counts()
         finally:
-            context.try_shutdown()
+            streams.clear()
+            node.destroy_node()
+    finally:
+        context.try_shutdown()
 
-    def _record(self, streams: Streams, writer: BagWriter, stop: StopRequest) -> None:
-        start = time.monotonic()
-        matched_at = math.inf
-        ready = announced = False
-        while not stop.wait(_CYCLE_S):
-            now = time.monotonic()
-            if math.isinf(matched_at) and streams.discover():
-                matched_at = now
-            if not ready and now > matched_at + _SETTLE_S:
-                ready = True
-                streams.start()
-                if not any(stream.source.gives_time for stream in streams):
-                    self._order.date_by_reception()
-                topics = counted(len(self._names), "topic")
-                print(f"ready: all topics are matched, recording {topics} to {writer.path}", flush=True)
-            if not announced and math.isinf(matched_at) and now > start + _ANNOUNCE_WAIT_S:
-                announced = True
-                print(f"waiting for {', '.join(streams.missing())}", flush=True)
-            read(streams, self._order)
-            if self._order.held_bytes > _MAX_HELD_BYTES:
-                ready = True
-                self._order.date_by_reception()
-            if ready:
-                self._write(streams, writer, self._order.release(time.monotonic_ns()))
 
-    def _write(self, streams: Streams, writer: BagWriter, entries: Sequence[Entry]) -> None:
-        """Announce to the bag the topics found since the last call, in their order, and write messages."""
-        for stream in streams:
-            if stream.source.topic not in self._numbers:
-                added = writer.add_topic(stream.topic, stream.msgtype, [stream.qos], stream.types)
-                self._numbers[stream.source.topic] = added.id
-        if entries:
-            number = np.array([self._numbers[entry.topic] for entry in entries])
-            log_ns = np.array([entry.log_ns for entry in entries])
-            writer.write_many(number, log_ns, [entry.message for entry in entries])
+def _record(streams: Streams, order: LogOrder, writer: BagWriter, stop: StopRequest) -> None:
+    start = time.monotonic()
+    matched_at = math.inf
+    ready = False
+    announced = False
+    while not stop.wait(_CYCLE_S):
+        now = time.monotonic()
+        if math.isinf(matched_at) and streams.discover():
+            matched_at = now
+        if not ready and now > matched_at + _SETTLE_S:
+            ready = True
+            for stream in streams:
+                stream.counter.start()  # from now on nothing may be missing that anybody sends
+            if not any(stream.source.gives_time for stream in streams):
+                order.date_by_reception()
+            topics = counted(len(list(streams)), "topic")
+            print(f"ready: all topics are matched, recording {topics} to {writer.path}", flush=True)
+        if not announced and math.isinf(matched_at) and now > start + _ANNOUNCE_WAIT_S:
+            announced = True
+            print(f"waiting for {', '.join(streams.missing())}", flush=True)
+        read(streams, order)
+        is_full = order.held_bytes > _MAX_HELD_BYTES
+        if is_full:
+            order.date_by_reception()
+        if ready or is_full:
+            _write(streams, writer, order.release(time.monotonic_ns()))
+
+
+def _write(streams: Iterable[Stream], writer: BagWriter, entries: Sequence[Entry]) -> None:
+    """Announce to the bag the topics found since the last call, in their order, and write messages."""
+    numbers: dict[int, int] = {}
+    for stream in streams:
+        if stream.number is None:
+            stream.number = writer.add_topic(stream.topic, stream.msgtype, stream.qos, stream.types)
+        numbers[stream.source.topic] = stream.number
+    if entries:
+        number = np.array([numbers[entry.topic] for entry in entries])
+        log_ns = np.array([entry.log_ns for entry in entries])
+        writer.write_many(number, log_ns, [entry.message for entry in entries])
 
 
 def read(streams: Iterable[Stream], order: LogOrder) -> None:

@@ -24,11 +24,11 @@ from scipy.optimize import minimize
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
+from rx90_common.description.workspace import Workspace
 from rx90_controller.trajectory.motion import Motion
 from rx90_emulator.identification.experiments.arms import PlannedArm
 from rx90_emulator.identification.experiments.options import ExcitationOptions
 from rx90_emulator.identification.experiments.plan import Experiment, Kind
-from rx90_emulator.identification.experiments.workspace import Workspace
 from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
 
 _VALIDATION_TEMPO = 0.75
@@ -121,10 +121,19 @@ class ExcitationSearch:
     def best(self, rng: np.random.Generator, step: Callable[[], object]) -> Array:
         """Return the coefficients of the best motion found; `step` is called after each of the search's steps."""
         best = self.random(rng).ravel()
+
+        def show(xk: Array) -> None:  # noqa: ARG001 - SciPy's name for it
+            step()
+
         for limit_cost in _LIMIT_COSTS:
-            options = {"maxiter": self.options.steps // len(_LIMIT_COSTS), "maxls": _MAX_LINE_EVALUATIONS}
-            cost = partial(self.cost, limit_cost=limit_cost)
-            best = minimize(cost, best, jac=True, method="L-BFGS-B", callback=lambda _: step(), options=options).x
+            best = minimize(
+                partial(self.cost, limit_cost=limit_cost),
+                best,
+                jac=True,
+                method="L-BFGS-B",
+                callback=show,
+                options={"maxiter": self.options.steps // len(_LIMIT_COSTS), "maxls": _MAX_LINE_EVALUATIONS},
+            ).x
         return self.within(best.reshape(len(self.arm.home), -1))
 
     def random(self, rng: np.random.Generator) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
@@ -11,10 +10,8 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.config import check_numbers
-from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import counted, plain
+from rx90_common.base.quoting import counted
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.element import FRICTION_UNITS
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.estimates import (
     LARGEST,
@@ -34,8 +31,6 @@ _REMARKS = """\
 # each of them is known: standard deviation, interval at 95 %, bags, and whether the bags identify it. A value that they
 # do not identify is taken from elsewhere, and is an assumption.
 """
-_LARGEST = {"Nm": 1e6, "rad/s": 1e4, "1": 1e3, "Nm/rad": 1e12, "Nm s/rad": 1e9, "Nm (s/rad)^alpha": 1e6}
-"""Largest values with these units: orders of magnitude beyond any arm, which only a failed fit gives."""
 _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
 
 
@@ -93,11 +88,8 @@ def elements_text(names: Sequence[str], elements: Sequence[IdentifiedElement], f
     written = {}
     parameters = {}
     for name, identified in zip(names, elements, strict=True):
-        notes = [facts.notes[name]] if name in facts.notes else []
-        if identified.given_bristles:
-            notes.append(f"bristles: as its c0 those of {facts.fallback}, assumed")
-        element = _rounded(name, identified)
-        written[name] = element.replaced(note="; ".join(notes) or None)
+        element = _rounded(identified)
+        written[name] = element.replaced(note=facts.notes.get(name))
         parameters[name] = _provenance(identified, element, labels, date, facts.fallback)
     unit = {} if facts.unit == "Nm" else {"unit": facts.unit}
     identification = {"date": date, "bags": bags, **unit, **facts.about, "parameters": parameters}
@@ -115,20 +107,10 @@ def elements_text(names: Sequence[str], elements: Sequence[IdentifiedElement], f
     return in_unit(file.text(_REMARKS), facts.unit)
 
 
-def _rounded(name: str, one: IdentifiedElement) -> FrictionElement:
-    """Return an element with the identified values rounded to six digits; refuse values that no arm has."""
-    for parameter, unit in FRICTION_UNITS.items():
-        value = one.element.parameters[parameter]
-        estimate = one.estimates.get(parameter)
-        most = math.inf if parameter == "omega_d" else _LARGEST[unit]
-        spread = estimate.deviation if estimate is not None and estimate.identifiable else 0.0
-        if not (value <= most and math.isfinite(spread)):
-            raise IdentificationError(
-                f"{plain(name)}: {parameter} came out as {value:.3g} +- {spread:.2g}; accepted: up to {most:g} {unit}, "
-                "with a finite deviation; nothing is written"
-            )
-    element = one.element.with_parameters({key: digits(value) for key, value in one.element.parameters.items()})
-    return element.replaced(provenance=None, source=None)  # of a fallback's file
+def _rounded(identified: IdentifiedElement) -> FrictionElement:
+    """Return an element with the identified values rounded to six digits, without the remarks of a fallback's file."""
+    values = {key: digits(value) for key, value in identified.element.parameters.items()}
+    return identified.element.with_parameters(values).replaced(provenance=None, source=None)
 
 
 def _provenance(
@@ -139,13 +121,10 @@ def _provenance(
     fallback: str | None,
 ) -> dict[str, Any]:
     """Return value, deviation, bags and origin of each parameter of an element."""
-    values = element.parameters | {
-        f"{name}.{key}": value for name, part in element.parts.items() for key, value in part.numbers().items()
-    }
     parameters = {}
-    for name in dict.fromkeys((*PARAMETERS, *identified.estimates)):
+    for name in PARAMETERS:
         estimate = identified.estimates.get(name, _NOT_FITTED)
-        content: dict[str, Any] = {"provenance": "assumed", "value": values.get(name, 0.0)}
+        content: dict[str, Any] = {"provenance": "assumed", "value": element.parameters[name]}
         if not estimate.identifiable:
             taken = None if estimate.reason == NOT_IN_MODEL else fallback
             content |= {"identifiable": False, "reason": estimate.reason, "taken_from": taken}

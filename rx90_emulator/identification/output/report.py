@@ -1,4 +1,4 @@
-"""The pages of an identification, a check of a friction file and a measured run: one self-contained HTML file each.
+"""The pages of an identification and of a check of a friction file: one self-contained HTML file each.
 
 Tables and sentences are in the templates, which share `_macros.html.j2`.
 """
@@ -20,7 +20,6 @@ from rx90_emulator.identification.estimates import ParameterEstimate
 from rx90_emulator.identification.output import plots, summary
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.result import ExcitationIdentification, FrictionIdentification, Identification
-from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 
 
@@ -34,10 +33,11 @@ def _render(template: str, date: datetime | None = None, unit: str = "Nm", **val
 
 def _checks(checks: Sequence[Validation]) -> list[tuple[Validation, str, list[figure]]]:
     """Return validations with the names of their bags, and their plots."""
-    return [
-        (check, Path(check.source).name, [*plots.torques(check.torque, check.names, check.unit), *plots.tips(check)])
-        for check in checks
-    ]
+    shown = []
+    for check in checks:
+        figures = plots.torques(check.torque, check.names, check.unit)
+        shown.append((check, Path(check.source).name, [*figures, *plots.tips(check)]))
+    return shown
 
 
 def check_page(checks: Sequence[Validation], friction_file: str) -> str:
@@ -49,22 +49,6 @@ def check_page(checks: Sequence[Validation], friction_file: str) -> str:
     """
     unit = checks[0].unit
     return _render("friction_check.html.j2", unit=unit, checks=_checks(checks), friction_file=friction_file)
-
-
-def measured_page(result: MeasuredComparison, files: tuple[str, ...]) -> str:
-    """Return the text of the page on a measured run.
-
-    Args:
-        result: of the comparison.
-        files: that the robot was read from.
-    """
-    return _render(
-        "measured.html.j2",
-        result=result,
-        files=files,
-        torques=plots.torques(result.torque, result.names, "Nm", "simulated"),
-        positions=plots.measured_positions(result),
-    )
 
 
 def identification_page(result: Identification, date: datetime, files: Sequence[str]) -> str:

@@ -20,19 +20,18 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.config import check_numbers, read_yaml, without_schema_line, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.models import FileModel
-from rx90_common.base.quoting import listed, plain
+from rx90_common.base.quoting import listed
 from rx90_common.base.share import versions
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.drives import load_drives
+from rx90_common.description.joint_model import all_joints
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_common.friction import FrictionElement
-from rx90_common.friction.element import ALPHA_BOUNDS
-from rx90_emulator.identification.arm import RigidArm, all_joints
+from rx90_emulator.configuration.assumed_files import assumed_files
+from rx90_emulator.identification.arm import RigidArm
 from rx90_emulator.identification.bodies import central
 from rx90_emulator.identification.estimates import LARGEST, IdentifiedElement, ParameterEstimate, digits
 from rx90_emulator.identification.fitted import ASSUMED
-from rx90_emulator.identification.output.assumed_files import assumed_files
 from rx90_emulator.identification.output.friction_file import FileFacts, elements_text
 from rx90_emulator.identification.output.summary import bodies_warnings, in_currents
 from rx90_emulator.identification.records import in_unit
@@ -57,15 +56,14 @@ def marked(block: Mapping[str, Any], new: Mapping[str, Identified]) -> dict[str,
         given = block.get(word)
         words = {key: given.get(key, given.get("others")) if isinstance(given, dict) else given for key in content}
         words |= {key: getattr(identified, word) for key, identified in new.items()}
-        several = len(set(words.values())) > 1
-        about[word] = {key: said for key, said in words.items() if said} if several else next(iter(words.values()))
+        stated = {key: said for key, said in words.items() if said}
+        (first, *others) = set(words.values())
+        about[word] = stated if others else first
     note = {"note": block["note"]} if "note" in block else {}
     return about | note | content
 
 
-_MAX_MASS = 1e5  # kg
-_MAX_LEVER = 100.0  # m from the link's frame to its centre of mass
-_MOMENTS = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def edited_urdf(urdf: str, bodies: Mapping[str, Array | None], held: Collection[str], remark: str) -> str:
@@ -85,7 +83,7 @@ def edited_urdf(urdf: str, bodies: Mapping[str, Array | None], held: Collection[
                 link.remove(inertial)
             pseudo = bodies[name]
             if pseudo is not None:
-                link.insert(0, _inertial(name, pseudo))
+                link.insert(0, _inertial(pseudo))
     for joint in root.findall("joint"):
         if joint.get("name") in held:
             joint.set("type", "fixed")
@@ -95,18 +93,14 @@ def edited_urdf(urdf: str, bodies: Mapping[str, Array | None], held: Collection[
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _inertial(link: str, pseudo: Array) -> ET.Element:
+def _inertial(pseudo: Array) -> ET.Element:
     """Return the element with all digits, so that loading it gives exactly the identified values."""
     mass, center, inertia = central(pseudo)
-    if not (np.isfinite(pseudo).all() and 0.0 < mass < _MAX_MASS and np.linalg.norm(center) < _MAX_LEVER):
-        raise IdentificationError(
-            f"link {plain(link)} would have a mass of {mass:.3g} kg at {np.linalg.norm(center):.3g} m; accepted: up to "
-            f"{_MAX_MASS:g} kg and {_MAX_LEVER:g} m"
-        )
     inertial = ET.Element("inertial")
     ET.SubElement(inertial, "origin", xyz=" ".join(map(repr, center.tolist())), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=repr(float(mass)))
-    ET.SubElement(inertial, "inertia", {key: repr(float(inertia[index])) for key, index in _MOMENTS.items()})
+    moments = inertia[np.triu_indices(3)].tolist()
+    ET.SubElement(inertial, "inertia", {key: repr(moment) for key, moment in zip(_MOMENTS, moments, strict=True)})
     ET.indent(inertial)
     return inertial
 
@@ -120,18 +114,6 @@ _CONTROLLER_HEAD = """\
 # The controller, with the identified friction in its feed-forward; everything else is as it was before.
 # Joint-side units, one value per motor (docs/explanation/closed_loop.md).
 """
-_SECOND_SPEED_SHARE = 0.25
-"""Of the nominal speed: where the compensation by one viscous part equals the sum of several a second time."""
-
-
-def viscous_sum(elements: Sequence[FrictionElement], speed: float) -> tuple[float, float]:
-    """Return c2 and alpha of one viscous part that equals the sum of several at the speed and at a share of it."""
-    if len({one.alpha for one in elements}) == 1:
-        return sum(one.c2 for one in elements), elements[0].alpha
-    fast = sum(one.c2 * speed**one.alpha for one in elements)
-    slow = sum(one.c2 * (_SECOND_SPEED_SHARE * speed) ** one.alpha for one in elements)
-    alpha = float(np.clip(np.log(slow / fast) / np.log(_SECOND_SPEED_SHARE), *ALPHA_BOUNDS)) if slow > 0.0 else 1.0
-    return fast / speed**alpha, alpha
 
 
 class FolderBase(NamedTuple):
@@ -160,7 +142,7 @@ def folder_base(arm: RigidArm, urdf: Path) -> tuple[FolderBase | None, str]:
     """Return the basis of another robot's folder, or None, and in one line the consequence."""
     alone = "URDF and friction file alone, no robot folder: "
     if not arm.identified.all():
-        followed = listed(name for name, own in zip(arm.names, arm.identified, strict=True) if not own)
+        followed = listed(np.array(arm.names)[~arm.identified].tolist())
         return None, f"{alone}{followed} only followed the recording; the simulation needs friction of every joint"
     held = tuple(name for name in all_joints(urdf) if name not in arm.names)
     try:
@@ -263,8 +245,10 @@ def _folder_texts(
         FILES["drives"]: _DRIVES_HEAD + yaml_text(drives),
         FILES["controller"]: _CONTROLLER_HEAD + yaml_text(controller),
     }
-    kept = {} if base.files is None else {"tool": base.files.tool, "task": base.files.task, "poses": base.files.poses}
-    for role, path in kept.items():
+    unchanged = (
+        {} if base.files is None else {"tool": base.files.tool, "task": base.files.task, "poses": base.files.poses}
+    )
+    for role, path in unchanged.items():
         if path is not None:
             texts[FILES[role]] = without_schema_line(path.read_text(encoding="utf-8"))
     return texts
@@ -290,27 +274,33 @@ def _drive_values(result: ExcitationIdentification) -> dict[tuple[str, str], Ide
             raise IdentificationError(f"the {key} of {worst} was identified as {min(amounts):.3g}; accepted: >= 0")
         shared = listed(name for name, number in place.items() if not inertias.alone[number])
         how = f"; of {shared} only the sum with the links, divided near to what was known" if shared else ""
-        values[block, key] = Identified([digits(one, 12) for one in amounts], "identified", _origin(result) + how)
+        values[block, key] = Identified([digits(amount, 12) for amount in amounts], "identified", _origin(result) + how)
     return values
 
 
-def _compensation(found: Sequence[IdentifiedElement], names: Sequence[str], base: FolderBase) -> dict[str, Identified]:
+def _compensation(
+    identified: Sequence[IdentifiedElement], names: Sequence[str], base: FolderBase
+) -> dict[str, Identified]:
     """Return the controller's compensation for the identified friction of the elements with these names."""
     joints = len(base.robot.joint_names)
-    # The friction that each motor works against, at speeds up to the nominal ones.
-    against = [[identified.element] for identified in found[:joints]]
-    for motor, identified in zip(base.turning.sums, found[joints:], strict=True):
-        against[motor].append(identified.element)
-    viscous = [viscous_sum(some, top) for some, top in zip(against, base.robot.max_velocity.tolist(), strict=True)]
-    values = {
-        "coulomb_torque": [sum(0.5 * (one.tau_c.positive + one.tau_c.negative) for one in some) for some in against],
-        "viscous_friction": [c2 for c2, _ in viscous],
-        "viscous_exponent": [alpha for _, alpha in viscous],
-    }
+    # The friction that each motor works against; several viscous parts are one of their sum at the nominal speed.
+    against = [[joint.element] for joint in identified[:joints]]
+    for motor, shared in zip(base.turning.sums, identified[joints:], strict=True):
+        against[motor].append(shared.element)
+    coulomb = []
+    viscous = []
+    for elements, speed in zip(against, base.robot.max_velocity.tolist(), strict=True):
+        coulomb.append(sum(0.5 * (law.tau_c.positive + law.tau_c.negative) for law in elements))
+        viscous.append(sum(law.c2 * speed**law.alpha for law in elements) / speed ** elements[0].alpha)
+    exponent = [elements[0].alpha for elements in against]
     source = "the identified friction of each joint"
     if base.turning.sums:
         source += f", and of {listed(names[joints:])} at the motors that turn with several joints"
-    return {key: Identified([digits(one, 12) for one in some], "derived", source) for key, some in values.items()}
+    values = {"coulomb_torque": coulomb, "viscous_friction": viscous, "viscous_exponent": exponent}
+    return {
+        key: Identified([digits(value, 12) for value in joint_values], "derived", source)
+        for key, joint_values in values.items()
+    }
 
 
 def _joints(result: ExcitationIdentification) -> dict[str, dict[str, float]]:
@@ -352,13 +342,17 @@ def parameters_text(result: ExcitationIdentification, date: datetime) -> str:
             for use, bag in result.bags
         ],
         "base_parameters": {
-            one.name: {"unit": one.unit, "group": one.group, **_estimate(one.estimate)}
-            | {"consistent": digits(one.consistent)}
-            for one in result.base
+            parameter.name: {
+                "unit": parameter.unit,
+                "group": parameter.group,
+                **_estimate(parameter.estimate),
+                "consistent": digits(parameter.consistent),
+            }
+            for parameter in result.base
         },
         "friction": {
-            name: {parameter: _estimate(estimate) for parameter, estimate in one.estimates.items()}
-            for name, one in zip(result.arm.element_names, result.elements, strict=True)
+            name: {parameter: _estimate(estimate) for parameter, estimate in element.estimates.items()}
+            for name, element in zip(result.arm.element_names, result.elements, strict=True)
         },
         "fit": {run.source.path.name: {"relative": digits(run.total_share)} for run in result.torques},
         "validation": {Path(check.source).name: _validation(check) for check in result.validations},
@@ -383,5 +377,5 @@ def _validation(check: Validation) -> dict[str, Any]:
     """Return the verdict, and the torque error of all joints by each prediction."""
     torques = {"by_files": check.torque, "simplest": check.simplest}
     shares = {name: {"relative": digits(run.total_share)} for name, run in torques.items() if run is not None}
-    own = {} if check.fitted is None else {"relative": digits(check.fitted.total_share)}
-    return {"confirmed": check.passed, **own, **shares}
+    fitted = {} if check.fitted is None else {"relative": digits(check.fitted.total_share)}
+    return {"confirmed": check.passed, **fitted, **shares}

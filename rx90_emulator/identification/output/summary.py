@@ -1,4 +1,4 @@
-"""Terminal output of an identification, a check of a friction file and a measured run: tables and sentences.
+"""Terminal output of an identification and of a check of a friction file: tables and sentences.
 
 Pages have the same sentences; `report` adds the plots.
 """
@@ -14,7 +14,6 @@ from rx90_common.friction import FrictionElement
 from rx90_emulator.identification.estimates import FrictionCurve, IdentifiedElement, ParameterEstimate
 from rx90_emulator.identification.records import in_unit
 from rx90_emulator.identification.result import ExcitationIdentification, FrictionIdentification, Identification
-from rx90_emulator.identification.validation.measured import MeasuredComparison
 from rx90_emulator.identification.validation.prediction import Validation
 from rx90_emulator.identification.validation.verdict import verdict
 
@@ -23,12 +22,12 @@ _REPORTED = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1")
 _Value = TypeVar("_Value", bound=Hashable)
 
 
-def _number(value: float, form: str = ".3f") -> str:
+def number(value: float, form: str = ".3f") -> str:
     """Return a number in a format; a dash for NaN, which means not compared."""
     return "-" if math.isnan(value) else f"{value:{form}}"
 
 
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     """Return the lines of a table: the first column left-aligned, the others right-aligned."""
     lines = [head, *rows]
     widths = [2 + max(map(len, column)) for column in zip(*lines, strict=True)]
@@ -70,7 +69,7 @@ def _friction_lines(result: Identification) -> list[str]:
         rows.append([name, *(_with_deviation(estimates.get(column)) for column in columns)])
         if name in truth:
             rows.append(["  true", *(f"{true_value(truth[name], column):.6g}" for column in columns)])
-    lines = _table(["element", *columns], rows)
+    lines = table(["element", *columns], rows)
     nothing = [name for name in names if name not in shown]
     if nothing:
         lines.append(f"{', '.join(nothing)}: nothing identified")
@@ -79,21 +78,12 @@ def _friction_lines(result: Identification) -> list[str]:
         f"not identified: {parameters} of {whose}: {reasons[0] if len(reasons) == 1 else 'reasons in the report'}"
         for parameters, whose, reasons in lacking(names, result.elements)
     ]
-    given = given_bristles(result)
-    if given:
-        lines.append(f"bristles of {', '.join(given)}: as c0 those of {result.robot.fallback_name}, assumed")
     return lines
 
 
 def true_elements(result: Identification) -> Mapping[str, FrictionElement]:
     """Return the elements that emulated runs were made with, by name; empty where none are known."""
     return result.truth if isinstance(result, FrictionIdentification) else {}
-
-
-def given_bristles(result: Identification) -> list[str]:
-    """Return the names of elements that have the bristles of the fallback."""
-    elements = zip(result.arm.element_names, result.elements, strict=True)
-    return [name for name, identified in elements if identified.given_bristles]
 
 
 def _with_deviation(estimate: ParameterEstimate | None) -> str:
@@ -126,15 +116,15 @@ def _excitation_lines(result: ExcitationIdentification) -> list[str]:
         predictions = (("unseen", check.fitted), ("simplest", check.simplest), ("files", check.torque))
         runs += [(use, run) for use, run in predictions if run is not None]
     shares = [
-        [f"{use} {run.source.path.name}", *(_number(value, ".1%") for value in (*run.share, run.total_share))]
+        [f"{use} {run.source.path.name}", *(number(value, ".1%") for value in (*run.share, run.total_share))]
         for use, run in runs
     ]
-    lines += _table(["torque RMS", *result.torques[0].names, "all"], shares)
+    lines += table(["torque RMS", *result.torques[0].names, "all"], shares)
     bodies = [
         (moved.joint, *(f"{before:.3g} / {after:.3g}" for before, after in (moved.mass, moved.moment, moved.inertia)))
         for moved in result.bodies
     ]
-    lines += _table(("moved: described / files", "mass, kg", "first moment, kg m", "inertia, kg m^2"), bodies)
+    lines += table(("moved: described / files", "mass, kg", "first moment, kg m", "inertia, kg m^2"), bodies)
     bandwidths = result.problem.runs[0].bandwidths
     lines.append(f"low-pass: {bandwidths.position:.3g} Hz, torques {bandwidths.torque:.3g} Hz: {bandwidths.reason}")
     lines += [note if note.startswith("warning") else f"recording: {note}" for note in result.notes]
@@ -206,52 +196,12 @@ def check_summary(checks: Sequence[Validation]) -> str:
     lines = []
     for check in checks:
         values = zip(check.names, check.rms, check.rms_share, check.worst, check.worst_share, strict=True)
-        rows = [(name, _number(a), _number(b, ".2%"), _number(c), _number(d, ".2%")) for name, a, b, c, d in values]
-        lines += _table(("joint", "RMS, Nm", "of torque", "worst, Nm", "of largest"), rows)
+        rows = [(name, number(a), number(b, ".2%"), number(c), number(d, ".2%")) for name, a, b, c, d in values]
+        lines += table(("joint", "RMS, Nm", "of torque", "worst, Nm", "of largest"), rows)
         lines += [f"alarm: {alarm}" for alarm in check.alarms]
         lines += [f"recording: {text}" for text in check.notes]
         lines.append(validation_verdict(check))
     return in_unit("\n".join(lines), checks[0].unit)
-
-
-def measured_facts(result: MeasuredComparison) -> tuple[str, ...]:
-    """Return what was simulated and how it was compared, a sentence each."""
-    saturated = zip(result.names, result.saturated, strict=True)
-    return (
-        f"set-points: {result.setpoints}",
-        f"torques and positions are compared below {result.bandwidths.torque:.3g} Hz ({result.bandwidths.reason})",
-        f"the simulated motion is {abs(result.lag) * 1e3:.3f} ms {'later' if result.lag >= 0.0 else 'earlier'}, which "
-        "is taken out",
-        *(f"tip, {what}: {path.words}" for what, path in zip(("measured", "simulated"), result.paths, strict=True)),
-        *(f"{name}'s motor is at its limit in {share:.1%} of the simulated time" for name, share in saturated if share),
-        *result.remarks,
-    )
-
-
-def measured_verdict(result: MeasuredComparison) -> str:
-    """Return the verdict, with the decisive values and their limits."""
-    return verdict(result.source.path, ("agrees", "DOES NOT AGREE"), *result.criteria)
-
-
-def measured_summary(result: MeasuredComparison) -> str:
-    """Return set-points, filters and lag, a row for each joint, and the verdict."""
-    torque = result.torque
-    head = ("joint", "torque RMS, Nm", "of measured", "worst, Nm", "of largest", "compared", "position RMS, mrad",
-            "worst, mrad")  # fmt: skip
-    rows = [
-        (
-            name,
-            _number(torque.rms[k]),
-            _number(torque.rms_share[k], ".2%"),
-            _number(torque.worst[k]),
-            _number(torque.worst_share[k], ".2%"),
-            f"{result.compared_share[k]:.0%}",
-            f"{1e3 * result.position_rms[k]:.3f}",
-            f"{1e3 * result.position_worst[k]:.3f}",
-        )
-        for k, name in enumerate(result.names)
-    ]
-    return "\n".join([*measured_facts(result), *_table(head, rows), measured_verdict(result)])
 
 
 def friction_rows(
@@ -304,6 +254,6 @@ def lacking(names: Sequence[str], elements: Sequence[IdentifiedElement]) -> list
     for parameters, pairs in together(reasons.items()):
         whose = "all elements" if len(pairs) == len(names) else ", ".join(element for element, _ in pairs)
         texts = together(pairs)
-        words = [reason if len(texts) == 1 else f"{some}: {reason}" for some, reason in texts]
+        words = [reason if len(texts) == 1 else f"{elements}: {reason}" for elements, reason in texts]
         groups.append((parameters, whose, tuple(words)))
     return groups

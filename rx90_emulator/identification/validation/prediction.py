@@ -35,17 +35,17 @@ from rx90_emulator.identification.rows.excitation import ExcitationProblem
 from rx90_emulator.identification.rows.filtering import Bandwidths, FilteredRun, filter_record, recording_notes
 from rx90_emulator.identification.sanity import Recorded, alarms
 from rx90_emulator.identification.sliding import SlidingFit
-from rx90_emulator.identification.validation.measured import (
-    read_setpoints,
-    run_along,
-    setpoint_rows,
-)
 from rx90_emulator.identification.validation.verdict import (
     Criterion,
     RunTorques,
     largest,
     run_torques,
     torque_criteria,
+)
+from rx90_emulator.measured_runs.compare import (
+    read_setpoints,
+    run_along,
+    setpoint_rows,
 )
 
 _MAX_WEIGHT_SD = 0.05  # standard deviation over RMS torque up to which a joint's error of the weights is corrected

@@ -1,4 +1,4 @@
-"""`rx90_bag export` and `import` of what it wrote: names, units, every bit, memory, interrupts, refusals."""
+"""`rx90 bag export` and `import` of what it wrote: names, units, every bit, memory, interrupts, refusals."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def test_a_bag_comes_back_from_csv_to_the_last_bit(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Exported and imported again it is the same bag, with stamps of the wall clock and any number of a joint."""
-    assert run("rx90_bag", ["export", str(bag), "--output", str(tmp_path / "out")]) == 0
-    assert run("rx90_bag", ["import", str(tmp_path / "out"), str(tmp_path / "again")]) == 0
+    assert run("rx90 bag", ["export", str(bag), "--output", str(tmp_path / "out")]) == 0
+    assert run("rx90 bag", ["import", str(tmp_path / "out"), str(tmp_path / "again")]) == 0
     said = capsys.readouterr().out
     assert "/friction_states: 150 messages" in said
     assert "/joint_states: 300 messages" in said
@@ -60,8 +60,8 @@ def test_a_bag_comes_back_from_csv_to_the_last_bit(
     assert comparison.verdict is Verdict.SAME
     assert [topic.pairs for topic in comparison.topics] == [150, 300, 300]
     one = tmp_path / "one.csv"
-    assert run("rx90_bag", ["export", str(bag), "--output", str(one), "--topic", "joint_states"]) == 0
-    assert run("rx90_bag", ["import", str(one), str(tmp_path / "from_one")]) == 0
+    assert run("rx90 bag", ["export", str(bag), "--output", str(one), "--topic", "joint_states"]) == 0
+    assert run("rx90 bag", ["import", str(one), str(tmp_path / "from_one")]) == 0
     assert compare_bags(bag, tmp_path / "from_one").topics[1].verdict is Verdict.SAME
 
 
@@ -113,7 +113,7 @@ def test_who_interrupts_leaves_nothing(
 
     monkeypatch.setattr(exporting, "FORMATS", dict.fromkeys(exporting.FORMATS, interrupted))
     words = ["export", str(bag), "--output", str(tmp_path / name), "--topic", "joint_states"]
-    assert run("rx90_bag", words) == 130
+    assert run("rx90 bag", words) == 130
     assert "interrupted; nothing was written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
@@ -124,7 +124,7 @@ def test_a_full_disk_leaves_nothing(bag: Path, tmp_path: Path, capsys: pytest.Ca
     if name.endswith("parquet"):
         pytest.importorskip("pyarrow", reason="pyarrow is not installed")
     with files_up_to(2000):
-        assert run("rx90_bag", ["export", str(bag), "--output", str(tmp_path / name), "--topic", "joint_states"]) == 3
+        assert run("rx90 bag", ["export", str(bag), "--output", str(tmp_path / name), "--topic", "joint_states"]) == 3
     (line,) = capsys.readouterr().err.splitlines()
     assert f"{name}: cannot be written (" in line
     assert list(tmp_path.iterdir()) == []

@@ -189,7 +189,7 @@ def test_what_does_not_fit_is_refused(
     (tmp_path / "log.csv").write_bytes(log)
     write(tmp_path / "m.yaml", PLAIN.replace(*change))
     words = ["import", str(tmp_path / "log.csv"), str(tmp_path / "bag"), "--signals", str(tmp_path / "m.yaml")]
-    assert run("rx90_bag", words) == 2
+    assert run("rx90 bag", words) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
     assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "m.yaml"]
@@ -203,9 +203,9 @@ def test_a_full_disk_leaves_no_part_of_a_bag(tmp_path: Path, capsys: pytest.Capt
     log = write(tmp_path / "log.csv", "\n".join(lines))
     write(tmp_path / "log.yaml", PLAIN)
     with files_up_to(limit):
-        assert run("rx90_bag", ["import", str(log), str(tmp_path / "new" / "bag")]) == 3
+        assert run("rx90 bag", ["import", str(log), str(tmp_path / "new" / "bag")]) == 3
     (line,) = capsys.readouterr().err.splitlines()
-    assert line == f"rx90_bag: {tmp_path}/new/bag: cannot be written (File too large)"
+    assert line == f"rx90 bag: {tmp_path}/new/bag: cannot be written (File too large)"
     assert not list((tmp_path / "new").iterdir())
 
 
@@ -217,26 +217,26 @@ def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureF
         folder.mkdir()
         imported(folder, mapping, rows(","))
         words = ["import", str(folder / "log.csv"), str(folder / "bag"), "--signals", str(folder / "mapping.yaml")]
-        assert run("rx90_bag", words) == 0
+        assert run("rx90 bag", words) == 0
         series = read_joint_states(folder / "bag", "joint_states")
         assert series.effort is not None
         np.testing.assert_array_equal(series.effort, POSITION * 1e-3)
         label = f"effort [{unit.removeprefix('m')}]"
         assert series.quantities["effort"] == series.take(slice(0, 2)).select(["b"]).quantities["effort"] == label
-        (plot,) = plot_bags([folder / "bag"])
-        assert plot.panels[0].label == label.replace(" [", ", ").removesuffix("]")
+        (drawn,) = plot_bags([folder / "bag"])["/joint_states"]
+        assert drawn.yaxis.axis_label.text == label.replace(" [", ", ").removesuffix("]")
         tables, again = folder / "tables", folder / "again"
         export_bag(folder / "bag", tables)
         assert (tables / "joint_states.csv").read_text().splitlines()[0] == f"time [s],a {label},b {label}"
         export_bag(folder / "bag", folder / "a.npz")
         assert f"effort_{label[8:-1]}" in np.load(folder / "a.npz")
-        assert run("rx90_bag", ["import", str(tables), str(again)]) == 0
-        assert run("rx90_bag", ["compare", str(folder / "bag"), str(again)]) == 0
-        assert run("rx90_bag", ["info", str(again)]) == 0
+        assert run("rx90 bag", ["import", str(tables), str(again)]) == 0
+        assert run("rx90 bag", ["compare", str(folder / "bag"), str(again)]) == 0
+        assert run("rx90 bag", ["info", str(again)]) == 0
         assert ("effort in A" in capsys.readouterr().out) == (unit == "mA")
         with AnyReader([again]) as reader:
             assert reader.message_count == len(TIME)
-    assert run("rx90_bag", ["compare", str(tmp_path / "mA" / "bag"), str(tmp_path / "mNm" / "bag")]) == 1
+    assert run("rx90 bag", ["compare", str(tmp_path / "mA" / "bag"), str(tmp_path / "mNm" / "bag")]) == 1
     assert "effort is in A in the first bag and in Nm in the second, and not compared" in capsys.readouterr().out
 
 
@@ -251,5 +251,5 @@ def test_every_verb_that_reads_a_table_takes_its_map(
     monkeypatch.chdir(tmp_path)
     write(Path("log.csv"), rows(","))
     write(Path("arm.yaml"), PLAIN)
-    assert run("rx90_bag", words) == 2
-    assert run("rx90_bag", [*words, "--signals", "arm.yaml"]) == 0
+    assert run("rx90 bag", words) == 2
+    assert run("rx90 bag", [*words, "--signals", "arm.yaml"]) == 0

@@ -90,13 +90,6 @@ def test_oscillations_are_what_they_say() -> None:
     assert np.allclose(points.acceleration[middle, 2], -1e-4 * omega**2 * np.sin(omega * time), atol=1e-8)
 
 
-def test_joints_that_would_share_a_file_are_refused(shipped: Setup) -> None:
-    """A slash and a colon in names of joints become the same letter of a file's name: both names are in the line."""
-    robot = replace(shipped.robot, joint_names=("a/b", "a:b", *shipped.robot.joint_names[2:]))
-    with pytest.raises(IdentificationError, match=r"joints a/b, a:b, joint_3.*: two would share a file"):
-        make_plan(robot, shipped.drives)
-
-
 def test_a_plan_beyond_what_joints_or_motors_may_do_is_refused(shipped: Setup) -> None:
     """More torque than the URDF allows, or acceleration than the controller, is refused with joint, value and limit."""
     robot, drives = shipped.robot, shipped.drives

@@ -106,5 +106,5 @@ def test_a_misfit_shows(hinge: RigidArm) -> None:
 
 def test_a_bag_was_recorded_when_its_stamps_say() -> None:
     """Stamps of the wall clock are a date, whenever the file was written; those of a simulation are none."""
-    assert BagSource(Path("bag"), "", 60.0, 0, 0, 1_577_836_800.4).recorded == "2020-01-01T00:00:00+00:00"
-    assert BagSource(Path("bag"), "", 60.0, 0, 0, 2.0).recorded == "no date; stamps from 2 to 62 s"
+    assert BagSource(Path("bag"), "", 60.0, 0, 1_577_836_800.4).recorded == "2020-01-01T00:00:00+00:00"
+    assert BagSource(Path("bag"), "", 60.0, 0, 2.0).recorded == "no date; stamps from 2 to 62 s"

@@ -33,9 +33,8 @@ from rx90_emulator.identification.bodies import (
     consistent_inertias,
 )
 from rx90_emulator.identification.estimates import PARAMETERS, IdentifiedElement, ParameterEstimate
-from rx90_emulator.identification.output.assumed_files import weight_warning
 from rx90_emulator.identification.output.friction_file import elements_text
-from rx90_emulator.identification.output.robot_files import FolderBase, folder_base, robot_texts, viscous_sum
+from rx90_emulator.identification.output.robot_files import FolderBase, folder_base, robot_texts
 from rx90_emulator.identification.records import BagSource
 from rx90_emulator.identification.rows.filtering import Bandwidths
 from rx90_emulator.identification.rows.rigid import BaseGroups, StandardColumns
@@ -101,7 +100,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> BagSource:
     """Return a bag."""
     bag = tmp_path_factory.mktemp("bags") / "run--1.mcap"
     bag.write_bytes(b"")
-    return BagSource(bag, "0" * 64, 60.0, 0, 0, 1_767_225_600.0)
+    return BagSource(bag, "0" * 64, 60.0, 0, 1_767_225_600.0)
 
 
 class Case(NamedTuple):
@@ -190,9 +189,9 @@ def test_folder_is_one_that_editors_and_rx90_config_accept(case: Case, capsys: p
             assert schema_faults(role, path) == [], name
             assert "yaml-language-server" not in path.read_text(encoding="utf-8")
     folder = str(case.files.urdf.parent)
-    assert run("rx90_config", ["check", folder]) == 0
+    assert run("rx90 config", ["check", folder]) == 0
     capsys.readouterr()
-    assert run("rx90_config", ["show", "--robot", folder, "--json"]) == 0
+    assert run("rx90 config", ["show", "--robot", folder, "--json"]) == 0
     shown = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
     assert shown["drives.transmission.rotor_inertia"]["provenance"] == "identified"
     assert shown["drives.transmission.gear"]["assumed"] is True
@@ -252,16 +251,6 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     assert "recorded 20" in texts["robot.urdf"].partition("<link")[0]
 
 
-def test_gains_that_do_not_hold_the_weight_are_told() -> None:
-    """The shipped panda's hold it; with kv and kp 2.5 times lower the engine trips at joints 3, 5 and 6 (by hand)."""
-    setup = Setup.load(RobotFiles.named("panda"))
-    turning, law = setup.drives.turning, setup.controller
-    assert weight_warning(setup.robot, turning, law) == ""
-    low = law.replaced(servo={"kv": law.kv / 2.5, "kp": law.kp / 2.5})
-    named = re.findall(r"panda_joint(\d) by", weight_warning(setup.robot, turning, low))
-    assert named == ["3", "5", "6"]
-
-
 def rest_of(urdf: str) -> str:
     """Return a URDF without comments and inertials."""
     root = ET.fromstring(urdf)
@@ -271,19 +260,12 @@ def rest_of(urdf: str) -> str:
     return re.sub(r"\s+", "", ET.tostring(root, encoding="unicode")).replace("></link>", "/>")
 
 
-def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
-    """Motor 6 turns against two elements: of different exponents, their sum is met within 2 % at speeds that matter."""
+def test_the_compensation_is_the_identified_friction(case: Case) -> None:
+    """Motor 6 turns against two elements, whose sum it compensates."""
     written = yaml.safe_load(case.files.controller.read_text())["feed_forward"]
     assert written["viscous_friction"] == [14.0, 14.0, 7.0, 2.0, 1.5, 0.7]
     assert written["viscous_exponent"] == [1.0] * 6
     assert written["coulomb_torque"] == [25.0, 28.0, 18.0, 6.0, 4.0, 3.5]
-    bent, straight = (
-        FrictionElement(tau_c=1.0, tau_s=1.5, omega_s=0.05, delta=1.0, c0=1e4, c1=1.0, c2=c2, alpha=a)
-        for c2, a in ((2, 0.6), (1, 1))
-    )
-    c2, alpha = viscous_sum([bent, straight], 8.0)
-    speed = np.linspace(1.5, 9.0, 20)
-    np.testing.assert_allclose(c2 * speed**alpha, 2.0 * speed**0.6 + speed, rtol=0.02)
 
 
 @pytest.mark.parametrize(
@@ -300,6 +282,6 @@ def test_no_absurd_friction_is_written(source: BagSource, parameter: str, value:
     assert "tau_c: 1.0" in elements_text(["a"], [good])
     estimates = {**good.estimates, parameter: ParameterEstimate(value, deviation)}
     bad = replace(good, element=good.element.with_parameters({parameter: value}), estimates=estimates)
-    said = rf"^a: {parameter} came out as .*accepted: up to |a\.{parameter}\.deviation is 1e\+48, so the file is not"
+    said = rf"a\.{parameter}\.(value|deviation) is (1e\+48|nan)"
     with pytest.raises(Rx90Error, match=said):
         elements_text(["a"], [bad])

@@ -1,4 +1,4 @@
-"""`rx90_identify --excitation BAG ...`: values, verdicts, files, and what is refused."""
+"""`rx90 identify excitation BAG ...`: values, verdicts, files, and what is refused."""
 
 from __future__ import annotations
 
@@ -41,14 +41,11 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     bench.bag("later", 1, seconds=30.0, first=1600)
     bench.bag("short", 5, seconds=0.5)
     position, velocity = fourier(4, 20.0)
-    for name, moves in (("still", [0.0, 0.0]), ("half", [1.0, 0.0])):
-        motion = position * moves, velocity * moves
-        bench.write(name, motion, bench.torque(motion))
+    half = position * [1.0, 0.0], velocity * [1.0, 0.0]
+    bench.write("half", half, bench.torque(half))
     motion = fourier(6, 20.0)
-    bench.write("single", (motion[0][:1], motion[1][:1]), bench.torque(motion)[:1])
     dead = bench.torque(motion) * [1.0, 0.0] + bench.noise(motion, 7)
     for name, torque in (
-        ("negative", -bench.torque(motion)),
         ("one", bench.torque(motion) * [1.0, -1.0]),
         ("dead", dead),
         ("zero", dead * [1.0, 0.0]),
@@ -77,7 +74,7 @@ def outcome(bench: Bench) -> Outcome:
         kept.append(identify(*arguments, **options))
         return kept[0]
 
-    bags = ["--excitation", bench.folder / "run", "--validation", bench.folder / "unseen", bench.folder / "stiff"]
+    bags = ["excitation", bench.folder / "run", "--validation", bench.folder / "unseen", bench.folder / "stiff"]
     out, err = io.StringIO(), Terminal()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(identification, "identify_excitation", kept_result)
@@ -106,7 +103,7 @@ def test_values_are_those_of_the_arm(bench: Bench, outcome: Outcome) -> None:
 def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
     """The arm's own run is confirmed at its noise, one with 1.8 times the friction is not, and the code says so."""
     assert outcome.code == VERDICT_NO
-    assert outcome.error.splitlines()[-1] == "rx90_identify: the validation does not confirm the result"
+    assert outcome.error.splitlines()[-1] == "rx90 identify: the validation does not confirm the result"
     verdicts = re.findall(r"validation \S+/(\w+): (confirmed|NOT CONFIRMED)", outcome.said)
     assert verdicts == [("unseen", "confirmed"), ("stiff", "NOT CONFIRMED")]
     good, bad = outcome.result.validations
@@ -186,7 +183,7 @@ def test_what_cannot_be_identified_is_refused(
     before = sorted(bench.folder.rglob("*"))
     given = [word if word.startswith(("--", "0")) else str(bench.folder / word) for word in words]
     output = [] if "--output" in words else ["--output", str(bench.folder / "new")]
-    assert bench.identify("--excitation", *given, *output) == REFUSED
+    assert bench.identify("excitation", *given, *output) == REFUSED
     lines = [line for line in capsys.readouterr().err.replace("\r", "\n").splitlines() if line and "| " not in line]
     said = [line for line in lines if not line.startswith(("usage: ", "  "))]
     assert len(said) == 1, said
@@ -273,7 +270,7 @@ def test_a_joint_at_rest_is_assumed_and_the_others_are_written(
             f"provenance: assumed\nelements:\n  shoulder: {OTHER}\n  elbow: {OTHER}\n", encoding="utf-8"
         )
         words += ["--fallback", tmp_path / "other.yaml"]
-    assert bench.identify("--excitation", bench.folder / "half", "--output", tmp_path / "out", *words) == 0
+    assert bench.identify("excitation", bench.folder / "half", "--output", tmp_path / "out", *words) == 0
     said = capsys.readouterr().out
     assert "warning: the friction of elbow is not identified (at rest in all runs); assumed is a Coulomb" in said
     file = yaml.safe_load((tmp_path / "out" / "friction.yaml").read_text(encoding="utf-8"))
@@ -286,12 +283,23 @@ def test_a_joint_at_rest_is_assumed_and_the_others_are_written(
     assert (elbow.tau_c.positive, elbow.tau_s.positive, elbow.c2, elbow.c0) == expected
 
 
+def test_an_alarm_without_a_validation_is_said_as_one(
+    bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An effort has the wrong sign and no run is held against the result: exit code 1, and the alarm is the reason."""
+    words = ["excitation", bench.folder / "one", "--output", tmp_path / "out", "--model", "coulomb-viscous"]
+    assert bench.identify(*words) == VERDICT_NO
+    said = capsys.readouterr()
+    assert "alarm: wrong sign of the effort of elbow" in said.out
+    assert said.err.splitlines()[-1] == "rx90 identify: an alarm stands against the result"
+
+
 @pytest.mark.parametrize("bag", ["dead", "zero"])
 def test_an_effort_that_tells_nothing_carries_a_warning(
     bench: Bench, tmp_path: Path, bag: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Terminal, friction file, parameters and report say that the torque of a joint is noise, or 0; of others not."""
-    words = ["--excitation", bench.folder / bag, "--output", tmp_path / "out", "--model", "coulomb-viscous"]
+    words = ["excitation", bench.folder / bag, "--output", tmp_path / "out", "--model", "coulomb-viscous"]
     assert bench.identify(*words) == 0
     warned = r"(\d+)% of what varies in the torque of (\w+) is not explained"
     texts = {name: (tmp_path / "out" / name).read_text(encoding="utf-8") for name in ("report.html", "parameters.yaml")}

@@ -12,6 +12,7 @@ from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_emulator.cli.options import (
     CONTROLLER,
     add_node_arguments,
+    add_output,
     add_robot_arguments,
     new_folder,
     node_of,
@@ -40,24 +41,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--set-points", metavar="TOPIC",
                         help="give set-points one by one, as JointState on this topic, 20 ms before their stamps, to a "
                         "controller that takes no trajectory on NODE/joint_trajectory")  # fmt: skip
-    parser.add_argument("--command-interface", choices=("motor", "joint"), default="motor",
-                        help="what the controller publishes: motor_commands or joint_commands "
-                        "(%(default)s)")  # fmt: skip
-    parser.add_argument("--command-rate", type=whole_number, metavar="HZ",
-                        help="of joint_commands (the rate of the position loop)")  # fmt: skip
-    parser.add_argument("--output", type=new_folder, default="controller_check",
-                        help="new folder for report, result and logs (%(default)s)")  # fmt: skip
+    parser.add_argument("--joint-commands", type=whole_number, metavar="HZ",
+                        help="the controller publishes joint_commands, at this rate (motor_commands, at the base "
+                        "rate)")  # fmt: skip
+    about = "new folder for report, result and logs (%(default)s)"
+    add_output(parser, new_folder, about, default="controller_check", metavar="FOLDER")
     add_node_arguments(parser, _TIMEOUT)
     add_robot_arguments(parser)
 
 
 def main(options: argparse.Namespace) -> int:
     """Return 0 where the controller keeps all limits, else 1."""
-    at_joints = options.command_interface == "joint"
-    if options.command_rate is not None and not at_joints:
-        raise ConfigError(
-            "--command-rate without --command-interface joint; accepted: with it, motor_commands have the base rate"
-        )
+    at_joints = options.joint_commands is not None
     if options.set_points is not None and not _NAME.fullmatch(options.set_points):
         raise ConfigError(f"--set-points {quoted(options.set_points)}; accepted: a topic such as /cell/set_points")
     command = [*options.command, *options.ros_args]
@@ -83,8 +78,8 @@ def main(options: argparse.Namespace) -> int:
     for name in names:
         if name not in CASES:
             raise ConfigError(f"--case {quoted(name)}; accepted: {', '.join(CASES)}")
-    rate = (options.command_rate or setup.rates.position_hz) if at_joints else setup.rates.base_hz
-    ticks_per_command = ticks_per("command_rate", setup.rates.base_hz, rate)
+    rate = setup.rates.base_hz if options.joint_commands is None else options.joint_commands
+    ticks_per_command = ticks_per("--joint-commands", setup.rates.base_hz, rate)
     timeout = options.timeout or _TIMEOUT
     candidate = Candidate(command, node_of(options), options.set_points, at_joints, ticks_per_command, timeout)
     with progress_bar("check") as progress:
@@ -93,5 +88,5 @@ def main(options: argparse.Namespace) -> int:
     write_text(options.output / "report.html", result.page)
     print(f"{result.text}\nreport: {plain(options.output / 'report.html')}")
     for line in result.deciding:
-        print(one_line(f"rx90_controller_check: {line}"), file=sys.stderr)
+        print(one_line(f"rx90 check: {line}"), file=sys.stderr)
     return VERDICT_NO if result.deciding else DONE

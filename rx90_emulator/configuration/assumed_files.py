@@ -16,10 +16,8 @@ import numpy as np
 import pinocchio as pin
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.quoting import listed
 from rx90_common.description.coupling import Coupling
 from rx90_common.description.robot import RobotModel
-from rx90_controller.law.parameters import CS7BParameters
 
 _POSES: Final = 200
 _GEAR = 100.0
@@ -55,14 +53,14 @@ def assumed_files(
             give the same torques at the joints.
         acceleration: of the joints in the recorded motions, rad/s^2, shape (n,), or 0.
     """
-    (mean, nominal, least, most) = _inertias(robot, model, turning, rotors)
+    mean, nominal, least, most = _inertias(robot, model, turning, rotors)
     n = len(rotors)
     effort = np.abs(turning.joint_turns.T) @ robot.max_effort
     kv = min(_HIGHEST_KV, _FASTEST / most)
     gear = np.array(known["transmission", "gear"].value if ("transmission", "gear") in known else [_GEAR] * n)
-    constant = np.array(
-        known["motor", "torque_constant"].value if ("motor", "torque_constant") in known else [_TORQUE_CONSTANT] * n
-    )
+    constant = np.full(n, _TORQUE_CONSTANT)
+    if ("motor", "torque_constant") in known:
+        constant = np.array(known["motor", "torque_constant"].value)
     current = effort / np.abs(gear * constant)
     # A light link could reach thousands of rad/s^2: the accelerations of plans and recorded motions are enough.
     fastest = np.maximum(robot.max_velocity / FULL_SPEED_TIME, acceleration)
@@ -101,27 +99,6 @@ def assumed_files(
     return _marked(drives), _marked(controller)
 
 
-def weight_warning(robot: RobotModel, turning: Coupling, law: CS7BParameters) -> str:
-    """Return which joints' weight a controller without feed-forward does not carry; empty if there are none.
-
-    Before the integrator compensates it, a weight g deflects a motor by up to g / (inertia kv kp).
-    """
-    data = robot.model.createData()
-    back = turning.joint_turns.T
-    shares = np.random.default_rng(0).uniform(size=(_POSES, len(robot.lower)))
-    poses = robot.lower + shares * (robot.upper - robot.lower)
-    weight = np.max([np.abs(back @ pin.computeGeneralizedGravity(robot.model, data, pose)) for pose in poses], axis=0)
-    sag = weight / np.maximum(law.inertia * law.kv * law.kp, 1e-300)
-    too_large = [
-        f"{name} by {deflection:.2g} rad (power is cut at {limit:g})"
-        for name, deflection, limit in zip(robot.joint_names, sag, law.following_error, strict=True)
-        if deflection > limit
-    ]
-    return (
-        f"without feed-forward the weight deflects {listed(too_large)}: keep inverse_dynamics on" if too_large else ""
-    )
-
-
 def _marked(content: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     return {name: {"provenance": "assumed", "source": _SOURCE, **block} for name, block in content.items()}
 
@@ -139,18 +116,14 @@ def _inertias(robot: RobotModel, model: Any, turning: Coupling, rotors: Array) -
     """
     data = model.createData()
     back = turning.joint_turns
-    with_held = []
-    free = []
     masses = []
     for share in np.random.default_rng(0).uniform(size=(_POSES, len(rotors))):
         upper = np.triu(pin.crba(model, data, robot.lower + share * (robot.upper - robot.lower)))
-        mass = back.T @ (upper + np.triu(upper, 1).T) @ back + np.diag(rotors)
-        with_held.append(np.diag(mass))
-        free.append(1.0 / np.diag(np.linalg.inv(mass)))
-        masses.append(mass)
-    mean = np.mean(with_held, axis=0)
-    least = np.min(free, axis=0)
+        masses.append(back.T @ (upper + np.triu(upper, 1).T) @ back + np.diag(rotors))
+    inverses = np.linalg.inv(masses)
+    mean = np.mean(np.diagonal(masses, axis1=1, axis2=2), axis=0)
+    least = np.min(1.0 / np.diagonal(inverses, axis1=1, axis2=2), axis=0)
     nominal = np.sqrt(mean * least)
     root = np.sqrt(nominal)
-    most = max(float(np.linalg.eigvalsh(root[:, None] * np.linalg.inv(mass) * root)[-1]) for mass in masses)
+    most = float(np.linalg.eigvalsh(root[:, None] * inverses * root)[:, -1].max())
     return mean, nominal, least, most

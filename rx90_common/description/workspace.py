@@ -18,12 +18,15 @@ from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.robot import RobotModel, joint_of
-from rx90_emulator.identification.experiments.options import Wall
+from rx90_common.description.wall import Wall
 
 SELF_CLEARANCE = 0.005
 """Least distance between shapes of the arm, m."""
 _THICKNESS = 20.0  # m, of the box that stands for a plane
-_POINT = 1e-6  # m, radius of the sphere that stands for a point
+_BOX = (
+    '<collision><origin xyz="{place}" rpy="{turn}"/><geometry><box size="{size} {size} {size}"/></geometry></collision>'
+)
+_POINT = '<collision><geometry><sphere radius="1e-6"/></geometry></collision>'
 _LEAST_CHANGE = 1e-5  # m over the joints' ranges: a shape that only turns in place, such as a shoulder, does not count
 _RANDOM_POSES = 50
 _TOO_NEAR = 0.1  # m, which costs as much as a limit exceeded by its whole size
@@ -116,19 +119,15 @@ def _take_meshes(root: ET.Element) -> tuple[str, ...]:
 
 def _planes_and_point(walls: Sequence[Wall]) -> list[Any]:
     """Return Pinocchio's shapes of thick boxes behind the planes, and of a point."""
-    root = ET.Element("robot", name="around")
-    link = ET.SubElement(root, "link", name="around")
+    shapes = []
     for wall in walls:
         centre = np.array(wall.normal) * (wall.distance - 0.5 * _THICKNESS)
+        place = " ".join(map(repr, centre.tolist()))
         pitch = math.acos(wall.normal[2])
         yaw = math.atan2(wall.normal[1], wall.normal[0])
-        shape = ET.SubElement(link, "collision")
-        ET.SubElement(shape, "origin", xyz=" ".join(map(str, centre.tolist())), rpy=f"0 {pitch!r} {yaw!r}")
-        ET.SubElement(ET.SubElement(shape, "geometry"), "box", size=" ".join([str(_THICKNESS)] * 3))
-    shape = ET.SubElement(link, "collision")
-    ET.SubElement(ET.SubElement(shape, "geometry"), "sphere", radius=str(_POINT))
-    text = ET.tostring(root, encoding="unicode")
-    shapes = list(pin.buildGeomFromUrdfString(pin.buildModelFromXML(text), text, pin.COLLISION).geometryObjects)
-    for wall, shape in zip(walls, shapes, strict=False):
+        shapes.append(_BOX.format(place=place, turn=f"0 {pitch!r} {yaw!r}", size=_THICKNESS))
+    text = f'<robot name="around"><link name="around">{"".join(shapes)}{_POINT}</link></robot>'
+    around = list(pin.buildGeomFromUrdfString(pin.buildModelFromXML(text), text, pin.COLLISION).geometryObjects)
+    for wall, shape in zip(walls, around, strict=False):
         shape.name = f"{wall.name}_0"
-    return shapes
+    return around

@@ -25,7 +25,7 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.description.urdf import UrdfFile
 from rx90_common.exchange.topics import MOTOR_STATES, motor_names
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_emulator.identification.options import MeasuredLayout, MeasuredTolerances
+from rx90_emulator.identification.options import MeasuredLayout
 from rx90_emulator.identification.records import BagSource, JointRecord, read_record
 from rx90_emulator.identification.robot import (
     JOINT_STATES,
@@ -49,6 +49,7 @@ from rx90_emulator.loop.closed_loop import run_setpoints
 from rx90_emulator.loop.line import PathAccuracy, followed_accuracy
 from rx90_emulator.loop.result import FastSeries, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
+from rx90_emulator.measured_runs.options import MeasuredTolerances
 
 REFERENCE = "rx90_controller/reference"
 _HOLD_S = 0.5  # s at rest before a motion, in which the integrators take over the arm's weight
@@ -59,7 +60,7 @@ _MAX_GAP_PERIODS = 3.5  # longest gap between set-points that is interpolated, i
 
 _OTHER_ARMS = (
     f"the closed loop simulates arms of 1 to {MAX_JOINTS} revolute joints in series, by drives, friction and "
-    "controller files; for the torque of another arm: rx90_identify --friction FILE --validation BAG --urdf URDF"
+    "controller files; for the torque of another arm: rx90 identify check FILE BAG --urdf URDF"
 )
 
 
@@ -415,8 +416,6 @@ def _remarks(record: JointRecord, pieces: tuple[FilteredRun, ...], run: Filtered
         )
     if record.outliers:
         found.append(f"left out: {counted(record.outliers, 'sample')} (NaN, single spikes or repeated stamps)")
-    if record.missing:
-        found.append(f"missing from the stream: {counted(record.missing, 'message')}")
     return tuple(found)
 
 

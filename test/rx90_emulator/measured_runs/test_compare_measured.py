@@ -1,4 +1,4 @@
-"""A measured bag against the closed loop along its path, by `rx.compare_measured` and the command; joints at rest."""
+"""A measured bag against the closed loop along its path, by `rx.compare_measured` and the command."""
 
 from __future__ import annotations
 
@@ -14,14 +14,10 @@ from scipy.signal import butter, resample_poly, sosfiltfilt
 import rx90_emulator as rx
 from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO, IdentificationError, TrajectoryError
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.output.report import check_page
-from rx90_emulator.identification.output.summary import check_summary
-from rx90_emulator.identification.validation.measured import MeasuredComparison
-from rx90_emulator.identification.validation.prediction import Validation
-from rx90_emulator.identification.validation.verdict import TorquePrediction
 from rx90_emulator.loop.setup import Setup
+from rx90_emulator.measured_runs.compare import MeasuredComparison
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("undrawn")]
 
 STILL = 3  # the joint that rests: joint_4
 MOVE = [k for k in range(6) if k != STILL]
@@ -217,7 +213,7 @@ def test_the_verdict_is_the_exit_code(
 ) -> None:
     """0 for the robot that ran, 1 for tolerances that it cannot keep; a page says so and is not replaced unasked."""
     page = tmp_path / "page.html"
-    assert run("rx90_compare_measured", [str(measured.bag), "--report", str(page)]) == DONE
+    assert run("rx90 identify compare", [str(measured.bag), "--report", str(page)]) == DONE
     said = capsys.readouterr().out
     assert ": agrees: torque RMS of all joints 0." in said
     assert [line.split()[0] for line in said.splitlines() if line.startswith("joint_")] == [
@@ -226,31 +222,8 @@ def test_the_verdict_is_the_exit_code(
     text = page.read_text(encoding="utf-8")
     assert "<b>agrees</b>" in text
     assert text.count('<figure class="plot') == 2
-    assert run("rx90_compare_measured", [str(measured.bag), "--report", str(page)]) == REFUSED
+    assert run("rx90 identify compare", [str(measured.bag), "--report", str(page)]) == REFUSED
     assert "exists; accepted: another name, or --force" in capsys.readouterr().err
-    assert run("rx90_compare_measured", [str(measured.bag), "--position-tolerance", "1e-12"]) == VERDICT_NO
+    assert run("rx90 identify compare", [str(measured.bag), "--position-tolerance", "1e-12"]) == VERDICT_NO
     assert "DOES NOT AGREE" in capsys.readouterr().out
     check_report(page)
-
-
-def validation(error: float) -> Validation:
-    """Return a validation in which joint_1 moves and is off by a share of its torque, and joint_2 stands still."""
-    time = np.linspace(0.0, 1.0, 101)
-    recorded = np.stack([3.0 + np.cos(time), np.full(101, 2.0)], axis=1)
-    predicted = recorded * [1.0 + error, 5.0]
-    moves = np.stack([time >= 0.0, time < 0.0], axis=1)
-    torque = TorquePrediction(time, recorded, predicted, moves)
-    nothing = np.zeros(0)
-    return Validation(("joint_1", "joint_2"), torque, nothing, nothing, rx.ValidationTolerances(), "bag")
-
-
-@pytest.mark.parametrize(("error", "confirmed"), [(0.04, True), (0.06, False)])
-def test_a_joint_at_rest_does_not_decide(error: float, confirmed: bool) -> None:
-    """What a joint gives at rest is not compared; the verdict is on the joints that move, here 5 % of the torque."""
-    check = validation(error)
-    assert check.passed is confirmed
-    assert check.rms_share[0] == pytest.approx(error, rel=1e-12)
-    assert np.isnan([check.rms[1], check.rms_share[1], check.worst[1], check.worst_share[1]]).all()
-    assert f"{100.0 * error:.2f}" in check_page([check], "friction.yaml")
-    row = next(line for line in check_summary([check]).splitlines() if line.startswith("joint_2"))
-    assert row.split() == ["joint_2", "-", "-", "-", "-"]

@@ -16,9 +16,9 @@ from rx90_common.base.errors import BagError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.task import load_task
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.validation.recorded_path import recorded_accuracy
 from rx90_emulator.loop.line import path_accuracy
 from rx90_emulator.loop.setup import Setup
+from rx90_emulator.measured_runs.recorded_path import recorded_accuracy
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reference" / "reference_task"
 JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
@@ -28,7 +28,7 @@ SETPOINTS = "/rx90_controller/reference"
 
 
 def test_it_is_that_of_the_run(shipped: Setup, capsys: pytest.CaptureFixture[str]) -> None:
-    """Across and along the line, and of the tool: as for the same states; `rx90_bag compare` says it in words."""
+    """Across and along the line, and of the tool: as for the same states; `rx90 bag compare` says it in words."""
     found = recorded_accuracy(REFERENCE, shipped.robot, RobotFiles())
     assert found is not None
     states = read_joint_states(REFERENCE, "joint_states", JOINTS)
@@ -37,8 +37,8 @@ def test_it_is_that_of_the_run(shipped: Setup, capsys: pytest.CaptureFixture[str
     assert found.worst == pytest.approx(expected.worst, rel=1e-6)
     assert found.worst_along_track == pytest.approx(expected.worst_along_track, rel=1e-5)
     assert found.worst_orientation == pytest.approx(expected.worst_orientation, rel=1e-5)
-    assert run("rx90_bag", ["compare", str(REFERENCE), str(REFERENCE), "--path-error"]) == 0
-    assert capsys.readouterr().out.splitlines()[-2:] == [f"{REFERENCE}: {expected.words}"] * 2
+    assert run("rx90 bag", ["path", str(REFERENCE), str(REFERENCE)]) == 0
+    assert capsys.readouterr().out.splitlines() == [f"{REFERENCE}: {expected.words}"] * 2
 
 
 def arc() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
