@@ -54,9 +54,9 @@ def export_bag(
     write = FORMATS[kind]
     read = read_joint_bag(path, topics, progress, mapping, all_there=True)
     tables = [read.one(topic) for topic, sets in read.series.items() if sets or topics is not None]
-    if not tables or (single and len(tables) > 1):
-        held = listed(series.topic for series in tables) or "no joint states"
-        raise BagError(f"{plain(output)} would hold {held}; accepted: one topic in a file, more in a folder")
+    if single and len(tables) > 1:
+        topics = [series.topic for series in tables]
+        raise BagError(f"{plain(output)} would hold {listed(topics)}; accepted: one topic in a file, more in a folder")
     with named_at_the_end(output) as folder:
         target = folder / output.name
         if single:

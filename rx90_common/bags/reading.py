@@ -141,6 +141,9 @@ class BagReader:
         """Return the topics of joint states, or those with these names; others are refused if all are to be there."""
         by_name = {topic.name: topic for topic in self.topics if topic.is_joint_state}
         wanted = by_name if names is None else dict.fromkeys(map(absolute, names))
+        if all_there and names is None and not any(topic.count for topic in by_name.values()):
+            present = listed(topic.name for topic in self.topics) or "nothing"
+            raise BagError(f"{plain(self.path)}: holds no joint states, only {present}")
         for name in wanted:
             if all_there and name not in by_name:
                 kinds = [plain(topic.msgtype) for topic in self.topics if topic.name == name]

@@ -124,8 +124,8 @@ def test_bags_without_joint_states(tmp_path: Path, capsys: pytest.CaptureFixture
     write_joint_states(tmp_path / "text", [], messages=[string_message("robot_description", "x")])
     os.mkfifo(tmp_path / "pipe")
     for name, complaint in (
-        ("empty", "holds no messages\n"),
-        ("text", "holds no JointState topic, only /robot_description\n"),
+        ("empty", "holds no joint states, only /joint_states\n"),
+        ("text", "holds no joint states, only /robot_description\n"),
         ("pipe", "no bag, or without metadata.yaml"),
     ):
         for pair in (("good", name), (name, "good")):
