@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
-from itertools import chain, pairwise
+from itertools import chain
 from mmap import mmap
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 from zlib import crc32
 
 import numpy as np
-from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 from rosbags.typesys import Stores, get_typestore
@@ -40,7 +40,6 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.cdr import JointStateCodec
 from rx90_common.process.files import hidden_folder
 
-_Encode = Callable[[Int64Array], list[bytes]]
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _MESSAGES_AT_ONCE = 10_000  # in memory while arrays are written
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
@@ -49,12 +48,8 @@ _INTEGER = 2  # of rcl_interfaces/ParameterType
 _MESSAGE = 0x05
 _CHUNK_BYTES: Final = 1 << 20  # a chunk that is larger is closed, as rosbags does
 _RECORD_HEAD: Final = 9  # op code and length
-_MESSAGE_HEAD: Final = np.dtype(
-    {
-        "names": ["code", "length", "channel", "sequence", "log_ns", "published_ns"],
-        "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8"],
-    }
-)
+_MESSAGE_HEAD: Final = np.dtype("u1, <u8, <u2, <u4, <u8, <u8")
+"""Op code, length of what follows, channel, sequence number, log time, time of publication."""
 # At the end of a file, before 8 bytes that say what it is: where the summary begins, and its checksum.
 _SUMMARY_BEGIN = slice(-28, -20)
 _SUMMARY_CRC = slice(-12, -8)
@@ -79,12 +74,9 @@ class _McapBatches(McapWriter):
 
     def _append(self, channel: Int64Array, log_ns: Int64Array, messages: list[bytes], lengths: Int64Array) -> None:
         """Write messages, whose records have these lengths, into the pending chunk."""
-        heads = np.zeros(len(messages), _MESSAGE_HEAD)
-        heads["code"] = _MESSAGE
-        heads["length"] = lengths - _RECORD_HEAD
-        heads["channel"] = channel
-        heads["log_ns"] = log_ns
-        heads["published_ns"] = log_ns
+        code = np.full_like(lengths, _MESSAGE)
+        columns = [code, lengths - _RECORD_HEAD, channel, np.zeros_like(lengths), log_ns, log_ns]
+        heads = np.rec.fromarrays(columns, dtype=_MESSAGE_HEAD)
         places = self.chunk.bio.tell() + np.cumsum(lengths) - lengths
         records = zip(heads.view(f"V{heads.itemsize}").tolist(), messages, strict=True)
         self.chunk.bio.write(b"".join(chain.from_iterable(records)))
@@ -95,12 +87,6 @@ class _McapBatches(McapWriter):
             those = channel == number
             self.chunk.msgs[number] += zip(log_ns[those].tolist(), places[those].tolist(), strict=True)
             self.channel_stats[number] += int(those.sum())
-
-    def checkpoint(self) -> None:
-        """Write pending data to the file."""
-        if self.chunk.msgs:
-            self.close_chunk()
-        self.bio.flush()
 
     def close_chunk(self) -> None:
         """Write the pending chunk, and its checksum behind the record's head, two times and a length."""
@@ -117,10 +103,6 @@ class _McapBatches(McapWriter):
         with self.path.open("r+b") as stream, mmap(stream.fileno(), 0) as content:
             summary = content[int.from_bytes(content[_SUMMARY_BEGIN], "little") : _SUMMARY_CRC.start]
             content[_SUMMARY_CRC] = crc32(summary).to_bytes(4, "little")
-
-
-class _BatchWriter(Writer):
-    STORAGE_PLUGINS = {StoragePlugin.MCAP: _McapBatches}  # noqa: RUF012 - as in rosbags
 
 
 @cache
@@ -144,7 +126,7 @@ def offered_qos(*, reliable: bool = True, transient_local: bool = False) -> Qos:
     )
 
 
-class BagWriter:
+class BagWriter(Writer):
     """A new rosbag2 folder, open from the start; `close()`, or leaving its context, makes it a valid bag.
 
     An error within its context before anything was written is a refusal: no folder stays. Equal calls give equal files,
@@ -158,72 +140,59 @@ class BagWriter:
         BagWriteError: if the disk is full.
     """
 
-    def __init__(self, path: Path | str, *, named: Path | None = None) -> None:
-        self.path = Path(path)
-        self._named = named or self.path
-        self._second = 0  # of the newest log time
+    STORAGE_PLUGINS = {StoragePlugin.MCAP: _McapBatches}  # noqa: RUF012 - as in rosbags
+
+    def __init__(self, path: Path, *, named: Path | None = None) -> None:
+        self._named = named or path
         check_bag_name(self._named)
         with _failures(self._named):
-            self._writer = _BatchWriter(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
-            self._writer.open()
-        self._storage: Any = self._writer.storage
+            super().__init__(path, version=9, storage_plugin=StoragePlugin.MCAP)
+            self.open()
 
     def __enter__(self) -> BagWriter:
         return self
 
-    def __exit__(self, _kind: object, error: object, _trace: object) -> None:
+    def __exit__(self, _kind: object, error: object, _trace: object) -> Literal[False]:
         if error is None:
             self.close()
-        else:
-            with suppress(BagError):  # the first error is the one to report
-                self.close()
-            if not any(self._storage.channel_stats.values()):
-                shutil.rmtree(self.path, ignore_errors=True)
+            return False
+        with suppress(BagError):  # the first error is the one to report
+            self.close()
+        if not any(self.counts.values()):
+            shutil.rmtree(self.path, ignore_errors=True)
+        return False
 
-    def add_topic(
-        self, topic: str, msgtype: str, qos: Sequence[Qos] = (), types: Typestore | None = None
-    ) -> Connection:
-        """Announce a topic and return its connection, whose `id` `write_many` wants.
+    def add_topic(self, topic: str, msgtype: str, qos: Qos, types: Typestore | None = None) -> int:
+        """Announce a topic and return its number, as `write_many` wants it.
 
         Args:
             topic: its name.
             msgtype: name of its type.
             qos: quality of service that its publishers offer.
             types: knows the type; by default the common interfaces.
-
-        Raises:
-            BagWriteError: if the disk is full.
         """
         types = types or typestore()
-        if msgtype not in types.fielddefs:
-            raise BagError(f"{absolute(topic)} has type {msgtype}; accepted: types of ROS 2's common interfaces")
-        with _failures(self._named):
-            return self._writer.add_connection(absolute(topic), msgtype, typestore=types, offered_qos_profiles=qos)
+        return self.add_connection(absolute(topic), msgtype, typestore=types, offered_qos_profiles=[qos]).id
 
     def say_unit(self, topic: str, effort_unit: str) -> None:
         """Say in the metadata in which unit a topic's efforts are, where it is not the usual one."""
         if effort_unit:
-            self._writer.set_custom_data(f"{EFFORT_UNIT}{absolute(topic)}", effort_unit)
+            self.set_custom_data(f"{EFFORT_UNIT}{absolute(topic)}", effort_unit)
 
     def write_many(self, number: Int64Array, log_ns: Int64Array, messages: list[bytes]) -> None:
-        """Write serialised messages in the order of log time; a checkpoint follows the first one of each second.
+        """Write serialised messages in this order.
 
         Args:
-            number: of the connection of each, as in its `id`, int64 (n,).
+            number: of the topic of each, int64 (n,).
             log_ns: log times, int64 (n,).
             messages: n messages, at least one.
 
         Raises:
             BagWriteError: if the disk is full or nearly so.
         """
-        seconds = log_ns // NANOSECONDS
-        checkpoints = np.flatnonzero(np.diff(seconds, prepend=self._second)) + 1
-        self._second = int(seconds[-1])
+        storage: Any = self.storage
         with _failures(self._named):
-            for begin, end in pairwise([0, *checkpoints.tolist(), len(messages)]):
-                if begin > 0:
-                    self._storage.checkpoint()
-                self._storage.write_many(number[begin:end], log_ns[begin:end], messages[begin:end])
+            storage.write_many(number, log_ns, messages)
             free = shutil.disk_usage(self.path).free
         if free < _RESERVE_BYTES:
             room = f"{free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more"
@@ -236,16 +205,17 @@ class BagWriter:
         Raises:
             BagWriteError: if that fails; data written before stay.
         """
-        if self._writer.storage is None:
+        storage: Any = self.storage
+        if storage is None:
             return
-        self._writer.counts.update(self._storage.channel_stats)
-        self._writer.min_timestamp = self._storage.message_start_time
-        self._writer.max_timestamp = self._storage.message_end_time
+        self.counts.update(storage.channel_stats)
+        self.min_timestamp = storage.message_start_time
+        self.max_timestamp = storage.message_end_time
         with _failures(self._named):
             try:
-                self._writer.close()
+                super().close()
             finally:
-                self._writer.abort()
+                self.abort()
 
 
 @contextmanager
@@ -278,14 +248,12 @@ def string_message(topic: str, text: str) -> SingleMessage:
     return SingleMessage(topic, 0, typestore().types[STRING](data=text))
 
 
-def parameters_message(topic: str, node: str, values: Mapping[str, int]) -> SingleMessage:
-    """Return the rcl_interfaces/ParameterEvent of a node with whole numbers at the start of its run."""
+def parameter_message(topic: str, node: str, name: str, number: int) -> SingleMessage:
+    """Return the rcl_interfaces/ParameterEvent of a node with a whole number at the start of its run."""
     types = typestore().types
     no_arrays = [np.empty(0)] * 4
-    new = []
-    for name, number in values.items():
-        value = types["rcl_interfaces/msg/ParameterValue"](_INTEGER, False, number, 0.0, "", *no_arrays, [])
-        new.append(types["rcl_interfaces/msg/Parameter"](name, value))
+    value = types["rcl_interfaces/msg/ParameterValue"](_INTEGER, False, number, 0.0, "", *no_arrays, [])
+    new = [types["rcl_interfaces/msg/Parameter"](name, value)]
     zero = types["builtin_interfaces/msg/Time"](0, 0)
     return SingleMessage(topic, 0, types[PARAMETER_EVENT](zero, node, new, [], []))
 
@@ -308,23 +276,18 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
     """Yield a new folder for a file or folder of this name and its companions; then these are moved to their places.
 
     Raises:
+        BagError: if one of them exists by then.
         BagWriteError: if the disk is full.
     """
     with _failures(path):
-        _check_new(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         with hidden_folder(path) as folder:
             yield folder
             targets = {made: path.parent / made.name for made in folder.iterdir()}
-            _check_new(*targets.values())  # somebody else may have been faster
+            if any(os.path.lexists(target) for target in targets.values()):
+                raise FileExistsError
             for made, target in targets.items():
                 made.rename(target)
-
-
-def _check_new(*paths: Path) -> None:
-    for path in paths:
-        if os.path.lexists(path):
-            raise FileExistsError
 
 
 def write_joint_states(
@@ -338,8 +301,7 @@ def write_joint_states(
     It is written beside its place and renamed at the end: an interrupt, a kill or a full disk
     leaves no part of a bag under that name.
 
-    The messages are in the order of log time, which is their stamp; at equal times in the order of
-    `series`, then of `messages`.
+    The log time of a series' message is its stamp. The further messages come first in the file: readers go by log time.
 
     Args:
         path: folder to make; must not exist.
@@ -356,31 +318,31 @@ def write_joint_states(
     if len(set(topics)) != len(topics):
         raise BagError(f"{plain(path)}: topics {listed(topics)}; accepted: each topic once")
     with named_at_the_end(path) as folder, BagWriter(folder / path.name, named=path) as bag:
-        numbers = [bag.add_topic(topic, JOINT_STATE, [offered_qos()]).id for topic in topics]
+        numbers = [bag.add_topic(topic, JOINT_STATE, offered_qos()) for topic in topics]
         for part in series:
             bag.say_unit(part.topic, part.effort_unit)
         latched: dict[str, int] = {}
         for single in messages:
             if single.topic not in latched:
                 qos = offered_qos(transient_local=True)
-                latched[single.topic] = bag.add_topic(single.topic, single.message.__msgtype__, [qos]).id
-        encoders: list[_Encode] = [*map(_encoder, series), lambda rows: [messages[row].cdr for row in rows]]
-        stamps = [*(part.stamp_ns for part in series), np.array([single.log_ns for single in messages], np.int64)]
-        counts = [len(stamp_ns) for stamp_ns in stamps]
-        log_ns = np.concatenate(stamps)
-        number = np.array([*np.repeat(numbers, counts[:-1]), *(latched[single.topic] for single in messages)])
-        source = np.repeat(np.arange(len(counts)), counts)
-        row = np.concatenate([np.arange(count) for count in counts])
+                latched[single.topic] = bag.add_topic(single.topic, single.message.__msgtype__, qos)
+            bag.write_many(np.array([latched[single.topic]]), np.array([single.log_ns]), [single.cdr])
+        encoders = [_encoder(part) for part in series]
+        counts = [len(part.stamp_ns) for part in series]
+        log_ns = np.concatenate([np.empty(0, dtype=np.int64), *(part.stamp_ns for part in series)])
+        source = np.repeat(np.arange(len(series)), counts)
+        row = np.concatenate([np.empty(0, dtype=np.int64), *map(np.arange, counts)])
         order = np.argsort(log_ns, kind="stable")
         for begin in range(0, len(order), _MESSAGES_AT_ONCE):
             rows = order[begin : begin + _MESSAGES_AT_ONCE]
             block = np.empty(len(rows), dtype=object)
             for k, encode in enumerate(encoders):
-                block[source[rows] == k] = encode(row[rows[source[rows] == k]])
-            bag.write_many(number[rows], log_ns[rows], block.tolist())
+                of_series = source[rows] == k
+                block[of_series] = encode(row[rows[of_series]])
+            bag.write_many(np.array(numbers)[source[rows]], log_ns[rows], block.tolist())
 
 
-def _encoder(series: JointSeries) -> _Encode:
+def _encoder(series: JointSeries) -> Callable[[Int64Array], list[bytes]]:
     """Return a function that returns the messages of some rows of a series."""
     codec = JointStateCodec(series.names)
 

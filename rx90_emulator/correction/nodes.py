@@ -61,9 +61,7 @@ def node_trials(
         trajectory = TrajectoryClient(client, controller)
         trajectory.wait_for_controller()
         set_points = trajectory.set_points(robot.joint_names)
-        follow = partial(
-            follow_trajectory, client, trajectory, set_points, names=robot.joint_names, show=lambda _: None
-        )
+        follow = partial(follow_trajectory, client, trajectory, robot.joint_names, set_points, show=lambda _: None)
         numbers = count()
 
         def approach() -> None:

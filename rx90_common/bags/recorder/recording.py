@@ -73,7 +73,8 @@ def _record(streams: Streams, order: LogOrder, writer: BagWriter, stop: StopRequ
             matched_at = now
         if not ready and now > matched_at + _SETTLE_S:
             ready = True
-            streams.start()
+            for stream in streams:
+                stream.counter.start()  # from now on nothing may be missing that anybody sends
             if not any(stream.source.gives_time for stream in streams):
                 order.date_by_reception()
             topics = counted(len(list(streams)), "topic")
@@ -93,9 +94,9 @@ def _write(streams: Iterable[Stream], writer: BagWriter, entries: Sequence[Entry
     """Announce to the bag the topics found since the last call, in their order, and write messages."""
     numbers: dict[int, int] = {}
     for stream in streams:
-        if stream.connection is None:
-            stream.connection = writer.add_topic(stream.topic, stream.msgtype, [stream.qos], stream.types)
-        numbers[stream.source.topic] = stream.connection.id
+        if stream.number is None:
+            stream.number = writer.add_topic(stream.topic, stream.msgtype, stream.qos, stream.types)
+        numbers[stream.source.topic] = stream.number
     if entries:
         number = np.array([numbers[entry.topic] for entry in entries])
         log_ns = np.array([entry.log_ns for entry in entries])

@@ -16,7 +16,7 @@ from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallb
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rosbags.interfaces import Connection, Qos
+from rosbags.interfaces import Qos
 from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -51,19 +51,25 @@ class TopicCount:
 
     Attributes:
         topic: absolute name.
-        received: messages.
-        repeated: those of them that are not in the bag, as they repeat the one before.
-        lost: messages that were sent and not received.
-        refused: publishers whose quality of service does not fit the first one's.
         writers: messages by publisher.
+        repeated: messages received that are not in the bag, as they repeat the one before.
+        refused: publishers whose quality of service does not fit the first one's.
     """
 
     topic: str
-    received: int = 0
-    repeated: int = 0
-    lost: int = 0
-    refused: int = 0
     writers: tuple[WriterCount, ...] = ()
+    repeated: int = 0
+    refused: int = 0
+
+    @property
+    def received(self) -> int:
+        """Return how many messages were received."""
+        return sum(writer.received for writer in self.writers)
+
+    @property
+    def lost(self) -> int:
+        """Return how many messages were sent and not received."""
+        return sum(writer.lost for writer in self.writers)
 
 
 class SequenceCounter:
@@ -83,16 +89,6 @@ class SequenceCounter:
         self._matched = matched
         self._transient_local = transient_local
         self._known_before: int | None = None  # writers at the start
-
-    @property
-    def received(self) -> int:
-        """Return how many messages were received."""
-        return sum(writer.received for writer in self.writers)
-
-    @property
-    def lost(self) -> int:
-        """Return how many messages were sent and not received."""
-        return sum(writer.lost for writer in self.writers)
 
     def start(self) -> None:
         """From now on all messages of a new writer must be received, from its first on."""
@@ -165,11 +161,6 @@ class Streams:
             or (not stream.matched() and (stream.needs_publisher or self._node.count_publishers(topic) > 0))
         ]
 
-    def start(self) -> None:
-        """From now on nothing may be missing that anybody sends."""
-        for stream in self:
-            stream.counter.start()
-
     def counts(self) -> list[TopicCount]:
         """Return what was recorded of each topic."""
         return [TopicCount(topic) if stream is None else stream.count() for topic, stream in self._found.items()]
@@ -196,7 +187,7 @@ class Stream:
         source: of the log time of its messages.
         qos: quality of service that its publishers offer.
         counter: of its messages.
-        connection: in the bag, once it is announced there.
+        number: in the bag, once it is announced there.
         repeated: messages that repeated the one before.
         sent_ns: time at which the newest message was sent, by its publisher's wall clock.
         taken_at: when messages were taken last, s, by a clock that is never set.
@@ -230,7 +221,7 @@ class Stream:
         self._matched = self._event(QoSSubscriptionEventType.RCL_SUBSCRIPTION_MATCHED)
         self._incompatible = self._event(QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)
         self.counter = SequenceCounter(self.matched, transient_local=latched)
-        self.connection: Connection | None = None
+        self.number: int | None = None
         self.repeated = 0
         self.sent_ns = 0
         self.taken_at = 0.0
@@ -259,12 +250,12 @@ class Stream:
         with handle:
             while len(taken) < _DEPTH and (message := handle.take_message(self._kind, True)) is not None:
                 taken.append(message)
-        received_ns = _column(taken, "received_timestamp")
+        received_ns = np.array([info["received_timestamp"] for _, info in taken], dtype=np.int64)
         messages = [raw for raw, _ in taken]
         if taken:
             self.taken_at = time.monotonic()
             self.sent_ns = taken[-1][1]["source_timestamp"]
-            self.counter.add(_column(taken, "publication_sequence_number"))
+            self.counter.add(np.array([info["publication_sequence_number"] for _, info in taken]))
         if self.msgtype in (JOINT_STATE, CLOCK) and taken:
             # Nodes repeat a message while time stands still, and when it may have been lost: it is no second sample.
             new = [before != message for before, message in pairwise([self._newest, *messages])]
@@ -280,13 +271,7 @@ class Stream:
 
     def count(self) -> TopicCount:
         """Return what was recorded."""
-        counter = self.counter
-        refused = _total(self._incompatible)
-        return TopicCount(self.topic, counter.received, self.repeated, counter.lost, refused, tuple(counter.writers))
-
-
-def _column(taken: Sequence[tuple[bytes, dict[str, int]]], name: str) -> Int64Array:
-    return np.array([info[name] for _, info in taken], dtype=np.int64)
+        return TopicCount(self.topic, tuple(self.counter.writers), self.repeated, _total(self._incompatible))
 
 
 def _total(event: Any) -> int:
