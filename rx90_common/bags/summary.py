@@ -55,14 +55,10 @@ class BagSummary:
 
     Attributes:
         path: of the bag.
-        storage: the kind of its files: mcap, db3 or bag.
-        size: of its files in bytes.
         topics: by name.
     """
 
     path: Path
-    storage: str
-    size: int
     topics: tuple[TopicSummary, ...]
 
     @property
@@ -85,12 +81,8 @@ def summarise(path: Path | str, mapping: LogMapping | None = None) -> BagSummary
                 times[topic].append(max(0, cdr_stamp_ns(data)) if topic.is_joint_state else log_ns)
         for series in bag.table:
             times[topics[0]] = series.stamp_ns.tolist()
-        files = [bag.path] if bag.path.is_file() else [file for file in bag.path.iterdir() if file.is_file()]
-        size = sum(file.stat().st_size for file in files)
         return BagSummary(
             path=bag.path,
-            storage=bag.storage,
-            size=size,
             topics=tuple(_summarise(t, np.array(times[t], np.int64), bag.effort_units.get(t.name, "")) for t in topics),
         )
 

@@ -78,8 +78,7 @@ def summary_json(summary: BagSummary) -> str:
 
 def summary_text(summary: BagSummary) -> str:
     """Return a table of the topics below one line about the whole bag."""
-    size = f"{summary.size / 1e6:.1f} MB"
-    head = f"{plain(summary.path)}: {summary.storage}, {size}, {counted(summary.count, 'message')}"
+    head = f"{plain(summary.path)}: {counted(summary.count, 'message')}"
     return f"{head}\n{_table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics])}"
 
 
