@@ -9,7 +9,7 @@ from unittest import mock
 import numpy as np
 import pytest
 from goal_arm import LIMITS, Law, message
-from joint_moves import HOME, NAMES, PERIOD, stamp, trajectory
+from joint_moves import HOME, NAMES, PERIOD, ZERO, stamp, trajectory
 from numpy.random import Generator
 
 from rx90_common.base.arrays import Array
@@ -31,7 +31,7 @@ from rx90_controller.trajectory.stream import INTERFACES, SetPoints
 from rx90_emulator.loop.setup import Setup
 from tools.controller_states import EVENTS, PAGE, SITUATIONS, answers, page
 
-SEQUENCES, LENGTH = 6000, 8
+SEQUENCES, LENGTH = 6000, 6
 TOLERANCES = GoalTolerances.of_parameters(NAMES)
 
 REFUSED = dict.fromkeys(("goal", "trajectory", "stop", "set-point"), "= refused")
@@ -123,6 +123,7 @@ class Drives(Law):
     def reset(self, position: Array, tick: int) -> None:
         """Hold the motors."""
         self.fault = None
+        self.setpoint = np.array([position, ZERO, ZERO])
         self.trajectory.reset(position)
         self.position_tick = tick
 
@@ -156,7 +157,7 @@ class Play:
         """Let states come that follow no others."""
         self.loop.post(Begin(int(self.random.integers(0, 10)) * 1_000_000, self.law.setpoint[0]))
         self.started, self.released = True, False
-        self.setpoints = [np.array([self.law.setpoint[0], 0 * HOME, 0 * HOME])]
+        self.setpoints = [self.law.setpoint]
 
     def ticks(self) -> None:
         """Run ticks: there is torque if it is on, but in the first one after it was off."""
@@ -167,7 +168,7 @@ class Play:
             self.law.broken = broken and i == count - 1 and self.on and not self.released
             expected = self.on and not self.released and not self.law.broken
             self.on = self.on and not self.law.broken
-            states = MotorStates(self.law.tick * 1_000_000, self.law.setpoint[0], 0 * HOME)
+            states = MotorStates(self.law.tick * 1_000_000, self.law.setpoint[0], ZERO)
             assert self.loop.step(states.stamp_ns, states) == expected
             self.loop.after_command(states.stamp_ns)
             self.released = False
@@ -175,7 +176,7 @@ class Play:
                 self.setpoints.append(self.law.setpoint)
             else:
                 self.check()
-                self.setpoints = [np.array([self.law.setpoint[0], 0 * HOME, 0 * HOME])]
+                self.setpoints = [self.law.setpoint]
         self.check()
 
     def check(self) -> None:
@@ -185,6 +186,8 @@ class Play:
         assert (np.abs(path[:, 1]) <= LIMITS.velocity * (1 + 2e-3)).all()
         most = LIMITS.acceleration * PERIOD * (1 + 2e-3)
         assert (np.abs(np.diff(path[:, 1], axis=0)) <= most).all()
+        moved = np.diff(path[:, 0], axis=0) - 0.5 * PERIOD * (path[1:, 1] + path[:-1, 1])
+        assert (np.abs(moved) <= 0.25 * PERIOD * most).all()
         self.setpoints = [path[-1]]
 
     def switch(self) -> None:
